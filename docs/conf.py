@@ -72,7 +72,18 @@ toc_object_entries_show_parents = "hide"
 nitpick_ignore_regex = [
     (r"py:.*", rf"(?:{'|'.join(roots)})(?:\..*)?")
     for roots in (
-        ("torch", "tensordict", "torchrl", "gymnasium", "stable_baselines3", "numpy", "matplotlib", "scipy", "rich"),
+        (
+            "torch",
+            "tensordict",
+            "torchrl",
+            "gymnasium",
+            "pettingzoo",
+            "stable_baselines3",
+            "numpy",
+            "matplotlib",
+            "scipy",
+            "rich",
+        ),
         ("collections", "pathlib", "typing", "enum", "dataclasses", "abc", "inspect"),
     )
 ]
@@ -81,7 +92,19 @@ nitpick_ignore_regex = [
 nitpick_ignore = [
     ("py:class", name)
     for name in (
-        *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
+        *(
+            "Area",
+            "AutoresetMode",
+            "Company",
+            "EnvBase",
+            "Missing",
+            "Path",
+            "Reward",
+            "TimeLimit",
+            "Transform",
+            "Unknown",
+            "Up",
+        ),
         *(
             "Bounded",
             "CurriculumKind",

@@ -14,6 +14,13 @@ STANDARD_OUTPUT = Path("standard output")
 """Name of the standard output in error messages."""
 
 
+def cache_folder() -> Path:
+    """Returns the folder of the cache: ``rover_rl`` in ``XDG_CACHE_HOME``, by default in ``~/.cache``."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # The XDG base directory specification: a relative path is ignored.
+    return (Path(given) if os.path.isabs(given) else Path.home() / ".cache") / "rover_rl"
+
+
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """Writes a file atomically: yields a temporary path next to ``path`` and renames it to ``path`` at the end.

@@ -28,7 +28,7 @@ LAYERS = (
     ),
     ("sims.free_space", "sims.movers", "sims.ray_kernels", "sims.rays", "sims.rendering"),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
-    ("sims.backends",),
+    ("sims.backends", "sims.spin"),
     ("sims.__init__",),
     ("envs",),
     ("algos.archives", "algos.config", "algos.config_files", "algos.workers"),

@@ -211,6 +211,11 @@ class TrainingConfig:
         return 1 if self.env.num_envs is None else self.env.num_envs
 
     @property
+    def groups(self) -> int:
+        """Number of groups of rovers that share worlds."""
+        return max(1, self.num_envs // max(1, self.env.agents))
+
+    @property
     def seed(self) -> int:
         """Seed of weights, actions, starts and goals; 0 until one is drawn."""
         return self.env.seed or 0
@@ -229,7 +234,7 @@ class TrainingConfig:
     def workers(self) -> int:
         """Number of workers that simulate."""
         cores = 1 if self.env.backend == "warp" or self.collection.collector == "process" else None
-        return self.collection.workers or default_workers(self.num_envs, cores)
+        return self.collection.workers or default_workers(self.groups, cores)
 
     @property
     def collector(self) -> str:
@@ -285,7 +290,9 @@ class TrainingConfig:
 
     def _check_env(self) -> None:
         env = self.env
-        check_at_least(1, MAX_ROVERS, num_envs=self.num_envs)
+        check_at_least(1, MAX_ROVERS, num_envs=self.num_envs, agents=env.agents)
+        if self.num_envs % env.agents:
+            raise ValueError(f"num_envs must be a multiple of agents={env.agents}, got {self.num_envs}")
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
             raise ValueError("Ray is a collector: use collector='ray', with backend='bullet', 'mujoco' or 'warp'")
@@ -307,12 +314,14 @@ class TrainingConfig:
             )
         if self.num_envs % self.workers:
             raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={given}")
+        if self.rovers_per_worker % self.env.agents:
+            raise ValueError(f"agents={self.env.agents} rovers share worlds, and each of workers={given} has fewer")
         if self.collection.collector == "process" and self.workers > 1:
             raise ValueError(f"collector='process' has one worker, got workers={given}")
-        if not 1 <= len(self.env.worlds) <= self.rovers_per_worker:
+        most, what = self.rovers_per_worker // self.env.agents, "rovers" if self.env.agents == 1 else "groups"
+        if not 1 <= len(self.env.worlds) <= most:
             raise ValueError(
-                f"world must name at least one world, and at most the {self.rovers_per_worker} rovers of a worker: "
-                f"got {self.env.world}"
+                f"world must name at least one world, and at most the {most} {what} of a worker: got {self.env.world}"
             )
         if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
             raise ValueError(

@@ -216,5 +216,5 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchm
 def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
     """Returns the policies that a command names, and their environments."""
     environment = options.environment
-    resolved = resolve_policies(options.policies, (suite,), environment.robot)
+    resolved = resolve_policies(options.policies, (suite,), environment.given_robot)
     return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

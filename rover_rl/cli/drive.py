@@ -7,7 +7,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -17,8 +17,9 @@ from rich.console import Console
 from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
-from rover_rl.cli.policies import LIVE_POLICY, read_env
+from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
 if TYPE_CHECKING:
@@ -57,7 +58,9 @@ class Drive:
     env: Path | None = None
     """YAML file of EnvConfig, or a run's config.yaml. Default: the environment that the policy was made for."""
     robot: str | None = None
-    """Robot: rover_zero, or module:attribute. Default: the robot that the policy was made for."""
+    """Robot: a name, a URDF file, or module:attribute. Default: the robot that the policy was made for."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     wait: float = 30.0
     """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
@@ -113,6 +116,7 @@ class Drive:
             from rover_rl.algos.evaluation.metrics import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs import RoverEnv
+            from rover_rl.envs.config import name_of_part
             from rover_rl.sims.ros2.watchdog import Watchdog
 
             policy = self._policy()
@@ -125,7 +129,9 @@ class Drive:
             env = RoverEnv(described)
             stack.callback(env.close)
             runner = PolicyRunner(policy.module, env=env)
-            log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
+            log = stack.enter_context(
+                DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, name_of_part(described.robot))
+            )
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):
 
@@ -171,7 +177,7 @@ class Drive:
         from rover_rl.cli.policies import resolve_policy
         from rover_rl.sims.worlds.names import WorldRange
 
-        policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
+        policy = resolve_policy(self.policy, (self.world,) if self.world else (), self._robot)
         if policy.module is None or not policy.worlds:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
@@ -186,6 +192,10 @@ class Drive:
                 f"{policy.worlds[0]}; use another policy, or --allow-other-world"
             )
         return policy
+
+    @property
+    def _robot(self) -> str | None:
+        return None if self.robot is None else with_options(self.robot, self.robot_options)
 
     def _settings(self) -> Ros2Settings:
         """Returns the settings of the connection to the rover."""
@@ -204,6 +214,7 @@ class Drive:
             made_for,
             world=policy.worlds[0],
             robot=self.robot or made_for.robot,
+            robot_options=self.robot_options,
             backend=settings,
             randomization=Randomization(),
             connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
     from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
     from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
+    from rover_rl.algos.policy.runner import Policy
+    from rover_rl.envs.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,9 @@ class Evaluate:
     backend: tuple[str, ...] = ()
     """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.
     Default: that of --env, else bullet."""
+    agents: int | None = None
+    """Number of rovers that drive at once in the same world, in which they see and push one another.
+    Default: that of --env, else 1."""
     endless: bool = False
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
@@ -74,7 +80,7 @@ class Evaluate:
         if not self.policies:
             raise ValueError(NO_POLICY)
         words = [word for word in self.policies if not word.endswith(LOG)]
-        policies = resolve_policies(words, self.world, self.environment.robot) if words else []
+        policies = resolve_policies(words, self.world, self.environment.given_robot) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
@@ -122,6 +128,11 @@ class Evaluate:
                     self.environment.description(policy.module, name)
         return [*names] or [None]
 
+    def _env(self, policy: Policy | None, backend: str | None) -> EnvConfig:
+        """Returns the environment for a policy, in a backend."""
+        env = self.environment.description(policy, backend)
+        return env if self.agents is None else replace(env, agents=self.agents)
+
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
@@ -134,10 +145,9 @@ class Evaluate:
         for world in worlds:
             get_world(WorldPool(world).source(0))
         trained = next((policy.module for policy in policies if policy.config), None)
-        robot = self.environment.description(trained, next(iter(self.backend), None)).robot
-        return {
-            world: choose_episodes(world, self.count, self.seed, robot=robot, workers=self.workers) for world in worlds
-        }
+        env = self._env(trained, next(iter(self.backend), None))
+        choose = partial(choose_episodes, robot=env.robot, workers=self.workers, agents=env.agents)
+        return {world: choose(world, self.count, self.seed) for world in worlds}
 
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
@@ -152,7 +162,7 @@ class Evaluate:
             runs: list[tuple[ResolvedPolicy, dict[str, Any]]] = []
             for policy, backend in product(policies, backends):
                 if world in (policy.worlds or sets):
-                    env = self.environment.description(policy.module, backend)
+                    env = self._env(policy.module, backend)
                     runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
             for policy, settings in runs:
                 seconds = usual_seconds(settings["env"]) if self.seconds is None else self.seconds

@@ -116,7 +116,7 @@ class Film:
         print(f"Film: {out}: episode {recording.episode} {of}{where}, {_how_it_ended(recording)}", flush=True)
 
     def _resolve(self) -> ResolvedPolicy:
-        return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.robot)
+        return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.given_robot)
 
     def _film_episodes(self) -> None:
         """Films one episode, or those that failed."""

@@ -19,6 +19,7 @@ from rover_rl.cli.experiments import Compare, sweep_defaults
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film, Play
 from rover_rl.cli.robot import RobotCommand
+from rover_rl.cli.robots import Robots
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
@@ -40,6 +41,7 @@ COMMANDS = {
     "play": Play,
     "film": Film,
     "worlds": Worlds,
+    "robots": Robots,
     "demo": Demo,
     "robot": RobotCommand,
     "drive": Drive,

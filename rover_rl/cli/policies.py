@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
 
 from rover_rl.algos.config_files import read_yaml
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
 from rover_rl.envs.config import EnvConfig, env_from_plain
 from rover_rl.registry import perhaps
+from rover_rl.sims.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
@@ -114,6 +117,8 @@ def _folder(word: str) -> Path:
     return Path(word) if Path(word).is_dir() else Path(word).parent
 
 
+ROBOT_OPTIONS = tyro.conf.arg(name="robot")
+"""The options of a robot have its prefix: ``--robot scout.urdf --robot.max-speed 2``."""
 BACKEND = "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."
 """Help of an option that names the backend."""
 
@@ -125,9 +130,16 @@ class EnvOptions:
     env: Path | None = None
     """YAML file of EnvConfig, or a run's config.yaml. Default: the policy's environment in Bullet, not randomized."""
     robot: str | None = None
-    """Robot: rover_zero, or module:attribute. Default: that of --env, else of the policy."""
+    """Robot: a name, a URDF file, or module:attribute. Default: that of --env, else of the policy."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
+
+    @property
+    def given_robot(self) -> str | None:
+        """The robot that is named, with its options."""
+        return None if self.robot is None else with_options(self.robot, self.robot_options)
 
     def description(self, policy: Policy | None, backend: str | None) -> EnvConfig:
         """Returns the environment for a policy, in a backend."""
@@ -136,6 +148,7 @@ class EnvOptions:
         config = environment_for(policy, None if self.env is None else read_env(self.env))
         options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
+        changes["robot_options"] = self.robot_options
         return environment_for(policy, replace(config, **changes))
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
-from rover_rl.cli.policies import read_env
+from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
+from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
@@ -37,15 +38,17 @@ class RobotCommand:
     seed: int = 0
     """Seed of the start pose."""
     robot: str | None = None
-    """Robot: rover_zero, or module:attribute. Default: rover_zero."""
+    """Robot: a name, a URDF file, or module:attribute. Default: rover_zero."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     backend: str | None = None
     """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
-    lidar_view: float = 360.0
-    """Field of view of the lidar, centered straight ahead, degrees."""
+    lidar_view: float | None = None
+    """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
     """Topic that the sensor_msgs/LaserScan is published to. Default: /scan."""
     imu_topic: str | None = None
@@ -63,7 +66,8 @@ class RobotCommand:
         """Runs the robot until it is interrupted."""
         check_positive(MAX_RATE, rate=self.rate)
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
-        check_positive(360, lidar_view=self.lidar_view)
+        if self.lidar_view is not None:
+            check_positive(360, lidar_view=self.lidar_view)
         check_seed(self.seed)
         described = self._environment().fitted()
         from rover_rl.algos.evaluation.episodes import draw_episodes
@@ -79,12 +83,15 @@ class RobotCommand:
         world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
-        simulator = make_simulator(described.backend, worlds=[world], robot=robot, physics=described.preset)
+        rate = described.control_rate
+        simulator = make_simulator(
+            described.backend, worlds=[world], robot=robot, physics=described.preset, control_rate=rate
+        )
         scanner = make_scanner(simulator, [world], robot, self.lidar_beams)
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
-        view = math.radians(self.lidar_view)
+        view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
         try:
             node = RobotNode(
                 simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view
@@ -107,4 +114,5 @@ class RobotCommand:
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
-        return replace(config, connection=replace(config.connection, **given), **changes)
+        connection = replace(config.connection, **given)
+        return replace(config, connection=connection, robot_options=self.robot_options, **changes)

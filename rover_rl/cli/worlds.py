@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 import tyro
 
 from rover_rl.checks import check_seed
+from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.files import written_whole
 from rover_rl.option_names import options_of_command
+from rover_rl.sims.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
@@ -93,7 +95,9 @@ class ShowWorld:
     out: Path | None = None
     """Picture to write. Default: the world's name with .png, in this folder."""
     robot: str = "rover_zero"
-    """Robot whose free space is drawn: rover_zero, or module:attribute."""
+    """Robot whose free space is drawn: a name, a URDF file, or module:attribute."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     seed: int = 0
     """Seed of the start and the goal."""
 
@@ -103,7 +107,7 @@ class ShowWorld:
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world
 
-        robot, world = get_robot(self.robot), get_world(self.file)
+        robot, world = get_robot(with_options(self.robot, self.robot_options)), get_world(self.file)
         out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.png")
         with written_whole(out) as temporary:
             length = draw_task(world, robot, check_seed(self.seed), temporary)
@@ -120,18 +124,18 @@ class Worlds:
     world: tuple[str, ...] = ()
     """Worlds to draw, by name, as module:attribute, or as a file. Default: all registered worlds."""
     robot: str = "rover_zero"
-    """Robot whose free space is drawn: rover_zero, or module:attribute."""
+    """Robot whose free space is drawn: a name, a URDF file, or module:attribute."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     out: Path = Path("worlds")
     """Folder to write the maps to."""
-    action: tyro.conf.OmitArgPrefixes[
-        Annotated[
-            Union[  # noqa: UP007
-                Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],
-                Annotated[ImportWorld, tyro.conf.subcommand("import", prefix_name=False)],
-                Annotated[ShowWorld, tyro.conf.subcommand("show", prefix_name=False)],
-            ],
-            tyro.conf.arg(name=""),
-        ]
+    action: Annotated[
+        Union[  # noqa: UP007
+            Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],
+            Annotated[ImportWorld, tyro.conf.subcommand("import", prefix_name=False)],
+            Annotated[ShowWorld, tyro.conf.subcommand("show", prefix_name=False)],
+        ],
+        tyro.conf.arg(name=""),
     ] = field(default=None)
     """Import a world from a file, or show it. Default: list and draw worlds."""
 
@@ -144,7 +148,7 @@ class Worlds:
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names
 
-        robot = get_robot(self.robot)
+        robot = get_robot(with_options(self.robot, self.robot_options))
         for name in self.world or world_names():
             name = fitting_worlds(name, robot)
             file = Path(name).name.removesuffix(".npz").replace(":", "-").replace("*", "x")

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         WorldLike,
     )
     from rover_rl.sims.connection import Connection
+    from rover_rl.sims.robots.options import RobotOptions
 
 
 class EnvSettings(TypedDict, total=False):
@@ -45,9 +46,11 @@ class EnvSettings(TypedDict, total=False):
     lidar_points: int
     max_lidar_range: float
     num_envs: int | None
+    agents: int
     backend: BackendLike
     physics: str | None
     robot: RobotLike
+    robot_options: RobotOptions | None
     lidar_beams: int
     lidar_period: int
     seed: int | None
@@ -64,6 +67,7 @@ class EnvSettings(TypedDict, total=False):
     pose: PoseConfig | None
     connection: Connection | None
     sensors: Sequence[SensorLike]
+    control_rate: float | None
 
 
 PLACES = {

@@ -13,7 +13,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+
+import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
 from rover_rl.plain import from_plain, to_plain
@@ -21,6 +23,8 @@ from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import names_several
+from rover_rl.sims.robots.options import RobotOptions, with_options
+from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform
@@ -47,6 +51,9 @@ CollisionSource: TypeAlias = Literal["lidar", "contact"]
 """What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
+
+MAX_RATE = 1000.0
+"""Highest control rate, Hz."""
 
 _UNCHANGED = (1.0, 1.0)
 
@@ -357,8 +364,10 @@ class EnvConfig:
     "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
     episode."""
     robot: RobotLike = "rover_zero"
-    """Robot: a name (any:7 is the robot with seed 7 of a family), or module:attribute. Of several ("leo husky", or
-    "any:0-255" for 256 robots), each episode draws one, with backend warp."""
+    """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
+    several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
+    robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -387,6 +396,9 @@ class EnvConfig:
     """Simulator: bullet, warp (fast), mujoco (an extra), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
     """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
+    control_rate: float | None = None
+    """Control steps per second. Default: those of the backend's settings, 20. A fast robot needs more: at 5 m/s and 20
+    Hz, it drives 0.25 m in a step. Numbers of steps, as the length of an episode, stay as they are."""
     connection: Connection = field(default_factory=Connection)
     """ROS 2 topics of a live rover, and connection timeout."""
     length: int = 2000
@@ -397,6 +409,8 @@ class EnvConfig:
     """Size of the camera buffer, pixels. Reserved for vision, as in the original environment."""
     num_envs: int | None = 1
     """Number of rovers in the batch."""
+    agents: int = 1
+    """Number of consecutive rovers of the batch that share a world, in which they see and push one another."""
     seed: int | None = None
     """Seed of the first rover. Rover i has this seed plus i. Without a seed, a random one is used."""
     device: str | None = None
@@ -406,6 +420,11 @@ class EnvConfig:
         for name, kind in _PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
+        if self.robot_options != RobotOptions():
+            if not isinstance(self.robot, str):
+                raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
+            object.__setattr__(self, "robot", with_options(self.robot, self.robot_options))
+            object.__setattr__(self, "robot_options", RobotOptions())
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
             raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
@@ -416,6 +435,8 @@ class EnvConfig:
         if isinstance(self.reward, RewardConfig):
             object.__setattr__(self, "contract_reward", self.reward)
             object.__setattr__(self, "reward", "contract")
+        if self.control_rate is not None:
+            check_positive(MAX_RATE, control_rate=self.control_rate)
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
         for name in ("world", "robot", "reward", "sensors"):
@@ -467,12 +488,18 @@ class EnvConfig:
         return self.action.for_robot(self.robot)
 
     @property
+    def control_dt(self) -> float:
+        """Duration of a step, s."""
+        return 1 / self.control_rate if self.control_rate else getattr(self.backend, "control_dt", CONTROL_DT)
+
+    @property
     def preset(self) -> str | None:
         """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 
 _PARTS: dict[str, type] = {
+    "robot_options": RobotOptions,
     "lidar": LidarConfig,
     "pose": PoseConfig,
     "action": ActionConfig,
@@ -512,6 +539,8 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     if not several:
         yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
+    rates = made_for.control_rate or 1 / CONTROL_DT, env.control_rate or 1 / CONTROL_DT
+    yield "a control rate of (Hz)", *rates
     # A robot whose limits are tighter bounds what the policy does.
     expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual

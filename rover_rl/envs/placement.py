@@ -72,24 +72,29 @@ class Placement:
         self.bounds_low, self.bounds_high = corners = self._bounds.values[self._worlds.slots].unbind(1)
         self.bounds = torch.cat(corners, -1)
 
-    def draw_start(self, keys: Tensor, mask: Tensor | None = None) -> Tensor:
+    def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
 
         Args:
             keys: random keys of the episodes, ``[N, 1]``.
             mask: rows whose pose is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
+            taken: positions of the rovers of the other rows, ``[N, 2]``, m, for rovers that share worlds.
         """
-        rows = _chosen(mask)
-        slot = self._worlds.slots[rows]
-        bits = random_bits(keys[rows], _START, 0, 5)
+        rows = chosen_rows(mask)
+        return scattered(self._starts(keys[rows], 0, self._worlds.slots[rows]), rows, len(keys))
+
+    def _starts(self, keys: Tensor, draw: Tensor | int, slot: Tensor) -> Tensor:
+        """Returns the start poses ``[M, 3]`` of draws in the worlds of slots."""
+        bits = random_bits(keys, _START, draw, 5)
         cell = to_index(bits[:, 0], self._start_cells.lengths[slot])
         jitter = to_unit(bits[:, 1:3]) - 0.5
         heading = _draw_bin(bits[:, 3], self._headings.values[slot, cell])[:, None] + to_unit(bits[:, 4:])
         yaw = heading * (2 * math.pi / HEADINGS) - math.pi
-        drawn = torch.cat((self._start_cells.values[slot, cell] + jitter * self._cells.values[slot], yaw), -1)
-        return _scattered(drawn, rows, len(keys))
+        return torch.cat((self._start_cells.values[slot, cell] + jitter * self._cells.values[slot], yaw), -1)
 
-    def draw_goal(self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None) -> Tensor:
+    def draw_goal(
+        self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
+    ) -> Tensor:
         """Draws goals ``[N, 2]`` (m), uniformly from the free goal cells at least ``min_goal_distance`` away.
 
         Args:
@@ -97,19 +102,23 @@ class Placement:
             number: number of goals set in the episode so far, ``[N, 1]``.
             position: position of the rover, ``[N, 2]``, m.
             mask: rows whose goal is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
+            taken: goals of the other rows, ``[N, 2]``, m, for rovers that share worlds.
         """
-        rows = _chosen(mask)
-        slot = self._worlds.slots[rows]
-        bits = random_bits(keys[rows], _GOAL, number[rows], _CANDIDATES)
+        rows = chosen_rows(mask)
+        candidates, far = self._goals(keys[rows], number[rows], position[rows], self._worlds.slots[rows], _CANDIDATES)
+        first = far.to(torch.uint8).argmax(1, keepdim=True).expand(-1, 1, 2)
+        return scattered(candidates.gather(1, first).squeeze(1), rows, len(keys))
+
+    def _goals(self, keys: Tensor, number: Tensor, position: Tensor, slot: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """Returns candidates ``[M, K, 2]`` of a draw in the worlds of slots, and which are far enough ``[M, K, 1]``."""
+        bits = random_bits(keys, _GOAL, number, count)
         # The upper 32 bits select the cell. The lower two times 16 bits are the position in the cell.
         jitter = torch.stack((bits & 0xFFFF, (bits >> 16) & 0xFFFF), -1).float() * 2.0**-16 - 0.5
         cell = to_index(bits, self._goal_cells.lengths[slot][:, None])
         drawn = self._goal_cells.values[slot[:, None], cell] + jitter * self._cells.values[slot][:, None]
         candidates = torch.cat((drawn, self._extremes.values[slot]), 1)
-        offset = candidates - position[rows][:, None]
-        far = (offset * offset).sum(-1, keepdim=True) >= self._min_goal_distance**2
-        first = far.to(torch.uint8).argmax(1, keepdim=True).expand(-1, 1, 2)
-        return _scattered(candidates.gather(1, first).squeeze(1), rows, len(keys))
+        offset = candidates - position[:, None]
+        return candidates, (offset * offset).sum(-1, keepdim=True) >= self._min_goal_distance**2
 
 
 def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
@@ -126,12 +135,12 @@ def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
     return Dynamics(**{name: low + fraction * (high - low) for fraction, (name, (low, high)) in pairs})
 
 
-def _chosen(mask: Tensor | None) -> Tensor | slice:
+def chosen_rows(mask: Tensor | None) -> Tensor | slice:
     """Returns the rows to draw for. On an accelerator these are all rows: selecting some would synchronize with it."""
     return slice(None) if mask is None or mask.device.type != "cpu" else mask.squeeze(-1).nonzero().squeeze(-1)
 
 
-def _scattered(drawn: Tensor, rows: Tensor | slice, count: int) -> Tensor:
+def scattered(drawn: Tensor, rows: Tensor | slice, count: int) -> Tensor:
     """Returns ``drawn`` in ``rows`` of a tensor with ``count`` rows, and 0 in the others."""
     return drawn if isinstance(rows, slice) else drawn.new_zeros((count, drawn.shape[1])).index_copy(0, rows, drawn)
 

@@ -19,6 +19,8 @@ from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import CommandDelay, HeadingController, checked_action, checked_place
+from rover_rl.envs.group_placement import GroupPlacement
+from rover_rl.envs.groups import Groups, first_of_group
 from rover_rl.envs.perception import Localization, Perception, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
@@ -32,9 +34,11 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, RobotChanger, Scanner, View, WorldChanger
+from rover_rl.sims.field_of_view import in_view
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.movers import MoverField
+from rover_rl.sims.movers.company import Company
 from rover_rl.sims.movers.rays import MoverScanner
 from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.robots.fleet import Fleet
@@ -63,6 +67,10 @@ class RoverEnv(EnvBase):
 
     Row ``i`` of a batch with seed ``s`` is bit-identical to a single environment with seed ``s + i``.
 
+    With ``agents``, the rovers of each ``agents`` consecutive rows share a world, see one another and push one another:
+    see :class:`~rover_rl.envs.wrappers.groups.GroupedRovers`. Row ``i`` is then bit-identical in all batches with its
+    whole group.
+
     ``num_envs=None`` creates one rover without a batch dimension (batch size ``[]``): ``lidar [lidar_points]``,
     ``action [2]``, ``reward [1]``, ``start [3]``. Its values equal those of a batch of one.
 
@@ -83,6 +91,7 @@ class RoverEnv(EnvBase):
         lidar_points: number of lidar readings in an observation, each the minimum of a segment of the scan.
         max_lidar_range: maximum of a lidar reading, m. Larger ranges are clipped.
         num_envs: number of rovers in the batch. ``None`` creates one rover without a batch dimension.
+        agents: number of rovers that share a world. ``num_envs`` must be a multiple.
         backend: name of a backend, ``"bullet"``, ``"mujoco"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live
             rover) or ``"module:attribute"``; or settings of a backend, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
@@ -116,7 +125,7 @@ class RoverEnv(EnvBase):
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
-        scanner: its lidar, which scans what does not move.
+        scanner: its lidar, which scans what does not move, in a full turn.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -138,6 +147,9 @@ class RoverEnv(EnvBase):
     def _init_config(self, config: EnvConfig) -> None:
         num_envs = 1 if config.num_envs is None else config.num_envs
         _require_count("num_envs", num_envs, MAX_ROVERS)
+        _require_count("agents", config.agents, MAX_ROVERS)
+        if num_envs % config.agents:
+            raise ValueError(f"num_envs must be a multiple of agents={config.agents}, got {num_envs}")
         _require_count("length", config.length, MAX_COUNT)
         seed = secrets.randbits(31) if config.seed is None else check_seed(config.seed, num_envs)
         super().__init__(
@@ -151,17 +163,18 @@ class RoverEnv(EnvBase):
         self._row_shape = torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
-        self._groups = RobotGroups(get_robots(config.robot))
+        self._robot_groups = RobotGroups(get_robots(config.robot))
         config = config.fitted()
-        worlds, choices = self._groups.spread(config.world)
+        worlds, choices = self._robot_groups.spread(config.world)
         is_drawn = draws_worlds(config.world) or len(choices) > len(config.worlds)
-        self._row_worlds = RowWorlds(worlds, first_keys, is_drawn)
+        world_keys = first_of_group(first_keys, config.agents)
+        self._row_worlds = RowWorlds(worlds, world_keys, config.agents, is_drawn)
         self._choices = torch.tensor(choices or [(0, 1)], device=self._tensor_device)
-        self.robots = RowRobots(self._groups.robots, first_keys, self._row_choices())
+        self.robots = RowRobots(self._robot_groups.robots, first_keys, self._row_choices())
         self.fleet = self.robots.fleet
         self.robot = self.fleet.largest
         self.config = config = _with_threshold(config, self.fleet)
-        self._has_movers = self._row_worlds.have_movers
+        self._has_movers = config.agents > 1 or self._row_worlds.have_movers
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
@@ -172,6 +185,7 @@ class RoverEnv(EnvBase):
             config.backend,
             robot=self.fleet,
             physics=config.preset,
+            control_rate=config.control_rate,
             connection=config.connection,
             device=self._tensor_device,
         )
@@ -182,7 +196,11 @@ class RoverEnv(EnvBase):
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
-        self.placement = Placement(self._row_worlds.table, self.robot_in, config.task.min_goal_distance)
+        worlds, agents, least = self._row_worlds.table, config.agents, config.task.min_goal_distance
+        if agents == 1:
+            self.placement = Placement(worlds, self.robot_in, least)
+        else:
+            self.placement = GroupPlacement(worlds, self.robot, least, agents)
         self._navigation = Navigation(config, self.placement, self.fleet)
         gains = config.heading_gains
         fastest = max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
@@ -209,7 +227,7 @@ class RoverEnv(EnvBase):
 
         It determines the free space: where starts and goals are, and where paths lead.
         """
-        return self._groups.largest_in(world)
+        return self._robot_groups.largest_in(world)
 
     @property
     def length(self) -> int:
@@ -340,10 +358,14 @@ class RoverEnv(EnvBase):
     def _meet_movers(self) -> None:
         """Lets lidar and simulator meet the movers of the worlds. Those around a live rover move on their own."""
         is_live = "live" in self.simulator.capabilities
-        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live)
+        company, agents = None, self.config.agents
+        if agents > 1:
+            company = Company(self.robot, agents, self.num_envs, self.control_dt, self._tensor_device)
+        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live, company)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
         self._surroundings.is_live = is_live
-        self._lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)
+        lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)
+        self._lidar = in_view(lidar, self.fleet)
         if "movers" in self.simulator.capabilities:
             cast(MoverCarrier, self.simulator).meet(self.movers)
 
@@ -365,6 +387,8 @@ class RoverEnv(EnvBase):
         self._row_keys = row_keys(seed, self.num_envs, self._tensor_device)
         self._episode = torch.zeros_like(self._row_keys)
         self._keys = self._row_keys
+        agents = self.config.agents
+        self._groups = Groups(agents, self._row_keys) if agents > 1 else None
 
     def _reset(
         self,
@@ -382,8 +406,14 @@ class RoverEnv(EnvBase):
         self._episode = self._episode + mask
         self._keys = torch.where(mask, episode_keys(self._row_keys, self._episode), self._keys)
 
-        self._change_worlds(mask)
-        poses = self.placement.draw_start(self._keys, mask) if start is None else start
+        begins, keys = mask, self._keys
+        if self._groups is not None:
+            begins, keys = self._groups.begin(mask), self._groups.keys
+        self._change_worlds(begins, keys)
+        if start is None:
+            poses = self.placement.draw_start(self._keys, mask, self._state.truth.position if self._started else None)
+        else:
+            poses = start
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.robots.are_several:
@@ -395,7 +425,7 @@ class RoverEnv(EnvBase):
             )
         if self._privileged is not None:
             self._dynamics = draw_dynamics(self.randomization, self._keys)
-        self.movers.reset(mask, self._keys, poses[:, :2])
+        self.movers.reset(begins, keys, poses[:, :2])
         self._delay.reset(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), rows, steps)
@@ -417,10 +447,12 @@ class RoverEnv(EnvBase):
         one = len(self._choices) == 1
         return self._choices.expand(self.num_envs, 2) if one else self._choices[self._row_worlds.entry]
 
-    def _change_worlds(self, mask: Tensor) -> None:
+    def _change_worlds(self, mask: Tensor, keys: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
         if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
-            self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
+            groups = self._groups
+            next_keys = episode_keys(self._row_keys, self._episode + 1) if groups is None else groups.next_keys
+            self._row_worlds.draw(mask, keys, next_keys)
             self.placement.enter_worlds()
             self.simulator.enter_worlds()
             self.movers.enter_worlds()
@@ -442,7 +474,8 @@ class RoverEnv(EnvBase):
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
         if self._has_movers:
-            self.movers.advance(active, rovers_of(self._state.truth, self.robot.radius))
+            moving = active if self._groups is None else self._groups.advance(active)
+            self.movers.advance(moving, rovers_of(self._state.truth, self.robot.radius), active)
         with self._row_worlds.preparing():
             self._perceive(self.simulator.step(command.to(device), rows), rows, steps)
 
@@ -466,6 +499,9 @@ class RoverEnv(EnvBase):
         ``rows`` have moved, bool ``[N]`` on the simulator's device; ``None``: all.
         """
         state, config = self._state, self.config
+        if self._groups is not None:
+            self.movers.follow(rover, None if rows is None else rows[:, None].to(self._tensor_device), steps == 0)
+            state.world_steps = self._groups.steps if self._row_worlds.is_drawn else None
         ranges = self._lidar.scan(self._scanning(rows, steps))
         if self.simulator.device != self._tensor_device:
             rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
@@ -568,11 +604,15 @@ def _check_requirements(config: EnvConfig, fleet: Fleet, simulator: Simulator, h
         needs["movers"] = "a world with movers needs a backend that lets them push the rovers"
     if len(fleet.robots) > 1:
         needs["robots"] = "several robots in one batch need a backend that simulates them"
+    if config.agents > 1:
+        needs["movers"] = f"agents={config.agents} need a backend in which rovers push one another"
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
     if config.action.max_sideways and "live" in simulator.capabilities:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
+    if config.agents > 1 and len(fleet.robots) > 1:
+        raise ValueError(f"agents={config.agents} need one robot for all rows, got {len(fleet.robots)} robots")
     robot = next((robot for robot in fleet.robots if not robot.drive.sideways), None)
     if config.action.max_sideways and robot is not None:
         drive = type(robot.drive).__name__

@@ -36,6 +36,7 @@ class RowWorlds:
     Args:
         world_n: worlds.
         keys: random keys of the first episodes, ``[N, 1]``.
+        agents: number of consecutive rows that share a world, and the keys that draw it.
         is_drawn: whether episodes draw their worlds. ``None``: as above.
 
     Attributes:
@@ -48,21 +49,23 @@ class RowWorlds:
         ValueError: if a world is unknown, or there are more worlds than rows.
     """
 
-    def __init__(self, world_n: WorldSource, keys: Tensor, is_drawn: bool | None = None) -> None:
+    def __init__(self, world_n: WorldSource, keys: Tensor, agents: int = 1, is_drawn: bool | None = None) -> None:
         num_envs = len(keys)
+        groups = num_envs // agents
         if world_n == [] or world_n == ():
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got 0")
         self.pool = WorldPool.of(world_n)
         count = len(self.pool)
         self.is_drawn = draws_worlds(world_n) if is_drawn is None else is_drawn
-        if not self.is_drawn and count > num_envs:
-            raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {count}")
+        if not self.is_drawn and count > groups:
+            shared = "" if agents == 1 else f" / agents={agents}"
+            raise ValueError(f"world_n must give between 1 and num_envs={num_envs}{shared} worlds, got {count}")
         self._limits: Tensor | None = None
         # On the device once for all: a copy from the host waits for the device.
         self._sizes = torch.tensor(self.pool.sizes, device=keys.device)
         self._starts = self._sizes.cumsum(0) - self._sizes
         rows = torch.arange(num_envs, device=keys.device)[:, None]
-        self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
+        self.index = self._drawn(keys) if self.is_drawn else rows // agents * count // groups
         indices = self.index.flatten().tolist()
         # A large pool may make another object when it is asked for a world again.
         worlds = {k: self.pool[k] for k in dict.fromkeys(indices)}

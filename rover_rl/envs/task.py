@@ -207,6 +207,8 @@ class StepState:
         task: goals, targets and counters.
         world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
         movers: entries of ``outcome`` on movers. Empty if no world has any.
+        world_steps: number of steps since the worlds of groups changed, at which episodes are truncated, int64
+            ``[N, 1]``. ``None`` if groups do not change worlds.
         outcome: events and measurements of the last step.
         terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
     """
@@ -218,13 +220,14 @@ class StepState:
     task: TaskState
     world: Tensor | None
     movers: dict[str, Tensor]
+    world_steps: Tensor | None
     outcome: TensorDict
     terminated: Tensor
     truncated: Tensor
 
     def __init__(self, task: TaskState, world: Tensor | None) -> None:
         self.task = task
-        self.world, self.movers = world, {}
+        self.world, self.movers, self.world_steps = world, {}, None
 
 
 class Navigation:
@@ -261,7 +264,7 @@ class Navigation:
         zeros = torch.zeros_like(keys)
         reference = state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, zeros, reference.position, mask)
+            goal = self._placement.draw_goal(keys, zeros, reference.position, mask, state.task.goal)
         initial = TaskState(
             goal=goal,
             target=target_info(reference.position, reference.yaw, goal),
@@ -348,7 +351,8 @@ class Navigation:
         terminated = state.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
             terminated = terminated | state.outcome.get("goal_reached")
-        truncated = (state.task.steps >= self.length) & ~terminated
+        steps = state.task.steps if state.world_steps is None else state.world_steps
+        truncated = (steps >= self.length) & ~terminated
         if active is not None:
             terminated = torch.where(active, terminated, state.terminated)
             truncated = torch.where(active, truncated, state.truncated)
@@ -360,7 +364,7 @@ class Navigation:
         if reached.device.type == "cpu" and not reached.any():
             return task
         reference = state.reference
-        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached)
+        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached, task.goal)
         goal = torch.where(reached, drawn, task.goal)
         target = target_info(reference.position, reference.yaw, goal)
         return replace(task, goal=goal, target=target, goals=task.goals + reached)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, ru
 
 from rover_rl.registry import Registry
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.timing import at_rate
 
 if TYPE_CHECKING:
     import torch
@@ -125,27 +126,32 @@ def make_simulator(
     physics: str | None = None,
     connection: Connection | None = None,
     device: torch.device | None = None,
+    control_rate: float | None = None,
 ) -> Simulator:
     """Builds a simulator.
 
     Args:
-        backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
-            example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
-        worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-        robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
-            simulate.
-        physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
-        connection: topics of a real rover. ``None`` uses those of the contract.
-        device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
+            backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
+                example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
+            worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
+            robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
+                simulate.
+            physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
+            connection: topics of a real rover. ``None`` uses those of the contract.
+            device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
+            control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
 
     Raises:
-        ValueError: if the backend or the preset is unknown, it cannot simulate several robots, or the ``make`` of a
-            :class:`Backend` does not take these arguments or returns something else than a simulator.
+            ValueError: if the backend or the preset is unknown, it cannot simulate several robots, its settings have no
+            ``control_dt`` to change, or the ``make`` of a :class:`Backend` does not take these arguments or returns
+            something else than a simulator.
     """
     robots = getattr(robot, "robots", (robot,))
     if len(robots) == 1:
         (robot,) = robots
     settings = resolve_backend(backend, physics)
+    if control_rate is not None:
+        settings = at_rate(settings, control_rate)
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
         return _make_custom(settings, {"worlds": worlds, "robot": robot, **options})

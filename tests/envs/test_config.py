@@ -22,7 +22,7 @@ from rover_rl.envs.config import env_from_plain, plain_env, require_match
 from rover_rl.envs.rewards import GoalReward
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import RobotOptions, get_robot
 from rover_rl.sims.worlds import get_world
 
 factors = st.floats(0.1, 10.0).flatmap(lambda low: st.tuples(st.just(low), st.floats(low, 20.0)))
@@ -253,6 +253,18 @@ def test_other_worlds_rewards_and_simulators_match() -> None:
     )
     require_match(EnvConfig(), other)
     require_match(EnvConfig(robot=get_robot("rover_zero")), EnvConfig())
+
+
+def test_options_of_the_robot_become_part_of_its_name() -> None:
+    config = EnvConfig(robot="scout.urdf", robot_options=RobotOptions(drive="skid_steer", max_speed=1.5, lidar="0 0 1"))
+    assert config.robot == "scout.urdf,drive=skid_steer,lidar=0:0:1,max_speed=1.5"
+    assert config.robot_options == RobotOptions()
+    assert env_from_plain(yaml.safe_load(yaml.safe_dump(plain_env(config))), "text") == config
+    assert replace(config, robot_options=RobotOptions(max_speed=2.0)).robot.endswith(",max_speed=2.0")
+    nested = {"robot": "scout.urdf", "robot_options": {"torque": 3.0}}
+    assert env_from_plain(nested, "text").robot == "scout.urdf,torque=3.0"
+    with pytest.raises(ValueError, match="robot_options are for robots by name and URDF files"):
+        EnvConfig(robot=get_robot("rover_zero"), robot_options=RobotOptions(max_speed=2.0))
 
 
 def test_robots_are_compared_by_their_parameters() -> None:

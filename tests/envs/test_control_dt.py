@@ -9,7 +9,20 @@ from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import require_match
+from rover_rl.sims import make_simulator
 from rover_rl.sims.bullet import BulletSettings
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import get_world
+from tests.extras import BACKENDS
+
+
+class Own:
+    """A backend without settings."""
+
+    def make(self, **arguments):
+        return make_simulator("bullet", **arguments)
+
 
 TEN_HERTZ = BulletSettings(control_dt=0.1, substeps=20)
 
@@ -20,6 +33,31 @@ def test_an_environment_reads_it_from_its_simulator():
     assert RoverEnv(world_n="maze").control_dt == 0.05
     env.reset()
     assert env.rover_state.dt.item() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_control_rate_changes_the_step_of_any_simulator_and_not_that_of_its_physics(backend):
+    env = RoverEnv(world_n="maze", backend=backend, control_rate=40.0, seed=0)
+    assert env.control_dt == env.config.control_dt == 0.025
+    assert env.simulator.settings.substep <= RoverEnv(world_n="maze", backend=backend).simulator.settings.substep
+    td = env.reset()
+    for _ in range(40):
+        td = env.step(td.set("action", torch.tensor([[0.5, 0.0]])))["next"]
+    # A second at 0.5 m/s, which it reaches in 0.1 s.
+    assert env.rover_state.stamp.item() == pytest.approx(1.0)
+    twenty = RoverEnv(world_n="maze", backend=backend, control_rate=20.0, seed=0)
+    default = RoverEnv(world_n="maze", backend=backend, seed=0)
+    paths = [each.rollout(10, lambda td: td.set("action", torch.tensor([[0.5, 0.5]]))) for each in (twenty, default)]
+    assert torch.equal(paths[0]["pose"], paths[1]["pose"])
+
+
+def test_a_control_rate_is_refused_where_it_cannot_be():
+    with pytest.raises(ValueError, match="control_rate must be positive and at most 1000, got 0"):
+        EnvConfig(control_rate=0.0)
+    with pytest.raises(ValueError, match="control_rate needs a backend whose settings have a control_dt"):
+        make_simulator(Own(), worlds=[get_world("maze")], robot=get_robot("rover_zero"), control_rate=40.0)
+    with pytest.raises(ValueError, match=r"made for a control rate of \(Hz\) 40.0, and the environment has 20.0"):
+        require_match(EnvConfig(control_rate=40.0), EnvConfig())
 
 
 def test_wrappers_give_the_frame_rate():

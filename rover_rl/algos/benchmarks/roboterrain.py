@@ -1,7 +1,7 @@
 """RoboTerrain: goals one after the other among people who walk back and forth.
 
 Worlds with walkers are SDF files of https://github.com/jackvice/RoboTerrain (Apache-2.0). The rover drives for some
-minutes, and contacts do not end a run. What counts is how long it is closer than 0.5 m to a person, and how long it
+minutes, and contacts do not end a run. What counts is how long it is within 0.5 m of a person, and how long it
 takes, per goal. Both have published logs.
 """
 
@@ -38,7 +38,7 @@ from rover_rl.sims.worlds import World
 GOAL_RADIUS = 0.3
 """Distance from a goal at which it is reached, m."""
 TOO_CLOSE = 0.5
-"""Distance from a person below which the rover is at risk, m."""
+"""Distance of the centers of rover and person below which the rover is at risk, m."""
 COLUMNS = {
     # Seconds with three digits.
     "risk": (f"s closer than {TOO_CLOSE:g} m, per goal", ""),
@@ -207,7 +207,7 @@ def _drive(job: _Job) -> Run:
             tensordict = env.step(tensordict.set("action", runner(tensordict)))["next"]
             outcome = tensordict["outcome"]
             touched[step], goals[step] = env.rover_state.contact[:, 0], outcome["goal_reached"][:, 0]  # type: ignore[index]
-            close[step] = outcome["mover_distance"][:, 0] < TOO_CLOSE
+            close[step] = env.movers.nearest_center(env.rover_state.position[:, :2])[:, 0] < TOO_CLOSE
             done = tensordict["done"][:, 0]
             if done.any():
                 tensordict = env.reset(tensordict.set("_reset", done[:, None]))

@@ -23,6 +23,7 @@ from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy
 from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Estimate, Trajectory, proportion, ratio
+from rover_rl.algos.evaluation.mover_traces import TRACE
 from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
@@ -173,7 +174,9 @@ def describe_robot(env: EnvConfig) -> tuple[str, str]:
     back, front, right, left = footprint(robot)
     speed = action_bounds(env.action, robot).high[0]
     body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {speed:g} m/s"
-    return body, f"{lidar.beams} beams in 360 degrees, up to {lidar.max_range:g} m, as {lidar.points} readings"
+    view = math.degrees(robot.lidar_view)
+    seen = "" if robot.lidar_view == 2 * math.pi else f", of which {view:.0f} are seen"
+    return body, f"{lidar.beams} beams in 360 degrees{seen}, up to {lidar.max_range:g} m, as {lidar.points} readings"
 
 
 @dataclass(frozen=True)
@@ -283,7 +286,7 @@ def run_suite(
     """
     requests = []
     for name, (policy, env) in policies.items():
-        options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env)}
+        options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env), "track_movers": TRACE}
         requests.append(GoalRequest(policy, suite.episodes(get_robot(env.robot)), options))
     return [Result(suite, suite.ended(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
 

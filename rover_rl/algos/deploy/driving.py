@@ -30,11 +30,9 @@ from rover_rl.envs import RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
-from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
-TRAINED_VIEW = 2 * math.pi  # field of view of the lidar in training, rad
 VIEW_TOLERANCE = math.radians(10)  # largest difference of two fields of view that count as the same, rad
 CLOCK_TOLERANCE = 0.5  # largest backward jump of a robot's clock that does not count as a restart, s
 POSE_TOLERANCE = 1.0
@@ -105,10 +103,11 @@ def drive_to(
     if made_for := getattr(runner.policy, "made_for", None):
         require_match(made_for, env.config)
     rover.require_robot()
-    if not allow_unseen and rover.field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
+    trained_view = env.robot.lidar_view
+    if not allow_unseen and rover.field_of_view < trained_view - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(rover.field_of_view):.0f} degrees, and the policy was trained with "
-            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
+            f"{math.degrees(trained_view):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
             "directions"
         )
     ending, elapsed, held = "", 0.0, math.inf
@@ -120,7 +119,7 @@ def drive_to(
                 log.begin(env.rover_state, env.scan, goal)
             while not ending:
                 before = env.rover_state
-                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * CONTROL_DT
+                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
                 action = runner(tensordict, due=torch.tensor([due]))
                 tensordict = env.step(tensordict.set("action", action))["next"]
                 dt = env.rover_state.dt.item()

@@ -16,7 +16,6 @@ from rover_rl.algos.policy.networks import action_spec, middle_and_half
 from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.suite import ROUTE
-from rover_rl.sims.timing import CONTROL_DT
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
 ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
@@ -54,7 +53,7 @@ class PlainPolicy(nn.Module):
             # Importing NVIDIA Warp takes half a second.
             from rover_rl.envs.seen_map.plain_map import PlainSeenMap
 
-            interval = checkpoint.config.collection.action_repeat * CONTROL_DT
+            interval = checkpoint.config.collection.action_repeat * checkpoint.env.control_dt
             self._map = PlainSeenMap(checkpoint.env.lidar, checkpoint.env.robot, interval)
             self._map_size = self._map.state_size
         self.state_size = self._map_size + self._memory_size

@@ -28,6 +28,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.envs.config import RobotLike
+from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
@@ -137,6 +138,7 @@ def draw_episodes(
     episodes: int | None = None,
     robot: RobotLike = "rover_zero",
     workers: int | None = 1,
+    agents: int = 1,
 ) -> EpisodeSet:
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
@@ -154,17 +156,21 @@ def draw_episodes(
         robot: robot, or its name, for which the starts, goals and paths must be free. Of several, it is the one that
             needs the most space.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
+        agents: number of consecutive episodes that are driven at once, by rovers that share a world. Their starts are
+            apart, and so are their goals. ``count`` must be a multiple.
 
     Raises:
         ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
             is long enough.
     """
     count = count if episodes is None else episodes
-    check_at_least(1, MAX_COUNT, count=count)
+    check_at_least(1, MAX_COUNT, count=count, agents=agents)
+    if count % agents:
+        raise ValueError(f"count must be a multiple of agents={agents}, got {count}")
     robots = get_robots(robot)
     world = fitting_worlds(world, *robots)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path)
+    draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path, agents=agents)
     if len(pool) == 1:
         drawn = [draw(pool[0])]
     else:
@@ -185,15 +191,15 @@ def portable(world: str | World) -> str | World:
 
 @single_threaded()
 def _draw_in(
-    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float
+    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
     place, goal_radius = get_world(world), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for first in range(seed, seed + _MAX_DRAWS * count, count):
-        start, goal = _draw(place, robot, count, first)
+        start, goal = _draw(place, robot, count, first, agents)
         shortest = shortest_paths(place, robot, start, goal, goal_radius)
-        long_enough = shortest >= min_path
+        long_enough = (shortest >= min_path).reshape(-1, agents).all(1).repeat_interleave(agents)
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
         if len(shortest) == count:
@@ -201,10 +207,11 @@ def _draw_in(
     raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
 
 
-def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
+def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tuple[Tensor, Tensor]:
     """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
-    placement = Placement(WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
+    placing = (WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
+    placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
     start = placement.draw_start(keys)
     return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
@@ -227,21 +234,23 @@ def choose_episodes(
     *,
     robot: RobotLike = "rover_zero",
     workers: int | None = 1,
+    agents: int = 1,
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
 
-    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, or for
-    another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
+    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, for
+    several ``agents`` or for another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
     """
     several = len(WorldPool(world)) > 1
     if count is None:
         count = PER_WORLD if several else STORED
-    if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero":
+        count = max(agents, count - count % agents)
+    if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero" and agents == 1:
         return stored_episodes(world).first(count)
     seed = DEFAULT_SEED if seed is None else seed
     # Several worlds have a display of their own.
     with nullcontext() if several else ProgressDisplay("drawing starts and goals"):
-        return draw_episodes(world, count, seed, robot=robot, workers=workers)
+        return draw_episodes(world, count, seed, robot=robot, workers=workers, agents=agents)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:

@@ -31,6 +31,7 @@ from rover_rl.algos.policy.runner import Policy, PolicyRunner, default_action_re
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
+from rover_rl.envs.groups import first_of_group
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
@@ -72,6 +73,10 @@ def evaluate(
     any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows:
     copies of the last row fill them up. Each rover stays in a world.
 
+    With ``env.agents``, the rovers of that many consecutive episodes drive at once in the same world; draw such
+    episodes with ``draw_episodes(..., agents=...)``. A rover whose episode has ended stays where it is until those of
+    the others have. All episodes are driven at once then, whatever ``rows`` is.
+
     Args:
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
@@ -87,28 +92,44 @@ def evaluate(
             s. A mover takes 28 bytes per step and solid.
 
     Raises:
-        ValueError: for a number out of range, or a policy that was made for another environment.
+        ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
+            in groups of ``env.agents`` in the same world.
     """
     action_repeat = default_action_repeat(policy, action_repeat)
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = replace(environment_for(policy, env), num_envs=min(rows, len(episodes)), end_on_goal=True)
+    env_config = environment_for(policy, env)
+    if env_config.agents > 1:
+        _check_groups(episodes, env_config.agents)
+        rows = len(episodes)
+    env_config = replace(env_config, num_envs=min(rows, len(episodes)), end_on_goal=True)
     policy = policy or RandomPolicy(episodes.seed)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
-        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)))
-        worlds = [part.pool[index] for index in schedule.worlds]
+        agents = env_config.agents
+        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)), agents > 1)
+        worlds = [part.pool[index] for index in schedule.worlds[::agents]]
         place, seed = tuple(worlds) if len(set(worlds)) > 1 else worlds[0], part.seed + part.offset
-        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(worlds), seed=seed))
+        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(schedule.first), seed=seed))
         rovers.length = max(1, round(seconds / rovers.control_dt))
         places = {"start": part.start, "goal": part.goal}
-        keys = episode_keys(row_keys(seed, len(part), rovers.goal.device), 1)
+        keys = first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents)
         options = (places, part.offset, watch, track_movers, keys)
         return _drive(rovers, policy, action_repeat, name, schedule, *options)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
     return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], env_config)
+
+
+def _check_groups(episodes: EpisodeSet, agents: int) -> None:
+    """Raises an error unless each ``agents`` consecutive episodes are in the same world."""
+    worlds = episodes.world_index
+    if len(worlds) % agents or (worlds.reshape(-1, agents) != worlds[::agents, None]).any():
+        raise ValueError(
+            f"agents={agents} consecutive episodes must be in the same world; draw them with draw_episodes(..., "
+            f"agents={agents})"
+        )
 
 
 def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
@@ -185,7 +206,7 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
-        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
+        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "control_rate")
         return EnvConfig(**{key: getattr(made_for or EnvConfig(), key) for key in kept})
     if made_for is not None:
         require_match(made_for, env)
@@ -244,15 +265,18 @@ def _drive(
 
 
 class _Schedule:
-    """Distribution of episodes over rovers, each of which stays in one world. Worlds take turns."""
+    """Distribution of episodes over rovers, each of which stays in one world.
 
-    def __init__(self, worlds: Sequence[int], rows: int) -> None:
+    Worlds take turns. With ``in_order``, all episodes have a rover, in their order.
+    """
+
+    def __init__(self, worlds: Sequence[int], rows: int, in_order: bool = False) -> None:
         self.count = len(worlds)
         waiting: dict[int, deque[int]] = {}
         for episode, world in enumerate(worlds):
             waiting.setdefault(world, deque()).append(episode)
         turns = sorted((turn, episode) for queue in waiting.values() for turn, episode in enumerate(queue))
-        self.first = [episode for _, episode in turns[:rows]]
+        self.first = [*range(self.count)] if in_order else [episode for _, episode in turns[:rows]]
         self.worlds = [worlds[episode] for episode in self.first]
         for world in self.worlds:
             waiting[world].popleft()

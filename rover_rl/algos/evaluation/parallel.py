@@ -18,6 +18,7 @@ from rover_rl.algos.evaluation.evaluate import (
     evaluate_endless,
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
+from rover_rl.envs import EnvConfig
 from rover_rl.sims.worlds import World
 
 EPISODES_PER_PART = 32
@@ -47,7 +48,7 @@ class GoalRequest:
         """Divides the episodes."""
         env = self.options.get("env")
         batched = self.episodes.several_worlds and env is not None and env.backend == "warp"
-        size = BATCHED_PER_PART if batched else EPISODES_PER_PART
+        size = _whole_groups(BATCHED_PER_PART if batched else EPISODES_PER_PART, env)
         parts = (self.episodes.part(first, first + size) for first in range(0, self.count, size))
         return [replace(self, episodes=part.with_used_worlds()) for part in parts]
 
@@ -80,8 +81,9 @@ class EndlessRequest:
     def parts(self) -> list[EndlessRequest]:
         """Divides the episodes."""
         check_options(rows=self.rows)
-        firsts = range(0, self.rows, ROWS)
-        return [replace(self, rows=min(ROWS, self.rows - first), offset=self.offset + first) for first in firsts]
+        size = _whole_groups(ROWS, self.options.get("env"))
+        firsts = range(0, self.rows, size)
+        return [replace(self, rows=min(size, self.rows - first), offset=self.offset + first) for first in firsts]
 
     def run(self) -> EndlessEvaluation:
         """Evaluates the policy in this process."""
@@ -113,3 +115,9 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
     flat = [part for several in parts for part in several]
     results = iter(over_cores(methodcaller("run"), flat, "evaluating", workers))
     return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
+
+
+def _whole_groups(rows: int, env: EnvConfig | None) -> int:
+    """Returns a number of rows of whole groups: at most ``rows``, but at least one group."""
+    agents = 1 if env is None else env.agents
+    return max(agents, rows - rows % agents)

@@ -292,8 +292,8 @@ def estimated_yaw_gain(robot: Robot) -> float:
     drive = robot.drive
     if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
         return 1.0
-    separation = drive.separation_of(robot.wheels)
-    return round(separation / (SLIP * replace(drive, separation=None).separation_of(robot.wheels)), 2)
+    separation = drive.track(robot.wheels)
+    return round(separation / (SLIP * replace(drive, separation=None).track(robot.wheels)), 2)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torchrl.envs import Transform
 from rover_rl.envs.task import StepEvent
 from rover_rl.sims.timing import CONTROL_DT
 
-TIME_LIMIT = round(60 / CONTROL_DT)  # number of steps in which an attempt succeeds: 60 s, as in an evaluation
+TIME_LIMIT = 60.0  # time in which an attempt succeeds, as in an evaluation, s
 
 
 class SpreadEnds(Transform):
@@ -86,20 +86,22 @@ class AttemptCounter(AttemptEntries):
         ends: transform that truncates the episodes.
         action_repeat: number of steps of a decision.
         length: number of steps of the longest episode.
+        dt: duration of a step, s.
     """
 
     key, entries = "attempts", ("begun", "reached", "failed")
 
-    def __init__(self, ends: SpreadEnds, action_repeat: int, length: int) -> None:
+    def __init__(self, ends: SpreadEnds, action_repeat: int, length: int, dt: float = CONTROL_DT) -> None:
         super().__init__()
         # In a list, because a module would register it as its own part.
         self._ends, self._action_repeat = [ends], action_repeat
-        self._least = min(TIME_LIMIT, length // 2)
+        self._limit = round(TIME_LIMIT / dt)
+        self._least = min(self._limit, length // 2)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         outcome, begun = next_tensordict["outcome"], tensordict[self.key, "begun"]
         steps, goals = outcome["steps"], outcome["goals"]
-        in_time, counts = steps - begun <= TIME_LIMIT, self._counts(begun)
+        in_time, counts = steps - begun <= self._limit, self._counts(begun)
         late = (goals > 0) & ~in_time & counts
         begun = torch.where(goals > 0, steps, begun)
         # With end_on_goal, a goal ends the episode, too.

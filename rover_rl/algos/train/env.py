@@ -57,7 +57,7 @@ def make_training_env(
     env = env.append_transform(StepCounter())
     ends = SpreadEnds(-(-env_config.length // action_repeat))
     env = env.append_transform(ends)
-    env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length))
+    env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length, rovers.control_dt))
     for transform in memory_transforms(config.network.memory, config.network.memory_size):
         env = env.append_transform(transform)
     return env.append_transform(StepClock(rovers, worker, per_batch))

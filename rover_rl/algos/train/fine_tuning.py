@@ -50,7 +50,7 @@ def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
         max_minutes=None if "total_steps" in settings else MINUTES,
         started_from=source if source.startswith(PRETRAINED) else str(Path(source).resolve()),
     )
-    rovers = min(config.num_envs, _ROVERS)
+    rovers = min(config.num_envs, max(config.env.agents, _ROVERS - _ROVERS % config.env.agents))
     # Collector, workers and device are those of the machine that the policy was trained on.
     defaults: dict[str, Any] = {"num_envs": rovers, "collector": "auto", "workers": None, "device": None}
     defaults |= {"learning_rate": _RATE * config.algorithm.learning_rate, "critic_warmup": _WARMUP}

@@ -329,7 +329,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
         cores, given = connect(), config.collection.workers
         if (given or 1) > cores:
             raise ValueError(f"workers={given} need a processor each, and the Ray cluster has {cores}")
-        workers = given or default_workers(config.num_envs, cores)
+        workers = given or default_workers(config.groups, cores)
     torch.manual_seed(config.seed)
     return with_settings(config, workers=workers)
 

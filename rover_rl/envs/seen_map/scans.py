@@ -17,6 +17,8 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.sims.base import beam_angles
+from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import footprint
@@ -112,6 +114,10 @@ class Scan(NamedTuple):
     closes: Tensor
 
 
+NUMBERS = 5
+"""How many of the numbers of :func:`reading_of` come before those of each reading."""
+
+
 class ScanReader(nn.Module):
     """Computes what scans tell, from the observation and a small state of each rover.
 
@@ -119,6 +125,8 @@ class ScanReader(nn.Module):
     """
 
     _directions: Tensor
+    _turn: Tensor
+    _seen: Tensor | None
     _reading: Tensor
 
     def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
@@ -126,8 +134,13 @@ class ScanReader(nn.Module):
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
-        self.register_buffer("_reading", torch.tensor(reading_of(lidar, robot, interval)))
+        directions, reading = torch.stack((angles.cos(), angles.sin()), -1), reading_of(lidar, robot, interval)
+        is_seen = torch.tensor(reading[NUMBERS:]) > 0
+        # A reading outside of the view is a beam without length, which clears no cell.
+        self.register_buffer("_directions", directions * is_seen[:, None])
+        self.register_buffer("_turn", directions)
+        self.register_buffer("_seen", None if is_seen.all() else is_seen)
+        self.register_buffer("_reading", torch.tensor(reading[:NUMBERS]))
 
     def forward(
         self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, reading: Tensor | None = None
@@ -135,16 +148,22 @@ class ScanReader(nn.Module):
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
         The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, and
-        the :func:`reading_of` different robots, ``[N, 5]``.
+        the :func:`reading_of` different robots, ``[N, NUMBERS + P]``.
         """
-        mount, no_return, patience = (self._reading if reading is None else reading).split((3, 1, 1), -1)
+        numbers, directions, is_seen = self._reading, self._directions, self._seen
+        if reading is not None:
+            numbers, is_seen = reading[:, :NUMBERS], reading[:, NUMBERS:] > 0
+            directions = self._turn * is_seen[..., None]
+        mount, no_return, patience = numbers.split((3, 1, 1), -1)
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
-        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount)
+        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount, directions)
         size = beams[..., :2].abs().amax(-1)
         returned = lidar < no_return
+        if is_seen is not None:
+            returned = returned & is_seen
         ends = returned & (size < REACH)
         hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up, mount) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
@@ -164,12 +183,14 @@ class ScanReader(nn.Module):
         scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
         return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
 
-    def _beams(self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor) -> tuple[Tensor, Tensor]:
+    def _beams(
+        self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor, directions: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Returns the position of the lidar, and the vectors from there to the ends of the beams."""
         cos, sin = yaw.cos(), yaw.sin()
         offset = mount[..., :1] * torch.cat((cos, sin), -1) + mount[..., 1:2] * torch.cat((-sin, cos), -1)
         ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
-        beams = self._directions[:, :1] * ahead + self._directions[:, 1:] * left
+        beams = directions[..., :1] * ahead + directions[..., 1:] * left
         return (xy + offset) / CELL, (lidar / CELL)[..., None] * beams
 
     def _is_steep(self, beams: Tensor, up: Tensor, mount: Tensor) -> Tensor:
@@ -181,6 +202,12 @@ class ScanReader(nn.Module):
         """
         rise = beams + (mount[..., 2:] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:
+    """Returns which readings are of beams in the view of a lidar alone, bool ``[P]``."""
+    beams = seen(beam_angles(lidar.beams), view)
+    return torch.stack([part.all() for part in beams.tensor_split(lidar.points)])
 
 
 class Limits(NamedTuple):
@@ -212,12 +239,13 @@ def limits_of(robot: RobotLike) -> Limits:
 def reading_of(lidar: LidarConfig, robot: RobotLike, interval: float) -> tuple[float, ...]:
     """Returns how the scans of a robot are read, in units of its map.
 
-    Position of the lidar; the reading from which on a beam has hit nothing; and the number of scans, each after an
-    ``interval`` (s), after which a rover that makes no way is stuck.
+    Position of the lidar; the reading from which on a beam has hit nothing; the number of scans, each after an
+    ``interval`` (s), after which a rover that makes no way is stuck; and, for each reading, 1 if the lidar sees there.
     """
     no_return = (lidar.max_range - 1e-3) / map_unit(robot)
     patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
-    return *lidar_mount(robot), no_return, float(math.ceil(patience / interval))
+    is_seen = _seen_readings(lidar, get_robot(robot).lidar_view).float().tolist()
+    return *lidar_mount(robot), no_return, float(math.ceil(patience / interval)), *is_seen
 
 
 def map_unit(robot: RobotLike) -> float:

@@ -17,6 +17,7 @@ from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotation_forms
 from rover_rl.sims.worlds import Obstacle, World
+from rover_rl.sims.worlds.movers import Part
 
 ROVERS_PER_CLIENT = 64
 """Maximum number of rovers in a Bullet client.
@@ -93,7 +94,8 @@ class RoverPhysics:
         self._motors = [motor for motor in drive.motor_of_wheel if motor >= 0]
         self._motor_wheels = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, drive.motors)]).tolist())]
         self._steering = [index[name] for name in drive.steering]
-        self._rollers = [index[roller_joint(name)] for name in drive.wheels] if drive.rollers else []
+        rolling = [name for name, angle in zip(drive.wheels, drive.rollers, strict=False) if angle is not None]
+        self._rollers = [index[roller_joint(name)] for name in rolling]
         passive = [index[name] for name in drive.passive]
         self._joints = [*self._wheels, *passive, *self._steering, *self._rollers]
         for client, body in self._rovers:
@@ -102,9 +104,8 @@ class RoverPhysics:
                 mode = pybullet.VELOCITY_CONTROL
                 pybullet.setJointMotorControl2(body, joint, mode, force=0.0, physicsClientId=client)
 
-    def meet(self, world: World) -> None:
-        """Lets the movers of the world push the rovers."""
-        parts = [part for mover in world.movers for part in mover.shape.parts()]
+    def meet(self, parts: Sequence[Part]) -> None:
+        """Lets parts of movers push the rovers."""
         self._movers = MoverBodies(self._rovers, parts, self._settings) if parts else None
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:

@@ -26,9 +26,9 @@ import numpy as np
 from rover_rl.sims.bullet.geometry import ROVERS, STATIC, set_contact
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.rendering.robot_surface import find_mesh
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.description import child
+from rover_rl.sims.robots.meshes import find_mesh
 
 _LINK_SHARE = 1e-3
 """Mass and inertia of the small link, relative to those of the wheel."""
@@ -102,7 +102,8 @@ def bullet_urdf(robot: Robot) -> Iterator[Path]:
         return
     _weigh_frames(root)
     for wheel, angle in zip(robot.drive.wheels, robot.drive.rollers, strict=False):
-        _add_roller(root, wheel, angle, robot.wheels.radius)
+        if angle is not None:
+            _add_roller(root, wheel, angle, robot.wheels.radius)
     for mesh in root.iterfind("link/collision/geometry/mesh"):
         mesh.set("filename", str(find_mesh(mesh.get("filename", ""), robot.urdf)))
     with tempfile.TemporaryDirectory() as folder:

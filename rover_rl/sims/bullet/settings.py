@@ -38,6 +38,7 @@ class BulletSettings(PhysicsSettings):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("control_dt", "ground_stiffness")
+    substep_multiple: ClassVar[int] = 2
     by_mass: ClassVar[tuple[str, ...]] = ("ground_stiffness", "ground_damping")
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "default": {},
@@ -57,7 +58,7 @@ class BulletSettings(PhysicsSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.substeps % 2:
+        if self.substeps % self.substep_multiple:
             raise ValueError(f"substeps must be an even number of at least 2, got {self.substeps}")
 
 

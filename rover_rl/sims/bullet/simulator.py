@@ -87,7 +87,7 @@ class BulletSimulator:
         """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
         self._movers = movers
         for group in self._groups:
-            group.physics.meet(group.world)
+            group.physics.meet(movers.parts_of(group.world))
 
     def scanner(self, beams: int) -> BulletScanner:
         """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
@@ -133,7 +133,7 @@ class BulletSimulator:
 
     def _near(self, group: _WorldGroup) -> NearParts | None:
         """Returns the parts of movers near the rovers of a group."""
-        if self._movers is None or self._movers.parts is None or not group.world.movers:
+        if self._movers is None or self._movers.parts is None:
             return None
         return find_near(self._movers.parts, group.block, group.position, group.physics.reach, self.control_dt)
 

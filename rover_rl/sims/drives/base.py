@@ -151,10 +151,10 @@ class Drive(ABC):
         return (*(index for index, motor in enumerate(self.motors) for _ in motor), *(-1 for _ in self.passive))
 
     @property
-    def rollers(self) -> tuple[float, ...]:
-        """Direction of the roller on the ground for each wheel with ideal rollers, rad from +x; empty for tires.
+    def rollers(self) -> tuple[float | None, ...]:
+        """Direction of the roller of each wheel on the ground, rad from +x; ``None`` for a tire. Empty without rollers.
 
-        Such a wheel transfers force along the axle of its roller only, and moves freely across it.
+        A wheel with ideal rollers transfers force along the axle of its roller only, and moves freely across it.
         """
         return ()
 

@@ -20,6 +20,7 @@ class SkidSteer(Drive):
         right: names of the joints of the right wheels.
         separation: effective distance between the left and right wheels in the kinematics, m. It differs from the
             distance in the URDF, which ``None`` takes, because the wheels slip in turns.
+        casters: names of the joints of wheels that hold the robot up without friction.
 
     Raises:
         ValueError: as :class:`Drive`, or if the separation is not positive.
@@ -34,6 +35,7 @@ class SkidSteer(Drive):
     left: tuple[str, ...]
     right: tuple[str, ...]
     separation: float | None = None
+    casters: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -45,10 +47,22 @@ class SkidSteer(Drive):
         """Names of the wheel joints of the left and the right motor."""
         return self.left, self.right
 
+    @property
+    def passive(self) -> tuple[str, ...]:
+        """Names of the joints of the casters."""
+        return self.casters
+
+    @property
+    def rollers(self) -> tuple[float | None, ...]:
+        """``None`` for the tires, and 0 for casters: such a wheel rolls ahead freely, and sideways on ideal rollers."""
+        if not self.casters:
+            return ()
+        return (*(None for _ in (*self.left, *self.right)), *(0.0 for _ in self.casters))
+
     def check(self, wheels: Wheels) -> None:
         """Checks that the wheels are on their sides."""
         sides = [("left", 1)] * len(self.left) + [("right", -1)] * len(self.right)
-        for name, hub, (side, sign) in zip(self.wheels, wheels.hubs, sides, strict=True):
+        for name, hub, (side, sign) in zip(self.wheels, wheels.hubs, sides, strict=False):
             if not sign * hub[1] > 0:
                 raise ValueError(
                     f"{side} wheel {name!r} is at y = {hub[1]:g} m; left wheels must be at y > 0, right wheels at y < 0"
@@ -57,7 +71,7 @@ class SkidSteer(Drive):
     def equations(self, wheels: Wheels, dt: float, device: torch.device | str | None = None) -> SkidSteerEquations:
         """Returns the equations of the drive: see :meth:`Drive.equations`."""
         limits = self.max_linear_acceleration, self.max_angular_acceleration
-        return _equations(self.separation_of(wheels), wheels.radius, limits, dt, torch.device(device or "cpu"))
+        return _equations(self.track(wheels), wheels.radius, limits, dt, torch.device(device or "cpu"))
 
     def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:
         """Returns the twist after ``dt``, limited in acceleration."""
@@ -74,12 +88,12 @@ class SkidSteer(Drive):
         """Returns ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s), ``[N, 2]``."""
         return self.equations(wheels, 0.0, joints.speeds.device).odometry(joints)
 
-    def separation_of(self, wheels: Wheels) -> float:
-        """Returns the effective distance between the left and right wheels, m."""
+    def track(self, wheels: Wheels) -> float:
+        """Returns the distance of left and right wheels in the kinematics, m: ``separation``, or that of the hubs."""
         if self.separation is not None:
             return self.separation
-        sides = [hub[1] for hub in wheels.hubs]
-        left = len(self.left)
+        left, driven = len(self.left), len(self.left) + len(self.right)
+        sides = [hub[1] for hub in wheels.hubs[:driven]]
         return sum(sides[:left]) / left - sum(sides[left:]) / len(self.right)
 
 

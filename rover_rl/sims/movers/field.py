@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.rng import random_bits
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.movers.company import Company, Solids
 from rover_rl.sims.movers.walls import WallTable
-from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Others, Scene
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
 from rover_rl.sims.worlds.region import union
 from rover_rl.sims.worlds.table import SlotTable, TerrainTable, WorldTable
+from rover_rl.sims.worlds.world import World
 
 STRIDE = 1.3
 """Length of a stride of a walking mover, in which each leg swings forward and back, m: two steps of 0.65 m."""
@@ -38,7 +40,7 @@ class Parts:
         kind: 0 for a cylinder, 1 for a box, 2 for a capsule, -1 for none, int32 ``[N, P]``.
         form: index in :attr:`MoverField.forms`, -1 for none, int32 ``[N, P]``.
         half: half of the length, width and height, ``[N, P, 3]``, m.
-        mover: index of the part's mover, int64 ``[N, P]``.
+        mover: index of the part's mover, int64 ``[N, P]``. The other rovers of a group come after all movers.
         position: center now, that is at the end of the last step, ``[N, P, 3]``, m.
         orientation: orientation now, unit quaternion (x, y, z, w), ``[N, P, 4]``.
         velocity: velocity during the last step, ``[N, P, 3]``, m/s. 0 if no time has passed.
@@ -70,6 +72,10 @@ class Parts:
             turn=zeros,
         )
 
+    def columns(self, first: int, end: int) -> Parts:
+        """Returns some parts of each row, in the same memory."""
+        return Parts(**{item.name: getattr(self, item.name)[:, first:end] for item in fields(self)})
+
 
 class MoverField:
     """Movers of every row of a batch, and where they are.
@@ -82,6 +88,7 @@ class MoverField:
         dt: duration of a step, s.
         rover_radius: radius of a rover, m.
         is_live: whether the movers are those around a live rover, of which nothing is known.
+        company: the other rovers of each row's group, which are movers, too. ``None`` if each rover is on its own.
 
     Attributes:
         parts: solids of the movers. ``None`` as long as no row has had movers: nothing else takes time then.
@@ -92,9 +99,11 @@ class MoverField:
             of the environment.
     """
 
-    def __init__(self, worlds: WorldTable, dt: float, rover_radius: float, is_live: bool = False) -> None:
+    def __init__(
+        self, worlds: WorldTable, dt: float, rover_radius: float, is_live: bool = False, company: Company | None = None
+    ) -> None:
         self._worlds, self._entered, self._dt, self._rover_radius = worlds, worlds.follow(), dt, rover_radius
-        self._is_live = is_live
+        self._is_live, self._company = is_live, company
         count, device = len(worlds), worlds.slots.device
         self._tables, self._terrains, self._walls = MoverTables(device), TerrainTable(device), WallTable(worlds)
         self._areas = SlotTable((8,), torch.float32, device)
@@ -108,14 +117,22 @@ class MoverField:
         self.radius = torch.zeros(count, 0, device=device)
         self.parts: Parts | None = None
         self.keys: Tensor | None = None
+        # Those of the movers of the worlds, without the other rovers.
+        self._own: Parts | None = None
         # Heading of each part's mover after the last step, [N, P], rad.
         self._yaw = torch.zeros(count, 0, device=device)
+        self._every = torch.ones_like(self._steps, dtype=torch.bool)
         self.enter_worlds()
 
     @property
     def forms(self) -> list[Part]:
         """Parts of different kinds or sizes that occur. The list grows."""
         return self._tables.forms
+
+    def parts_of(self, world: World) -> list[Part]:
+        """Returns what rows in a world meet, by its index in :attr:`parts`: other rovers, then movers of the world."""
+        rovers = [] if self._company is None else [*self._company.parts] * (self._company.agents - 1)
+        return rovers + [part for mover in world.movers for part in mover.shape.parts()]
 
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed. The caller resets these rows next."""
@@ -128,7 +145,7 @@ class MoverField:
                 self._walls[slot] = world
         if self._slots is not self._worlds.slots:
             self._slots = self._worlds.slots
-            if self._tables.motions:
+            if self._tables.motions or self._company is not None:
                 self._select(self._slots)
 
     def _select(self, slots: Tensor) -> None:
@@ -142,11 +159,47 @@ class MoverField:
         self.course, self._walked = self.course.padded(added), pad(self._walked, (0, added))
         self._local = {name: table.values[slots] for name, table in tables.parts.items()}
         shape = self._local["kind"].shape
-        if self.parts is None or self.parts.kind.shape != shape:
-            self.parts = Parts.zeros(shape, slots.device)
+        last = self._own
+        if last is None or last.kind.shape != shape:
+            self._own = self._reserve(*shape)
+            self._yaw = pad(self._yaw, (0, shape[1] - self._yaw.shape[1]))
+        if last is not None and last is not self._own:
+            # Rows that go on in their worlds have their parts where they were.
+            for name in ("position", "orientation", "velocity", "turn"):
+                values = getattr(last, name)
+                getattr(self._own, name)[:, : values.shape[1]] = values
         # In place: simulators keep the tensors.
         for name in ("kind", "form", "half", "mover"):
-            getattr(self.parts, name).copy_(self._local[name])
+            getattr(self._own, name).copy_(self._local[name])
+
+    def _reserve(self, rows: int, own: int) -> Parts:
+        """Makes new :attr:`parts`, and returns those of the movers of the worlds, ``own`` in each row."""
+        company, device = self._company, self._worlds.slots.device
+        if company is None:
+            self.parts = Parts.zeros((rows, own), device)
+            return self.parts
+        self.parts = Parts.zeros((rows, own + company.count), device)
+        solids, rovers = company.parts, company.agents - 1
+        # First, so that parts of movers have the same indices in all worlds: see parts_of.
+        self._theirs = theirs = self.parts.columns(0, company.count)
+        theirs.kind.copy_(torch.tensor([KINDS.index(part.kind) for part in solids] * rovers))
+        theirs.form.copy_(torch.tensor([self._tables.form(part) for part in solids] * rovers))
+        theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
+        numbers = torch.arange(rovers).repeat_interleave(len(solids))
+        theirs.mover.copy_(numbers + self.radius.shape[1])
+        self._show_rovers(company.seen())
+        return self.parts.columns(company.count, company.count + own)
+
+    def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
+        """Puts the rovers of groups where they are, for the others of their groups."""
+        if self._company is not None:
+            self._company.follow(rover, moved, begins)
+            self._show_rovers(self._company.seen())
+
+    def _show_rovers(self, solids: Solids) -> None:
+        """Places the solids of the other rovers of each row."""
+        for name, values in solids._asdict().items():
+            getattr(self._theirs, name).copy_(values)
 
     def reset(self, mask: Tensor, keys: Tensor, rovers: Tensor) -> None:
         """Begins the episodes of rows.
@@ -158,26 +211,30 @@ class MoverField:
         """
         keys = keys if self.keys is None else self.keys
         self._keys, self._steps = torch.where(mask, keys, self._keys), self._steps.masked_fill(mask, 0)
-        if self.parts is None:
+        if not self._tables.motions:
             return
         count, movers = self.radius.shape
         self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
         blank = Courses.at_rest(count, movers, mask.device)
         self.course = blank.where(mask.expand_as(self.present), self.course)
-        still = Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
+        still = self._together(Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius))
         self._change("begin", mask, still)
         self._walked = self._walked.masked_fill(mask, 0.0)
         self._place(mask, begins=True)
 
-    def advance(self, active: Tensor | None, rovers: Others) -> None:
+    def advance(self, active: Tensor | None, rovers: Others, driving: Tensor | None = None) -> None:
         """Moves the movers of the rows of ``active`` (bool ``[N, 1]``; ``None``: all) by one step.
 
         Args:
             active: rows in which time passes.
             rovers: rovers before the step, to which movers may react.
+            driving: rovers of groups that drive, bool ``[N, 1]``; ``None``: all.
         """
-        if self.parts is None:
+        if self._company is not None:
+            self._show_rovers(self._company.advance(driving))
+        if not self._tables.motions:
             return
+        rovers = self._together(rovers)
         rows = torch.ones_like(self._steps, dtype=torch.bool) if active is None else active
         self._steps = self._steps + rows
         before = self.course.position
@@ -193,7 +250,7 @@ class MoverField:
         """
         later, course = copy(self), self.course
         later.course = replace(course, position=course.position + seconds * course.velocity)
-        if self.parts is not None:
+        if self._tables.motions:
             nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
             later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
         return later.course
@@ -204,9 +261,17 @@ class MoverField:
         Returns:
             Distances to the surface, 0 inside, ``inf`` without movers, ``[N, 1]``, m; and speeds, ``[N, 1]``, m/s.
         """
-        if self.parts is None:
+        least, speed = self._nearest_mover(points)
+        if self._company is None:
+            return least, speed
+        to_rover, of_rover = self._company.nearest(points)
+        return torch.minimum(least, to_rover), torch.where(to_rover < least, of_rover, speed)
+
+    def _nearest_mover(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns what :meth:`nearest` does, without the other rovers."""
+        if self._own is None or not self._tables.motions:
             return torch.full_like(points[:, :1], math.inf), torch.zeros_like(points[:, :1])
-        parts = self.parts
+        parts = self._own
         offset = points[:, None] - parts.position[..., :2]
         cos, sin = (
             (1 - 2 * parts.orientation[..., 2].square()),
@@ -223,10 +288,19 @@ class MoverField:
 
     def nearest_center(self, points: Tensor) -> Tensor:
         """Returns the horizontal distance from points ``[N, 2]`` to the origin of the nearest mover, ``[N, 1]``, m."""
-        if not self.present.shape[1]:
+        distance = (points[:, None] - self.course.position).norm(dim=-1).masked_fill(~self.present, math.inf)
+        if self._company is not None:
+            distance = torch.cat((distance, self._company.center_distances(points)), -1)
+        if not distance.shape[1]:
             return torch.full_like(points[:, :1], math.inf)
-        distance = (points[:, None] - self.course.position).norm(dim=-1)
-        return distance.masked_fill(~self.present, math.inf).amin(-1, keepdim=True)
+        return distance.amin(-1, keepdim=True)
+
+    def _together(self, rovers: Others) -> Others:
+        """Returns all rovers of the group of each row, of the rover of each row."""
+        if self._company is None:
+            return rovers
+        together = self._company.together
+        return replace(rovers, position=together(rovers.position[:, 0]), velocity=together(rovers.velocity[:, 0]))
 
     def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
         """Calls a method of every motion for its movers in ``rows``, and stores the courses.
@@ -265,41 +339,14 @@ class MoverField:
 
     def _place(self, rows: Tensor | None, begins: bool = False) -> None:
         """Places parts on the ground, of the movers in ``rows`` (``None``: all). Those of other rows do not move."""
-        assert self.parts is not None
-        parts, local, course = self.parts, self._local, self.course
-        ground = self._terrains.of(self._worlds.slots).height_at(course.position.double()).float()
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.movers.placing import place
+
+        assert self._own is not None
         phase = self._walked * (2 * math.pi / STRIDE)
-        swing = (_length(course.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
-        # The same for each part.
-        mover = local["mover"]
-        yaw, swing, ground = (values.gather(1, mover) for values in (course.yaw, swing, ground))
-        x, y = (values.gather(1, mover) for values in course.position.unbind(-1))
-        sin, cos = torch.sin(yaw / 2), torch.cos(yaw / 2)
-        forward, left, up = local["center"].unbind(-1)
-        forward = forward + local["swing"] * swing
-        ahead, across = cos * cos - sin * sin, 2 * sin * cos
-        position = torch.stack(
-            (x + (ahead * forward - across * left), y + (across * forward + ahead * left), ground + up), -1
-        )
-        # A rotation about the vertical, after that of the part.
-        i, j, k, w = local["orientation"].unbind(-1)
-        orientation = torch.stack((cos * i - sin * j, cos * j + sin * i, cos * k + sin * w, cos * w - sin * k), -1)
-        if begins:
-            velocity, turn = torch.zeros_like(parts.velocity), torch.zeros_like(parts.turn)
-        else:
-            velocity = (position - parts.position) / self._dt
-            turn = wrap_angle(yaw - self._yaw) / self._dt
-            stays = (_length(velocity) <= MAX_SPEED).float()
-            velocity, turn = velocity * stays[..., None], turn * stays
-        self._yaw = yaw
-        if rows is not None:
-            position = torch.where(rows[..., None], position, parts.position)
-            orientation = torch.where(rows[..., None], orientation, parts.orientation)
-            velocity, turn = velocity * rows[..., None], turn * rows
-        parts.position.copy_(position)
-        parts.orientation.copy_(orientation)
-        parts.velocity.copy_(velocity)
-        parts.turn.copy_(turn)
+        swing = (_length(self.course.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
+        terrains, moving = self._terrains.of(self._worlds.slots), self._every if rows is None else rows
+        place(self._own, self._yaw, self._local, self.course, swing, terrains, moving, begins, self._dt)
 
 
 def _length(vectors: Tensor) -> Tensor:
@@ -351,7 +398,7 @@ class MoverTables:
         self.radius[slot] = torch.tensor([radius_of(mover.shape) for mover in movers])
         parts = [(number, part) for number, mover in enumerate(movers) for part in mover.shape.parts()]
         self.parts["kind"][slot] = torch.tensor([KINDS.index(part.kind) for _, part in parts], dtype=torch.int32)
-        self.parts["form"][slot] = torch.tensor([self._form(part) for _, part in parts], dtype=torch.int32)
+        self.parts["form"][slot] = torch.tensor([self.form(part) for _, part in parts], dtype=torch.int32)
         self.parts["mover"][slot] = torch.tensor([number for number, _ in parts], dtype=torch.int64)
         self.parts["half"][slot] = torch.tensor([part.size for _, part in parts]).reshape(-1, 3) / 2
         for name in ("center", "orientation", "swing"):
@@ -361,7 +408,7 @@ class MoverTables:
         for motion in {type(mover.motion) for mover in movers}:
             self._set_settings(slot, motion, movers)
 
-    def _form(self, part: Part) -> int:
+    def form(self, part: Part) -> int:
         """Returns the index of a part in :attr:`forms`."""
         number = self._number_of.setdefault((part.kind, part.size), len(self.forms))
         if number == len(self.forms):

@@ -120,6 +120,27 @@ def cast_at_parts(
     ranges[row, ray] = nearest
 
 
+@wp.func
+def circle_in_plane(kind: int, half: wp.vec3, center: wp.vec3, axis: wp.vec3) -> wp.vec3:
+    """Circle ``(x, y, radius)`` around what the plane z = 0 cuts of a part; the radius is 0 if it cuts nothing.
+
+    A part lies in the cylinder about its ``axis``, a unit vector through its ``center``, whose radius r is that of its
+    base. The plane cuts the axis at the point ``p = c - c_z / a_z a``, and the cylinder in an ellipse about p whose
+    larger half axis is ``r / |a_z|``. Where the axis is flat, the part's bounding sphere serves, of radius R: the plane
+    cuts it in a circle of radius ``sqrt(R^2 - c_z^2)`` about the center.
+    """
+    square = wp.length_sq(half) - center[2] * center[2]
+    if square <= 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    if wp.abs(axis[2]) < 0.5:
+        return wp.vec3(center[0], center[1], wp.sqrt(square))
+    along = center[2] / axis[2]
+    base = half[0]
+    if kind == BOX:
+        base = wp.sqrt(half[0] * half[0] + half[1] * half[1])
+    return wp.vec3(center[0] - along * axis[0], center[1] - along * axis[1], base / wp.abs(axis[2]))
+
+
 @wp.kernel
 def scan_parts(
     parts: PartArrays,
@@ -131,10 +152,9 @@ def scan_parts(
 ):
     """Shortens the beams of a planar lidar that meet a part; thread ``row`` of those in ``rows``.
 
-    ``poses`` are those of the rovers, position (m) and quaternion, ``mounts`` the position of the lidar on each one and
-    its range (m), and ``beams`` the directions (ahead, left), equally
-    spaced counter-clockwise from straight ahead. Tests the beams in the angle that the bounding sphere of a part fills:
-    in the scan plane, this is a circle of radius ``sqrt(R^2 - z^2)`` at the distance z of its center from the plane.
+    ``poses`` are those of the rovers, position (m) and quaternion, ``mounts`` the position of the lidar on each one
+    and its range (m), and ``beams`` the directions (ahead, left), equally spaced counter-clockwise from straight ahead.
+    Tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`.
     """
     row = wp.tid()
     if not rows[row]:
@@ -143,36 +163,45 @@ def scan_parts(
     mount = wp.vec3(mounts[row][0], mounts[row][1], mounts[row][2])
     max_range = mounts[row][3]
     start = wp.vec3(poses[row, 0], poses[row, 1], poses[row, 2]) + wp.quat_rotate(turn, mount)
+    # Axes of the rover in the world frame.
+    ahead = wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0))
+    left = wp.quat_rotate(turn, wp.vec3(0.0, 1.0, 0.0))
+    up = wp.quat_rotate(turn, wp.vec3(0.0, 0.0, 1.0))
     count = beams.shape[0]
     for part in range(parts.kind.shape[1]):
         if parts.kind[row, part] < 0:
             continue
-        reach = wp.length(parts.half[row, part])
-        center = wp.quat_rotate_inv(turn, parts.position[row, part] - start)
-        square = reach * reach - center[2] * center[2]
-        distance = wp.sqrt(center[0] * center[0] + center[1] * center[1])
-        if square <= 0.0 or distance - reach >= max_range:
+        kind = parts.kind[row, part]
+        half = parts.half[row, part]
+        orientation = parts.orientation[row, part]
+        offset = parts.position[row, part] - start
+        axis = wp.quat_rotate(orientation, wp.vec3(0.0, 0.0, 1.0))
+        center = wp.vec3(wp.dot(ahead, offset), wp.dot(left, offset), wp.dot(up, offset))
+        circle = circle_in_plane(kind, half, center, wp.vec3(wp.dot(ahead, axis), wp.dot(left, axis), wp.dot(up, axis)))
+        radius = circle[2]
+        distance = wp.sqrt(circle[0] * circle[0] + circle[1] * circle[1])
+        if radius <= 0.0 or distance - radius >= max_range:
             continue
         first = 0
         last = count - 1
-        radius = wp.sqrt(square)
         if distance > radius:
-            bearing = wp.atan2(center[1], center[0])
+            bearing = wp.atan2(circle[1], circle[0])
             width = wp.asin(radius / distance)
             first = int(wp.floor((bearing - width) / TWO_PI * float(count)))
             last = int(wp.ceil((bearing + width) / TWO_PI * float(count)))
         # In the frame of the part, beams are combinations of two directions.
-        to_part = wp.quat_inverse(parts.orientation[row, part])
-        origin = wp.quat_rotate(to_part, start - parts.position[row, part])
-        ahead = wp.quat_rotate(to_part, wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0)))
-        left = wp.quat_rotate(to_part, wp.quat_rotate(turn, wp.vec3(0.0, 1.0, 0.0)))
-        kind = parts.kind[row, part]
-        half = parts.half[row, part]
+        origin = -wp.quat_rotate_inv(orientation, offset)
+        along_x = wp.quat_rotate_inv(orientation, ahead)
+        along_y = wp.quat_rotate_inv(orientation, left)
         for k in range(first, last + 1):
-            beam = (k + count) % count
+            beam = k
+            if k < 0:
+                beam = k + count
+            elif k >= count:
+                beam = k - count
             # What is nearer hides the part.
             nearest = ranges[row, beam]
             if nearest > distance - radius:
-                found = meet_solid(kind, half, origin, beams[beam][0] * ahead + beams[beam][1] * left)
+                found = meet_solid(kind, half, origin, beams[beam][0] * along_x + beams[beam][1] * along_y)
                 if found < wp.min(nearest, max_range):
                     ranges[row, beam] = found

@@ -30,7 +30,7 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
     from rover_rl.sims.native.warp import wp
 
     ranges = ranges.clone()
-    with wp.ScopedStream(_stream(ranges.device)):
+    with wp.ScopedStream(stream_of(ranges.device)):
         rays = [wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions)]
         inputs = [part_arrays(parts), *rays, wp.from_torch(ranges)]
         wp.launch(cast_at_parts, ranges.shape, inputs, device=wp.device_from_torch(ranges.device))
@@ -90,7 +90,7 @@ class MoverScanner:
 
         state = self._simulator.state()
         poses = torch.cat((state.position, state.orientation), -1).contiguous()
-        with wp.ScopedStream(_stream(ranges.device)):
+        with wp.ScopedStream(stream_of(ranges.device)):
             inputs = [
                 part_arrays(parts),
                 wp.from_torch(poses),
@@ -102,7 +102,7 @@ class MoverScanner:
             wp.launch(scan_parts, len(ranges), inputs, device=wp.device_from_torch(ranges.device))
 
 
-def _stream(device: torch.device) -> Any:
+def stream_of(device: torch.device) -> Any:
     """Returns Torch's current stream, which orders kernels and tensor operations; ``None`` on the CPU."""
     from rover_rl.sims.native.warp import wp
 

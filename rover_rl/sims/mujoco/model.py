@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from rover_rl.sims.drives import Drive
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
 from rover_rl.sims.mujoco.parts import add_parts
 from rover_rl.sims.mujoco.settings import MujocoSettings
@@ -135,8 +136,7 @@ def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertia
         joint = {"name": drive.steering[robot.wheels.steering[index]], "axis": (0, 0, 1)}
         joint["armature"] = max(0.0, least - turn)
         _add_servo(spec, joint["name"], max(least, turn))
-    elif drive.rollers:
-        angle = drive.rollers[index]
+    elif (angle := _roller(drive, index)) is not None:
         joint = {"name": f"roller {index}", "axis": (math.cos(angle), math.sin(angle), 0)}
     if joint:
         parent = base.add_body(name=f"carrier {index}", **place)
@@ -158,6 +158,11 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float) -> None:
     servo.biasprm[1:3] = -inertia * rate**2, -2 * inertia * rate
 
 
+def _roller(drive: Drive, index: int) -> float | None:
+    """Returns the direction of the rollers of a wheel, rad; ``None`` for a tire."""
+    return drive.rollers[index] if drive.rollers else None
+
+
 def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray) -> None:
     body.explicitinertial = True
     body.mass, body.ipos = mass, center
@@ -172,7 +177,9 @@ def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settin
     sphere = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (radius, 0, 0), "condim": 3, "contype": 0}
     body, tread = ({**cylinder, "size": (radius, side, 0)} for side in (half, half / math.sqrt(3)))
     wheel.add_geom(conaffinity=_OBSTACLES, **(body if half else sphere))
-    wheel.add_geom(name=f"tread {index}", conaffinity=0, **(tread if half and not robot.drive.rollers else sphere))
+    wheel.add_geom(
+        name=f"tread {index}", conaffinity=0, **(tread if half and _roller(robot.drive, index) is None else sphere)
+    )
     # Only explicit pairs have a reference of their own for friction.
     spec.add_pair(
         name=f"tread {index}",

@@ -52,7 +52,7 @@ class RoverPhysics:
         self._motors = [self._velocities(wheels) for wheels in owners]
         self._shafts = self._velocities(f"shaft {motor}" for motor in motors)
         self._steering = self._coordinates(drive.steering)
-        rollers = [f"roller {wheel}" for wheel in range(len(drive.rollers))]
+        rollers = [f"roller {wheel}" for wheel, angle in enumerate(drive.rollers) if angle is not None]
         self._rollers, self._roller_speeds = self._coordinates(rollers), self._velocities(rollers)
 
     def _coordinates(self, joints: Iterable[str]) -> list[int]:

@@ -84,9 +84,11 @@ class MujocoSimulator:
     def meet(self, movers: MoverField) -> None:
         """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
         self._movers = movers
-        shares = [share for shares in self._threads for share in shares if share.world.movers]
+        shares = [share for shares in self._threads for share in shares]
         for world in dict.fromkeys(share.world for share in shares):
-            parts = [part for mover in world.movers for part in mover.shape.parts()]
+            parts = movers.parts_of(world)
+            if not parts:
+                continue
             slots = slots_of(parts)
             model = make_model(world, self._robot, self._inertial_model, self.settings, slots)
             reach = reach_of(model)

@@ -12,8 +12,7 @@ from rover_rl.sims.rendering.scenery import UNPAINTED
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.description import Description, Frame, Shape
-
-_PACKAGE = "package://"
+from rover_rl.sims.robots.meshes import find_mesh, load_mesh
 
 
 def robot_surface(robot: Robot) -> Surface:
@@ -36,7 +35,10 @@ def _parts(shape: Shape, link: Frame, urdf: Path) -> list[Surface]:
     pose = link @ shape.frame
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
-    meshes = _load(shape, urdf) if shape.kind == "mesh" else [_primitive(shape)]
+    if shape.kind == "mesh":
+        meshes = load_mesh(find_mesh(shape.file, urdf), shape.sizes)
+    else:
+        meshes = [_primitive(shape)]
     return [Surface.of_solid(mesh.apply_transform(matrix), shape.color or _own_color(mesh)) for mesh in meshes]
 
 
@@ -49,34 +51,6 @@ def _primitive(shape: Shape) -> trimesh.Trimesh:
     if shape.kind == "sphere":
         return trimesh.creation.icosphere(subdivisions=3, radius=shape.sizes[0])
     raise ValueError(f"a visual shape is a {shape.kind}; use a box, cylinder, sphere or mesh")
-
-
-def _load(shape: Shape, urdf: Path) -> list[trimesh.Trimesh]:
-    """Loads a mesh file in any format of trimesh, such as OBJ and STL, and scales it."""
-    path = find_mesh(shape.file, urdf)
-    try:
-        meshes = trimesh.load_scene(path).dump()
-    # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
-    except Exception as error:
-        raise ValueError(f"cannot read the mesh {path}: {error}") from error
-    meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
-    if not meshes:
-        raise ValueError(f"the mesh {path} has no triangles")
-    return [mesh.apply_scale(shape.sizes) for mesh in meshes]
-
-
-def find_mesh(file: str, urdf: Path) -> Path:
-    """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
-    folder = urdf.resolve().parent
-    name = file.removeprefix("file://")
-    paths = [folder / name]
-    if file.startswith(_PACKAGE):
-        package, _, rest = file.removeprefix(_PACKAGE).partition("/")
-        paths = [parent / rest for parent in folder.parents if parent.name == package]
-        paths += [parent / package / rest for parent in (folder, *folder.parents)]
-    if found := next((path for path in paths if path.is_file()), None):
-        return found
-    raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
 
 
 def _own_color(mesh: trimesh.Trimesh) -> tuple[float, ...]:

@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rover_rl.registry import Registry
+from rover_rl.sims.robots.options import LIDAR_OPTIONS, RobotOptions, is_robot_file, split_options
 
 if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
@@ -32,8 +36,8 @@ TRAINING_SEEDS = 10_000
 """Number of seeds of a family for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
 
 _MEMBER = re.compile(r"(.+):([0-9]+)", re.ASCII)
-_RANGE = re.compile(r"(.+):([0-9]+)-([0-9]+)", re.ASCII)
-_REGISTRY = Registry("robot", ROBOTS, also=", a Robot, or 'module:attribute' of your own")
+_RANGE = re.compile(r"([^,]+):([0-9]+)-([0-9]+)(,.*)?", re.ASCII)
+_REGISTRY = Registry("robot", ROBOTS, also=", a URDF file, a Robot, or 'module:attribute' of your own")
 
 
 def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
@@ -65,11 +69,15 @@ def get_robot(robot: RobotSource) -> Robot:
     """Returns a robot by name. Returns a :class:`Robot` unchanged.
 
     Args:
-        robot: name in :func:`robot_names`, ``"module:attribute"`` of a robot or of a function that returns one, or a
-            robot. A suffix ``:seed`` selects a robot of a family, a function of a seed: ``"any:17"``.
+        robot: name in :func:`robot_names`, path of a URDF (``"scout.urdf"``), ``"module:attribute"`` of a robot or of a
+            function that returns one, or a robot. A suffix ``:seed`` selects a robot of a family, a function of a seed:
+            ``"any:17"``. A name may have options, as in ``"scout.urdf,drive=skid_steer,max_speed=1.5"``: the fields of
+            :class:`RobotOptions`.
 
     Raises:
-        ValueError: if the name is unknown, that of a range, or refers to something else than a robot.
+        ValueError: if the name is unknown, that of a range, or refers to something else than a robot; if a URDF holds
+            no robot that can be driven, or an option does not fit the robot.
+        FileNotFoundError: if there is no such file.
     """
     from rover_rl.sims.robots.robot import Robot
 
@@ -81,6 +89,50 @@ def get_robot(robot: RobotSource) -> Robot:
         return robot
     if not isinstance(robot, str):
         raise ValueError(f"robot must be a name or a Robot, got {type(robot).__name__} {robot!r}"[:200])
+    own, options = split_options(robot)
+    if is_robot_file(own):
+        path = Path(own)
+        return _read(path, options, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _with_limits(_named(own), options)
+
+
+@lru_cache(maxsize=16)
+def _read(path: Path, options: RobotOptions, modified: int) -> Robot:
+    """Returns the robot in a URDF. ``modified`` is the time of the last change of the file."""
+    from rover_rl.sims.robots.robot import Robot
+
+    return Robot.from_urdf(path, options=options)
+
+
+def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
+    """Returns a robot of another name than a file with options, of which it takes those on its drive and lidar."""
+    if options == RobotOptions():
+        return robot
+    drive: dict[str, Any] = {}
+    for option in options.given:
+        field = _FIELDS.get(option, option)
+        if option in LIDAR_OPTIONS:
+            continue
+        if not hasattr(robot.drive, field) or option in ("drive", "missing"):
+            raise ValueError(
+                f"option {option} does not fit robot {robot.name!r}, whose drive is a {type(robot.drive).__name__}"
+            )
+        drive[field] = getattr(options, option)
+    changes: dict[str, Any] = {"drive": replace(robot.drive, **drive), **options.lidar_settings}
+    if options.lidar is not None:
+        place = options.lidar.split()
+        changes["lidar"] = tuple(map(float, place)) if len(place) == 3 else options.lidar
+    return replace(robot, **changes)
+
+
+_FIELDS = {"max_acceleration": "max_linear_acceleration"}
+"""Fields of a drive that options set, where the names differ."""
+
+
+def _named(robot: str) -> Robot:
+    """Returns a robot by its name, without options."""
+    from rover_rl.sims.robots.robot import Robot
+
     name, seed = robot, ""
     if _MEMBER.fullmatch(robot):
         name, _, seed = robot.rpartition(":")
@@ -130,7 +182,7 @@ def _members(entry: str | Robot) -> Sequence[str | Robot]:
     family, first, last = match[1], int(match[2]), int(match[3])
     if last < first:
         raise ValueError(f"the ends of {entry!r} must be in order, as in '{family}:0-255'")
-    return [f"{family}:{seed}" for seed in range(first, min(last, first + 10_000) + 1)]
+    return [f"{family}:{seed}{match[4] or ''}" for seed in range(first, min(last, first + 10_000) + 1)]
 
 
 def __getattr__(name: str) -> Any:
@@ -144,6 +196,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "ROBOTS",
     "Robot",
+    "RobotOptions",
     "check_training_robots",
     "get_robot",
     "get_robots",

@@ -70,7 +70,10 @@ class Link(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """Connection of two links: ``frame`` is that of the child in the parent, and ``axis [3]`` is in this frame."""
+    """Connection of two links: ``frame`` is that of the child in the parent, and ``axis [3]`` is in this frame.
+
+    ``limits`` are the lowest and highest position, rad or m; ``None`` if the file states none.
+    """
 
     name: str
     kind: str
@@ -78,6 +81,7 @@ class Joint(NamedTuple):
     child: str
     frame: Frame
     axis: np.ndarray
+    limits: tuple[float, float] | None = None
 
 
 class Description:
@@ -96,10 +100,7 @@ class Description:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            root = ET.parse(path).getroot()
-        except ET.ParseError as error:
-            raise ValueError(f"it is not XML ({error})") from error
+        root = _parsed(path)
         self.name = root.get("name", "")
         materials = {each.get("name"): color for each in root.iter("material") if (color := _color(each))}
         self.links: dict[str, Link] = _read(root, "link", partial(_link, materials=materials))
@@ -111,14 +112,31 @@ class Description:
         self.frames = self._place(self.joints.values())
 
     def _find_base(self) -> str:
-        children = {joint.child for joint in self.joints.values()}
-        ends = children | {joint.parent for joint in self.joints.values()}
+        children: dict[str, str] = {}
+        for joint in self.joints.values():
+            if joint.child in children:
+                both = f"joints {children[joint.child]!r} and {joint.name!r}"
+                raise ValueError(f"link {joint.child!r} is the child of {both}: a URDF has no loops")
+            children[joint.child] = joint.name
+        ends = children.keys() | {joint.parent for joint in self.joints.values()}
         if unknown := sorted(ends - self.links.keys()):
             raise ValueError(f"a joint names link {unknown[0]!r}, its links are {sorted(self.links)}")
-        bases = self.links.keys() - children
+        bases = self.links.keys() - children.keys()
         if len(bases) != 1:
             raise ValueError(f"one link must be the child of no joint, it has {sorted(bases)}")
-        return bases.pop()
+        base = bases.pop()
+        reached = self._reached(base)
+        if loop := sorted(self.links.keys() - reached):
+            raise ValueError(f"links {loop} hang on one another and not on {base!r}: a URDF has no loops")
+        return base
+
+    def _reached(self, base: str) -> set[str]:
+        """Returns the links that hang on the base, and the base."""
+        reached, news = {base}, {base}
+        while news:
+            news = {joint.child for joint in self.joints.values() if joint.parent in news} - reached
+            reached |= news
+        return reached
 
     def _place(self, joints: Iterable[Joint]) -> dict[str, Frame]:
         """Returns the poses of the base and of all links that ``joints`` connect to it."""
@@ -129,6 +147,37 @@ class Description:
                 if joint.parent in frames and joint.child not in frames:
                     frames[joint.child] = frames[joint.parent] @ joint.frame
         return frames
+
+
+_ROOTS = {"sdf": "an SDF model", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
+"""Other files that describe robots, by their root element."""
+
+
+def _parsed(path: Path) -> ET.Element:
+    """Returns the root element of a URDF file. Says what another file is."""
+    data = path.read_bytes()
+    expand = "expand it first: xacro FILE > robot.urdf"
+    try:
+        root = ET.fromstring(data)
+    except ET.ParseError as error:
+        raise ValueError(
+            f"it is a xacro file; {expand}" if b"<xacro:" in data else f"it is not XML ({error})"
+        ) from error
+    parts = [root, *(part for tag in ("link", "joint") for each in root.findall(tag) for part in each.iter())]
+    if found := next(filter(None, map(_xacro, [*root, *parts])), ""):
+        raise ValueError(f"it is a xacro file, with {found}; {expand}")
+    if root.tag != "robot":
+        other = _ROOTS.get(root.tag, f"XML with the root element {root.tag!r}")
+        raise ValueError(f"it is {other}; a URDF is needed, whose root element is 'robot'")
+    return root
+
+
+def _xacro(element: ET.Element) -> str:
+    """Returns what of an element is xacro: the macro, or the value with an expression. Otherwise nothing."""
+    _, is_macro, name = str(element.tag).partition("xacro}")
+    if is_macro:
+        return f"xacro:{name}"
+    return next((value for value in element.attrib.values() if "${" in value or "$(" in value), "")
 
 
 def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:
@@ -157,7 +206,15 @@ def _joint(name: str, element: ET.Element) -> Joint:
     axis = element.find("axis")
     # The default axis of URDF is x.
     direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
-    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction)
+    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction, _limits(element))
+
+
+def _limits(joint: ET.Element) -> tuple[float, float] | None:
+    limit = joint.find("limit")
+    if limit is None or not {"lower", "upper"} & set(limit.keys()):
+        return None
+    (lower,), (upper,) = (_numbers(limit, name, 1, "0") for name in ("lower", "upper"))
+    return lower, upper
 
 
 def _inertial(element: ET.Element) -> Inertial:

@@ -68,7 +68,7 @@ def footprint(robot: Robot) -> Footprint:
     for name, frame in description.fixed.items():
         for shape in description.links[name].shapes:
             placed = frame @ shape.frame
-            half = _half_sizes(placed, shape)
+            half = half_sizes(placed, shape)
             if half is not None:
                 low.append((placed.position - half)[:2])
                 high.append((placed.position + half)[:2])
@@ -100,8 +100,11 @@ def collision_ranges(robot: Robot, beams: int, margin: float = COLLISION_MARGIN)
     return np.where((last >= first) & (last > 0), last, 0.0) + margin
 
 
-def _half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
-    """Returns half the side lengths of the box around a shape whose pose is ``frame``: ``[3]``, m."""
+def half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
+    """Returns half the side lengths of the box around a shape whose pose is ``frame``: ``[3]``, m.
+
+    ``None`` for a shape without known sizes.
+    """
     if shape.kind == "box":
         return np.abs(frame.rotation) @ np.array(shape.sizes) / 2
     if shape.kind == "sphere":

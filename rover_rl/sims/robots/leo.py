@@ -23,4 +23,4 @@ LEO = Robot.from_urdf(
     lidar_range=10.0,
 )
 """Leo Rover: its torque, wheel speed and accelerations are those of its public URDF. The factor of the track is that of
-its firmware; friction of the tires as Coulomb has it gives 1.74."""
+its firmware; friction of the tires as Coulomb has it gives 1.72."""

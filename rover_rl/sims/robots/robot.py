@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 from rover_rl.sims.drives.base import Drive, Wheels
 from rover_rl.sims.robots.description import Description
 from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.robots.wheels import read_wheels
 
 Mount: TypeAlias = str | tuple[float, float, float]
@@ -110,24 +111,56 @@ class Robot:
         check_plausibility(self)
 
     @classmethod
-    def from_urdf(cls, path: Path | str, *, drive: Drive, name: str | None = None, **settings: Any) -> Robot:
-        """Creates a robot from its URDF and its drive.
+    def from_urdf(
+        cls,
+        path: Path | str,
+        *,
+        drive: Drive | None = None,
+        name: str | None = None,
+        options: RobotOptions | None = None,
+        **settings: Any,
+    ) -> Robot:
+        """Creates a robot from its URDF.
+
+        With a drive, the URDF is taken as it is, and must be as :class:`Robot` needs it. Without, it may be any URDF of
+        a wheeled robot: the wheels are found by their joints and shapes, the drive by the wheels, and a URDF as
+        :class:`Robot` needs it is derived, in the folder of the cache. All joints but those of the drive are held, the
+        body becomes boxes, casters become wheels without friction, and the mass stays.
 
         Args:
             path: path of the URDF file. Expand xacro first: ``xacro robot.urdf.xacro > robot.urdf``.
-            drive: drive.
+            drive: drive. ``None`` finds it.
             name: name of the robot. ``None``: that of the URDF.
+            options: what the URDF does not tell, if the drive is to be found.
             settings: further arguments of :class:`Robot`.
 
         Raises:
-            ValueError: as :class:`Robot`.
+            ValueError: as :class:`Robot`, or if no drive fits the wheels, or there are none.
+            TypeError: if there are a drive and options.
             FileNotFoundError: if the file does not exist.
+
+        Warns:
+            UserWarning: of what was assumed, if the drive was found.
         """
         path = Path(path)
+        if drive is None:
+            return cls._found_in(path, name, options or RobotOptions(), settings)
+        if options is not None:
+            raise TypeError("from_urdf takes a drive or options to find it, not both")
         # The robot reports what is wrong with the file.
         with suppress(ValueError, OSError):
             name = name or Description(path).name
         return cls(name or path.stem, path, drive, **settings)
+
+    @classmethod
+    def _found_in(cls, path: Path, name: str | None, options: RobotOptions, settings: dict[str, Any]) -> Robot:
+        """Returns the robot that is found in any URDF of a wheeled robot."""
+        # Reads meshes, for which the other robots need not wait.
+        from rover_rl.sims.robots.urdf import read_urdf
+
+        read = read_urdf(path, options, name)
+        warnings.warn(f"robot {read.name!r} is read as {read.summary}: {'; '.join(read.notes)}", stacklevel=3)
+        return cls(read.name, read.urdf, read.drive, **{**options.lidar_settings, **settings})
 
 
 def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:

@@ -30,8 +30,8 @@ from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
 
 RATE_WINDOW = 20
 """Number of scan periods in a measurement of the scan rate."""
-SUPPORTED_RATES = (15.0, 30.0)
-"""Scan rates that policies trained at 20 Hz support, Hz."""
+SUPPORTED_RATES = (0.75, 1.5)
+"""Scan rates that policies support, in control rates of their training: 15 to 30 Hz for 20 Hz."""
 
 _log = logging.getLogger(__name__)
 
@@ -106,7 +106,7 @@ class Sensors:
     ) -> None:
         self.messages = LatestMessages()
         self.rejected_scans = 0
-        self._step_timeout = settings.step_timeout
+        self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
         self._pose_estimator = pose_estimator
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         self._rejections: dict[str, str] = {}
@@ -183,7 +183,7 @@ class Sensors:
         first, last = self._scan_times[0], self._scan_times[-1]
         by_stamp, by_arrival = last[0] - first[0], last[1] - first[1]
         span = by_stamp if by_stamp > 0 else by_arrival
-        low, high = SUPPORTED_RATES
+        low, high = (share / self._control_dt for share in SUPPORTED_RATES)
         if span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
             self._throttled_log.warning("rate", text, self.topics["scan"], RATE_WINDOW / span, low, high)

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
+from rover_rl.sims.timing import CONTROL_DT
+
 if TYPE_CHECKING:
     from rover_rl.sims.robots import Robot
 
@@ -73,6 +75,8 @@ class Ros2Settings:
         step_timeout: time without a usable scan after which the rover counts as lost, s. The rover is stopped earlier,
             after 0.25 s.
         node: name of the node.
+        control_dt: duration of a control step in training, s. A scan that comes sooner than three quarters of it after
+            the last one is skipped.
 
     Raises:
         ValueError: if a choice is unknown, or a number is out of range.
@@ -99,9 +103,10 @@ class Ros2Settings:
     settle: float = 0.2
     step_timeout: float = 1.0
     node: str = "rover_rl"
+    control_dt: float = CONTROL_DT
 
     def __post_init__(self) -> None:
-        positive = ("unseen_range", "reset_timeout", "pose_tolerance", "settle", "step_timeout")
+        positive = ("unseen_range", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt")
         limits = [name for name in _LIMITS if getattr(self, name) is not None]
         for name in (*positive, *limits):
             if not 0 < getattr(self, name) < math.inf:

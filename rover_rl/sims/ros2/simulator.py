@@ -22,7 +22,6 @@ from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
 from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
-from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 
 _log = logging.getLogger(__name__)
@@ -88,7 +87,7 @@ class Ros2Simulator:
         self.settings = settings = settings or Ros2Settings()
         connection = connection or Connection()
         self.num_envs = 1
-        self.control_dt = CONTROL_DT
+        self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
         self._world = worlds[0]
         self._limiter = CommandLimiter(settings.limits(robot))

@@ -160,7 +160,9 @@ def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Dev
     model.motors = len(robot.drive.motors)
     model.motor_of_wheel = wp.array(robot.drive.motor_of_wheel, dtype=int, device=device)
     model.steering_of_wheel = wp.array(robot.wheels.steering or (-1,) * wheels, dtype=int, device=device)
-    rollers = [wp.vec3(math.cos(angle), math.sin(angle), 0.0) for angle in robot.drive.rollers]
+    rollers = [
+        wp.vec3() if angle is None else wp.vec3(math.cos(angle), math.sin(angle), 0.0) for angle in robot.drive.rollers
+    ]
     model.rollers = wp.array(rollers, dtype=wp.vec3, device=device)
     model.wheel_radius = robot.wheels.radius
     model.wheel_half_width = robot.wheels.width / 2

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from rover_rl.files import written_whole
+from rover_rl.files import cache_folder, written_whole
 from rover_rl.sims.worlds.obstacles import groups_of
 
 if TYPE_CHECKING:
@@ -28,13 +28,6 @@ FOLDERS = 256
 """Number of folders that the files of a kind are spread over."""
 ALIGNMENT = 8
 """Alignment of the arrays of a file in memory, bytes."""
-
-
-def cache_folder() -> Path:
-    """Returns the folder of the cache: ``rover_rl`` in ``XDG_CACHE_HOME``, by default in ``~/.cache``."""
-    given = os.environ.get("XDG_CACHE_HOME", "")
-    # The XDG base directory specification: a relative path is ignored.
-    return (Path(given) if os.path.isabs(given) else Path.home() / ".cache") / "rover_rl"
 
 
 def content_key(*parts: bytes | str) -> str:

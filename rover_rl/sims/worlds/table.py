@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -197,22 +197,29 @@ class TerrainTable:
         return TerrainRows(self._heights.values, slots, self._grids.values[slots])
 
 
-class TerrainRows:
-    """Terrain of each of ``N`` rows: heights of all slots, and the slots ``[N]`` and grids ``[N, 5]`` of the rows."""
+class TerrainRows(NamedTuple):
+    """Terrain of each of ``N`` rows.
 
-    def __init__(self, heights: Tensor, slots: Tensor, grids: Tensor) -> None:
-        self._heights, self._slots, self._grids = heights, slots, grids
+    Attributes:
+        heights: heights of all slots, row by row, float32 ``[slots, capacity]``, m.
+        slots: slot of each row, int64 ``[N]``.
+        grids: x and y of the first height and spacing (m), and numbers of rows and columns, float64 ``[N, 5]``.
+    """
+
+    heights: Tensor
+    slots: Tensor
+    grids: Tensor
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the ground height (m) at points ``xy [N, ..., 2]``, float64, of each row's terrain: ``[N, ...]``."""
         rows = [-1, *[1] * (xy.ndim - 2)]
-        x, y, cell, count_y, count_x = (part.reshape(rows) for part in self._grids.unbind(-1))
+        x, y, cell, count_y, count_x = (part.reshape(rows) for part in self.grids.unbind(-1))
         u = torch.minimum(((xy[..., 0] - x) / cell).clamp(min=0), count_x - 1)
         v = torch.minimum(((xy[..., 1] - y) / cell).clamp(min=0), count_y - 1)
         # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
         i = torch.minimum(u.long().clamp(min=0), count_x.long() - 2)
         j = torch.minimum(v.long().clamp(min=0), count_y.long() - 2)
         columns = count_x.long()
-        corner, slots = j * columns + i, self._slots.reshape(rows)
+        corner, slots = j * columns + i, self.slots.reshape(rows)
         corners = (corner, corner + 1, corner + columns, corner + columns + 1)
-        return interpolate_triangles(u - i, v - j, *(self._heights[slots, k].to(xy.dtype) for k in corners))[0]
+        return interpolate_triangles(u - i, v - j, *(self.heights[slots, k].to(xy.dtype) for k in corners))[0]

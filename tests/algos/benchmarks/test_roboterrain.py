@@ -27,8 +27,8 @@ WARP = EnvConfig(backend="warp")
 
 @pytest.fixture
 def world() -> World:
-    """A person who comes to 0.4 m from the middle of the start and stays for 2 of 4 s, and free ground around."""
-    keys = [(0.0, 3.0, 0.0, 3.14), (1.0, 0.6, 0.0, 3.14), (3.0, 0.6, 0.0, 3.14), (4.0, 3.0, 0.0, 0.0)]
+    """A person who comes to 0.38 m from the middle of the start and stays for 2 of 4 s, and free ground around."""
+    keys = [(0.0, 3.0, 0.0, 3.14), (1.0, 0.38, 0.0, 3.14), (3.0, 0.38, 0.0, 3.14), (4.0, 3.0, 0.0, 0.0)]
     at_start = ((-0.1, 0.1), (-0.1, 0.1))
     return World(
         "yard",

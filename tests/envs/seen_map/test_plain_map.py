@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -13,7 +14,7 @@ from tensordict import TensorDict
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.plain_map import PlainSeenMap
 from rover_rl.envs.seen_map.seen_map import NO_BOUNDS, ROUTE_KEYS, SeenMap
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import Robot, get_robot
 from tests.envs.seen_map.test_seen_map import U_SHAPE, Wall, observed
 
 LIDAR = LidarConfig(points=128, beams=128)
@@ -27,14 +28,14 @@ ROOM: tuple[Wall, ...] = (
 
 
 def compare(
-    observations: list[TensorDict], bounds: tuple[float, ...] = NO_BOUNDS, interval: float = 0.2
+    observations: list[TensorDict], bounds: tuple[float, ...] = NO_BOUNDS, interval: float = 0.2, robot: Robot = ROBOT
 ) -> tuple[list[float], list[int]]:
     """Checks that both compute the same; returns the lengths of the routes and the numbers of occupied cells.
 
     The geometry of the scans is computed by the same code. Where the kernels multiply and add to find the cell of a
     point, they may round otherwise, so that one in a thousand cells may differ.
     """
-    kernels, plain = SeenMap(1, LIDAR, ROBOT, interval=interval), PlainSeenMap(LIDAR, ROBOT, interval)
+    kernels, plain = SeenMap(1, LIDAR, robot, interval=interval), PlainSeenMap(LIDAR, robot, interval)
     state, area = torch.zeros(1, plain.state_size), torch.tensor([bounds])
     lengths, occupied, same_cells, same_routes = [], [], 0.0, 0
     for observation in observations:
@@ -51,8 +52,8 @@ def compare(
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**31), st.booleans(), st.sampled_from((0.0, 0.04, 0.2)))
-def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: float) -> None:
+@given(st.integers(0, 2**31), st.booleans(), st.sampled_from((0.0, 0.04, 0.2)), st.sampled_from((2 * math.pi, 4.7)))
+def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: float, view: float) -> None:
     generator = torch.Generator().manual_seed(seed)
     ends = (torch.rand(16, 4, generator=generator) * 12 - 6).tolist()
     walls = tuple((x, y, x + a / 3, y + b / 3) for x, y, a, b in ends)
@@ -65,7 +66,7 @@ def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: fl
         yaw += draw[4] - 0.5
         x, y = position.tolist()
         observations.append(observed((x, y), goal, walls, yaw, tilt * (2 * draw[5] - 1), z=draw[6]))
-    compare(observations, (-4.0, -5.0, 6.5, 7.0) if bounded else NO_BOUNDS)
+    compare(observations, (-4.0, -5.0, 6.5, 7.0) if bounded else NO_BOUNDS, robot=replace(ROBOT, lidar_view=view))
 
 
 def test_a_dead_end_is_left_and_a_closed_room_has_no_route() -> None:

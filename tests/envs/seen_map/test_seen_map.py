@@ -87,6 +87,24 @@ def test_without_obstacles_the_route_leads_straight_to_the_goal() -> None:
     assert 5.0 - 0.3 < route[4] < 5.0 * 1.083 + 0.3
 
 
+def test_what_the_lidar_does_not_see_is_neither_free_nor_occupied() -> None:
+    behind = ((-2.0, -3.0, -2.0, 3.0),)
+    front = replace(CENTERED, lidar_view=math.pi)
+    for robot, first, then in ((CENTERED, True, False), (front, False, False)):
+        seen = one_map(robot)
+        seen(observed((0.0, 0.0), (3.0, 4.0), behind))
+        assert is_occupied(seen, -2.0, 0.0) == first
+        for _ in range(6):
+            seen(observed((0.0, 0.0), (3.0, 4.0)))
+        assert is_occupied(seen, -2.0, 0.0) == then
+    # Seen once and then turned away from, the wall stays.
+    seen = one_map(front)
+    seen(observed((0.0, 0.0), (3.0, 4.0), behind, yaw=math.pi))
+    for _ in range(20):
+        seen(observed((0.0, 0.0), (3.0, 4.0)))
+    assert is_occupied(seen, -2.0, 0.0)
+
+
 def test_a_route_leads_around_a_wall_within_bounds() -> None:
     observation = observed((0.0, 0.0), (4.0, 0.0), ((2.0, -3.0, 2.0, 1.0),))
     # The shorter way around, to the left, leads out of the bounds.

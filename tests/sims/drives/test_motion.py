@@ -12,7 +12,7 @@ from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import quaternion_to_euler
 from tests.sims import driven
 from tests.sims.driven import FLAT, ROVER, placed
-from tests.sims.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni
+from tests.sims.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni, make_pair
 
 DT = 0.05
 
@@ -93,6 +93,18 @@ def test_an_omnidirectional_robot_takes_commands_without_a_sideways_speed(tmp_pa
     within(torch.stack(twist(poses), -1), [[0.5, 0.0, 0.0]], floor=0.5)
 
 
+def test_casters_carry_a_robot_and_do_not_hold_it(backend, tmp_path):
+    pair = make_pair(tmp_path)
+    commands = torch.tensor([[0.6, 0.0], [0.0, 1.0], [0.5, 0.8], [-0.4, 0.5]], dtype=torch.float64)
+    poses, state = drive(backend, pair, commands.tolist())
+    forward, rate, left = twist(poses)
+    within(forward, commands[:, 0], floor=0.5)
+    within(rate, commands[:, 1], floor=0.5)
+    within(left, torch.zeros(4), floor=0.5)
+    within(state.linear_velocity.squeeze(-1), commands[:, 0], floor=0.5)
+    assert quaternion_to_euler(state.orientation)[:, :2].abs().max() < 0.01
+
+
 def test_a_rover_with_spheres_for_wheels_drives_and_turns(backend, tmp_path):
     cylinder = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
     text = ROVER.urdf.read_text()
@@ -109,7 +121,12 @@ def test_a_rover_with_spheres_for_wheels_drives_and_turns(backend, tmp_path):
 
 
 def test_no_drive_depends_on_its_company(backend, tmp_path):
-    for robot, command in ((make_car(tmp_path), [0.6, 0.4]), (make_omni(tmp_path), [0.3, 0.4, 0.2])):
+    cases = (
+        (make_car(tmp_path), [0.6, 0.4]),
+        (make_omni(tmp_path), [0.3, 0.4, 0.2]),
+        (make_pair(tmp_path), [0.5, 0.4]),
+    )
+    for robot, command in cases:
         alone, _ = drive(backend, robot, [command], settle=5, steps=5)
         among, _ = drive(backend, robot, [[-x for x in command], command, command], settle=5, steps=5)
         assert torch.equal(alone[:, 0], among[:, 1])

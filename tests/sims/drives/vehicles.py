@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rover_rl.sims.drives import Ackermann, Mecanum
+from rover_rl.sims.drives import Ackermann, Mecanum, SkidSteer
 from rover_rl.sims.robots import Robot
 
 WHEELBASE, TRACK, RADIUS = 0.5, 0.4, 0.1
@@ -76,6 +76,15 @@ def make_omni(folder: Path) -> Robot:
         front=("front_left_wheel", "front_right_wheel"), rear=("rear_left_wheel", "rear_right_wheel"), torque=3.0
     )
     return Robot.from_urdf(_write(folder, "omni", parts), drive=drive)
+
+
+def make_pair(folder: Path) -> Robot:
+    """Returns a robot with two driven wheels, and casters ahead of and behind them."""
+    places = {"left": (0.0, TRACK / 2), "right": (0.0, -TRACK / 2), "ahead": (0.2, 0.0), "behind": (-0.2, 0.0)}
+    parts = [_BASE, *(_wheel(name, "base_link", f"{x} {y} {RADIUS}") for name, (x, y) in places.items())]
+    parts = [part.replace('length="0.05"', 'length="0.01"') for part in parts]
+    drive = SkidSteer(left=("left_wheel",), right=("right_wheel",), casters=("ahead_wheel", "behind_wheel"), torque=3.0)
+    return Robot.from_urdf(_write(folder, "pair", parts), drive=drive)
 
 
 def _write(folder: Path, name: str, parts: list[str]) -> Path:

@@ -67,7 +67,7 @@ INVALID = [
     ("", r"it is not XML \(no element found"),
     ("wheels: 4", "it is not XML"),
     ("<robot/>", "it has no links"),
-    ("<sdf><model><link name='a'/></model></sdf>", "it has no links"),
+    ("<sdf><model><link name='a'/></model></sdf>", "it is an SDF model; a URDF is needed"),
     ("<robot><link/></robot>", "link has no name"),
     (f"{A}<link name='a'/></robot>", "two links are named 'a'"),
     (f"{A}<link name='b'/></robot>", r"one link must be the child of no joint, it has \['a', 'b'\]"),

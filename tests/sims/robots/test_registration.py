@@ -46,6 +46,6 @@ def test_the_name_of_the_built_in_robot_is_taken():
 
 
 def test_an_unknown_robot_raises_with_the_known_names():
-    message = r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a Robot, or 'module:"
+    message = r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a URDF file, a Robot, or 'module:"
     with pytest.raises(ValueError, match=message):
         get_robot("tank")

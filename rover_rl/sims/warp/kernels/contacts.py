@@ -195,8 +195,9 @@ def prepare_contact(
     if wheel != NO_WHEEL and model.rollers.shape[0] > 0:
         # Ideal rollers: friction acts along the axle of the roller, and nothing holds the wheel across it.
         roller = model.rollers[wheel]
-        longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
-        lateral = wp.vec3(0.0, 0.0, 0.0)
+        if wp.length_sq(roller) > 0.0:
+            longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
+            lateral = wp.vec3(0.0, 0.0, 0.0)
     normal_axle = axle_moment(lever, normal, axle, wheel)
     longitudinal_axle = axle_moment(lever, longitudinal, axle, wheel)
     lateral_axle = axle_moment(lever, lateral, axle, wheel)
@@ -299,8 +300,9 @@ def collide_wheels_with_ground(
         if best_gap < solver.margin:
             inset = 1.0 - FRICTION_POINT
             if model.rollers.shape[0] > 0:
-                # A roller touches the ground below the hub.
-                inset = 1.0
+                if wp.length_sq(model.rollers[wheel]) > 0.0:
+                    # A roller touches the ground below the hub.
+                    inset = 1.0
             friction_arm = best_arm - inset * offset * axle
             prepare_contact(
                 contacts,

@@ -54,8 +54,10 @@ class Courses:
         chosen = {}
         for item in fields(self):
             value, rest = getattr(self, item.name), getattr(other, item.name)
-            rows = mask.reshape(*mask.shape, *[1] * (value.ndim - mask.ndim))
-            chosen[item.name] = torch.where(rows, value.to(rest.dtype), rest)
+            if value is not rest:
+                rows = mask.reshape(*mask.shape, *[1] * (value.ndim - mask.ndim))
+                value = torch.where(rows, value.to(rest.dtype), rest)
+            chosen[item.name] = value
         return replace(self, **chosen)
 
 

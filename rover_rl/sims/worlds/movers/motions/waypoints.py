@@ -106,7 +106,9 @@ class Waypoints(Motion):
             settings["repeat"] == 0,
             time,
             torch.where(
-                settings["repeat"] == 1, torch.remainder(time, whole), torch.minimum(folded, 2 * whole - folded)
+                settings["repeat"] == 1,
+                torch.where(folded < whole, folded, folded - whole),
+                torch.minimum(folded, 2 * whole - folded),
             ),
         )
         # The leg of the last keyframe that is not later.

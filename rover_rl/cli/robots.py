@@ -1,0 +1,160 @@
+"""The command ``rover-rl robots``."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Union
+
+import tyro
+
+from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.files import written_whole
+from rover_rl.sims.robots.options import RobotOptions, is_robot_file, split_options, with_options
+
+if TYPE_CHECKING:
+    from rover_rl.sims.robots import Robot
+
+
+@dataclass(frozen=True)
+class ShowRobot:
+    """Draw a robot and describe it: its outline, wheels, mounts, turning circle, masses and limits.
+
+    For a URDF file, that is what was understood of it, and what was assumed.
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+    """Robot to draw: a name, a URDF file, or module:attribute."""
+    options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
+    out: Path | None = None
+    """Picture to write. Default: the robot's name with .png, in this folder."""
+    backend: str = "warp"
+    """Simulator that a skid-steer robot spins in, for its effective track."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        from rover_rl.sims.robots import get_robot
+        from rover_rl.sims.robots.draw import draw_robot
+
+        name = with_options(self.robot, self.options)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            robot = get_robot(name)
+        lines = describe(robot)
+        print("\n".join(lines))
+        for note in _notes(name) or [str(each.message) for each in caught]:
+            print(f"  {note}")
+        out = self.out or Path(f"{robot.name}.png")
+        with written_whole(out) as temporary:
+            draw_robot(robot, lines[1:], temporary)
+        print(self._spin(robot), end="")
+        print(f"drawn in {out}")
+        return 0
+
+    def _spin(self, robot: Robot) -> str:
+        """Returns a line on the effective track of a skid-steer robot."""
+        from rover_rl.sims.drives import SkidSteer
+        from rover_rl.sims.spin import measured_track
+
+        if not isinstance(robot.drive, SkidSteer):
+            return ""
+        measured, stated = measured_track(robot, self.backend), robot.drive.track(robot.wheels)
+        return f"  effective track, measured in {self.backend}: {measured:.3f} m; the drive takes {stated:.3f} m\n"
+
+
+@dataclass(frozen=True)
+class Robots:
+    """List the robots. The subcommand show draws one, also from a URDF file."""
+
+    action: Annotated[
+        Union[  # noqa: UP007
+            Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],
+            Annotated[ShowRobot, tyro.conf.subcommand("show", prefix_name=False)],
+        ],
+        tyro.conf.arg(name=""),
+    ] = field(default=None)
+    """Draw a robot. Default: list all."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        if self.action is not None:
+            return self.action()
+        from rover_rl.sims.robots import ROBOTS, get_robot, robot_names
+        from rover_rl.sims.robots.footprint import footprint
+
+        print(f"{'name':12} {'mass':>9} {'size':>13} {'drive':12} {'speed':>9} {'turn':>12}  source")
+        for name in robot_names():
+            robot = get_robot(name)
+            outline, drive = footprint(robot), robot.drive
+            size = f"{outline.front - outline.back:.2f} x {outline.left - outline.right:.2f} m"
+            radius = drive.min_radius(robot.wheels)
+            turn = "in place" if drive.turns_in_place else f"{radius:.2f} m"
+            source = "built in" if name in ROBOTS else str(robot.urdf)
+            kind, speed = type(drive).__name__, f"{drive.max_speed:g} m/s"
+            print(f"{name:12} {robot.mass:6.1f} kg {size:>13} {kind:12} {speed:>9} {turn:>12}  {source}")
+        print("also: a URDF file, as --robot FILE.urdf; look at one with: rover-rl robots show FILE.urdf")
+        return 0
+
+
+def describe(robot: Robot) -> list[str]:
+    """Describes a robot, in lines: the first has its name, the others are indented."""
+    from rover_rl.sims.drives import Ackermann, SkidSteer
+    from rover_rl.sims.robots.draw import center_of_mass
+    from rover_rl.sims.robots.footprint import footprint
+
+    outline, wheels, drive = footprint(robot), robot.wheels, robot.drive
+    casters = len(drive.casters) if isinstance(drive, SkidSteer) else 0
+    count, with_casters = len(wheels.hubs) - casters, f" on the ground and {casters} for casters" if casters else ""
+    width = f"{wheels.width:.3g} m wide" if wheels.width else "spheres"
+    x = [hub[0] for hub in wheels.hubs[:count]]
+    y = [hub[1] for hub in wheels.hubs[:count]]
+    view = f"{math.degrees(robot.lidar_view):.0f} degrees"
+    lines = [
+        f"{robot.name}: {type(drive).__name__}, {robot.mass:.4g} kg",
+        f"  size: {outline.front - outline.back:.3g} x {outline.left - outline.right:.3g} m",
+        f"  disc that is kept free: radius {robot.radius:.3g} m",
+        f"  wheels: {count}{with_casters}, radius {wheels.radius:.3g} m, {width}",
+        f"  wheelbase: {max(x) - min(x):.3g} m, track {max(y) - min(y):.3g} m",
+        f"  center of mass: {_place(center_of_mass(robot))} m",
+        f"  lidar: {_place(robot.lidar_position)} m, {robot.lidar_range:g} m, {view}",
+        f"  IMU: {_place(robot.imu_position)} m",
+        f"  limits: {drive.max_speed:g} m/s, {drive.max_yaw_rate:g} rad/s, {drive.max_linear_acceleration:g} m/s^2,",
+        f"    {drive.max_angular_acceleration:g} rad/s^2, {drive.torque:g} N m at a wheel",
+    ]
+    if isinstance(drive, SkidSteer):
+        lines.append(f"  effective track: {drive.track(wheels):.3g} m; it turns in place")
+    if isinstance(drive, Ackermann):
+        radius = drive.min_radius(wheels)
+        lines.append(f"  steering: {drive.max_steering:.3g} rad; smallest radius {radius:.3g} m, of the rear axle")
+    for name, joints in _joints(robot):
+        lines += [f"  joints {name}:", *(f"    {joint}" for joint in joints)]
+    return lines
+
+
+def _joints(robot: Robot) -> list[tuple[str, tuple[str, ...]]]:
+    drive = robot.drive
+    named = {
+        "of motors": tuple(", ".join(motor) for motor in drive.motors),
+        "without motor": drive.passive,
+        "of steering": drive.steering,
+    }
+    return [(name, joints) for name, joints in named.items() if joints]
+
+
+def _notes(name: str) -> list[str]:
+    """Returns what was assumed of a URDF file."""
+    own, options = split_options(name)
+    if not is_robot_file(own):
+        return []
+    from rover_rl.sims.robots.urdf import read_urdf
+
+    read = read_urdf(Path(own), options)
+    return [f"read as {read.summary}", *read.notes]
+
+
+def _place(position: tuple[float, ...]) -> str:
+    # To a tenth of a millimeter; adding 0 turns -0.0 into 0.0.
+    return " ".join(f"{round(each, 4) + 0.0:.3g}" for each in position)

@@ -1,0 +1,121 @@
+"""Starts and goals of rovers that share worlds, apart from one another."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.placement import Placement, chosen_rows, scattered
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.world import World
+
+GAP = 1.0
+"""Distance between the discs of the rovers of a group at the start, and between their discs at their goals, m."""
+_CANDIDATES = 32
+"""Number of places drawn at once. The first that is far enough from the others is used."""
+
+
+class GroupPlacement(Placement):
+    """Draws start poses and goals for groups of rovers, which share worlds.
+
+    The rovers of a group start with at least :data:`GAP` between their discs, and so do their goals lie. A rover takes
+    the first of 32 places that is free of the others; if none is, the one that is farthest from them.
+
+    Args:
+        worlds: world of each row.
+        robot: robot that determines the free space.
+        min_goal_distance: minimum distance from the rover to a new goal, m.
+        agents: number of rovers of a group.
+    """
+
+    def __init__(self, worlds: WorldTable, robot: Robot, min_goal_distance: float, agents: int) -> None:
+        self._agents, self._spacing, self._crowded = agents, GAP + 2 * robot.radius, ""
+        self._unchecked = worlds.follow()
+        super().__init__(worlds, robot, min_goal_distance)
+
+    def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
+        """Draws start poses apart from one another: see :meth:`Placement.draw_start`.
+
+        Raises:
+            ValueError: if the start area of a world is too small for the rovers of a group.
+        """
+        if self._crowded:
+            raise ValueError(self._crowded)
+        rows = chosen_rows(mask)
+        slot = self._worlds.slots[rows]
+        draw = torch.arange(_CANDIDATES, device=keys.device).repeat(len(slot))[:, None]
+        several = keys[rows].repeat_interleave(_CANDIDATES, 0), draw, slot.repeat_interleave(_CANDIDATES)
+        poses = self._starts(*several).reshape(len(slot), _CANDIDATES, 3)
+        allowed = torch.ones_like(poses[..., 0], dtype=torch.bool)
+        return self._apart(poses, allowed, rows, mask, taken, len(keys))
+
+    def draw_goal(
+        self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
+    ) -> Tensor:
+        """Draws goals apart from one another: see :meth:`Placement.draw_goal`."""
+        rows = chosen_rows(mask)
+        slot = self._worlds.slots[rows]
+        candidates, far = self._goals(keys[rows], number[rows], position[rows], slot, _CANDIDATES)
+        return self._apart(candidates, far.squeeze(-1), rows, mask, taken, len(keys))
+
+    def _apart(
+        self,
+        candidates: Tensor,
+        allowed: Tensor,
+        rows: Tensor | slice,
+        mask: Tensor | None,
+        taken: Tensor | None,
+        count: int,
+    ) -> Tensor:
+        """Chooses one of the candidates ``[M, K, k]`` of each of the ``rows``: ``[N, k]``."""
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.envs.apart_kernels import choose_apart
+        from rover_rl.sims.native.warp import wp
+
+        device = candidates.device
+        drawn = torch.ones(count, dtype=torch.bool, device=device) if mask is None else mask.squeeze(-1)
+        number = torch.arange(count, device=device) if isinstance(rows, slice) else drawn.cumsum(0) - 1
+        numbers = torch.where(drawn, number, -1).int()
+        places = torch.zeros(count, 2, device=device) if taken is None else taken.contiguous().clone()
+        chosen = torch.zeros(count, dtype=torch.int32, device=device)
+        stream = wp.stream_from_torch(device) if device.type == "cuda" else None
+        with wp.ScopedStream(stream):
+            inputs = [
+                wp.from_torch(candidates[..., :2].contiguous(), dtype=wp.vec2),
+                wp.from_torch(allowed.contiguous()),
+                wp.from_torch(numbers),
+                self._agents,
+                self._spacing,
+                wp.from_torch(places, dtype=wp.vec2),
+                wp.from_torch(chosen),
+            ]
+            wp.launch(choose_apart, count // self._agents, inputs, device=wp.device_from_torch(device))
+        index = chosen[rows].long()[:, None, None].expand(-1, 1, candidates.shape[-1])
+        return scattered(candidates.gather(1, index).squeeze(1), rows, count)
+
+    def enter_worlds(self) -> None:
+        """Moves rows to their worlds in the table: see :meth:`Placement.enter_worlds`."""
+        super().enter_worlds()
+        for world in self._unchecked().values():
+            if (room := _room(world, self._robot_in(world), self._spacing, self._agents)) < self._agents:
+                self._crowded = (
+                    f"the start area of world {world.name!r} has room for {room} rovers {GAP:g} m apart, not for "
+                    f"agents={self._agents}"
+                )
+
+
+@lru_cache(maxsize=1024)
+def _room(world: World, robot: Robot, spacing: float, most: int) -> int:
+    """Returns how many of ``most`` points in the start area can be ``spacing`` (m) apart, each the farthest of all."""
+    cells = free_space(world, robot).spawn_cells
+    nearest = (cells - cells[0]).norm(dim=-1)
+    for found in range(1, most):
+        distance, farthest = nearest.max(0)
+        if distance < spacing:
+            return found
+        nearest = torch.minimum(nearest, (cells - cells[farthest]).norm(dim=-1))
+    return most

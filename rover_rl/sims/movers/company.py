@@ -1,0 +1,189 @@
+"""``Company``: the other rovers of a group, as movers."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.description import Description, Frame, Shape
+from rover_rl.sims.robots.footprint import half_sizes
+from rover_rl.sims.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
+from rover_rl.sims.worlds.movers.shapes import Part
+
+MAX_SPEED = 20.0
+"""Speed above which a rover is put from one place to another, and pushes nothing in between, m/s."""
+
+
+class Solids(NamedTuple):
+    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.sims.movers.field.Parts`."""
+
+    position: Tensor
+    orientation: Tensor
+    velocity: Tensor
+    turn: Tensor
+
+
+class Company:
+    """The other rovers of each row's group, as solids that move.
+
+    Groups are ``agents`` consecutive rows. In a step, each rover is for another one a part of a body that moves on at
+    the mean of their velocities in the last step, so that they share their momentum as equal masses do that meet and
+    stay together. (If each moved on at its own velocity, they would bounce off as elastic balls do.) After the step,
+    each is where it really is.
+
+    Args:
+        robot: robot of all rows.
+        agents: number of rovers of a group.
+        rows: number of rows N.
+        dt: duration of a step, s.
+        device: device of the tensors.
+
+    Attributes:
+        agents: number of rovers of a group.
+        parts: solids of a rover, in its base frame.
+        count: number of solids of the others of a row.
+    """
+
+    def __init__(self, robot: Robot, agents: int, rows: int, dt: float, device: torch.device) -> None:
+        self.agents, self.parts, self._dt = agents, solids_of(robot), dt
+        self.count = (agents - 1) * len(self.parts)
+        numbers = torch.arange(agents, device=device)
+        # The others of each rover of a group.
+        self._others = torch.stack([numbers[numbers != number] for number in range(agents)])
+        self._centers = torch.tensor([part.center for part in self.parts], device=device)
+        self._turns = torch.tensor([part.orientation for part in self.parts], device=device)
+        flat = np.array([half_sizes(*shape) for shape in _shapes_of(robot)])[:, :2]
+        self._flat = torch.from_numpy(flat).float().to(device)
+        points = torch.zeros(rows, 3, device=device)
+        self._position, self._velocity, self._yaw = points, points, torch.zeros(rows, 1, device=device)
+        # Where the solids of each rover are.
+        solids = torch.zeros(rows, len(self.parts), 3, device=device)
+        self._now = Solids(solids, pad(solids, (0, 1)), solids, solids[..., 0])
+
+    def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
+        """Puts the rovers where they are.
+
+        Args:
+            rover: state of all rovers.
+            moved: rovers that have moved, bool ``[N, 1]``; ``None``: all. The others keep their velocities.
+            begins: rovers that begin an episode, at rest, bool ``[N, 1]``.
+        """
+        position, attitude, last = rover.position.to(self._yaw), rover.orientation.to(self._yaw), self._now
+        x, y, z, w = attitude.unbind(-1)
+        yaw = angle_of(torch.stack((1 - 2 * (y * y + z * z), 2 * (w * z + x * y)), -1))[:, None]
+        solid = attitude[:, None].expand(-1, len(self.parts), -1)
+        centers = position[:, None] + rotate(solid, self._centers)
+        velocity = (position - self._position) / self._dt
+        rests = begins | (velocity.norm(dim=-1, keepdim=True) > MAX_SPEED)
+        kept = torch.zeros_like(rests) if moved is None else ~(moved | rests)
+
+        def changed(new: Tensor, old: Tensor) -> Tensor:
+            rows = [len(new), *[1] * (new.ndim - 1)]
+            return torch.where(kept.reshape(rows), old, new.masked_fill(rests.reshape(rows), 0.0))
+
+        turn = (wrap_angle(yaw - self._yaw) / self._dt).expand_as(last.turn)
+        self._velocity = changed(velocity, self._velocity)
+        self._position, self._yaw = position, yaw
+        self._now = Solids(
+            centers,
+            quaternion_product(solid, self._turns.expand_as(solid)),
+            changed((centers - last.position) / self._dt, last.velocity),
+            changed(turn, last.turn),
+        )
+
+    def advance(self, active: Tensor | None) -> Solids:
+        """Returns the solids of the others of each row after a step in which rovers move on, ``[N, count]``.
+
+        Rovers do not move if ``active`` (bool ``[N, 1]``; ``None``: all) is false. The velocity of another rover is the
+        mean of its own and that of the row's rover, as if both were one body: when two equal masses meet and stay
+        together, each has this velocity.
+        """
+        position, orientation, velocity, turn = self._of_others_solids(self._now)
+        offset = position - self._position[:, None]
+        spin = self._now.turn[:, :1]
+        across = torch.stack((-offset[..., 1], offset[..., 0], torch.zeros_like(offset[..., 0])), -1)
+        velocity = (velocity + self._velocity[:, None] + spin[..., None] * across) / 2
+        turn = (turn + spin) / 2
+        if active is not None:
+            drives = self._of_others(active).repeat_interleave(len(self.parts), 1).squeeze(-1)
+            velocity, turn = velocity.masked_fill(~drives[..., None], 0.0), turn.masked_fill(~drives, 0.0)
+        half = turn * (self._dt / 2)
+        turned = pad(torch.stack((half.sin(), half.cos()), -1), (2, 0))
+        return Solids(position + velocity * self._dt, quaternion_product(turned, orientation), velocity, turn)
+
+    def seen(self) -> Solids:
+        """Returns the solids of the others of each row where they are, ``[N, count]``."""
+        return self._of_others_solids(self._now)
+
+    def _of_others_solids(self, solids: Solids) -> Solids:
+        return Solids(*(self._of_others(values).flatten(1, 2) for values in solids))
+
+    def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest other rover, and its speed."""
+        position, yaw, velocity = map(self._of_others, (self._position, self._yaw, self._velocity))
+        offset, cos, sin = points[:, None] - position[..., :2], yaw.cos(), yaw.sin()
+        x, y = offset[..., :1], offset[..., 1:]
+        local = torch.cat((cos * x + sin * y, cos * y - sin * x), -1)
+        # Seen from above, solids are rectangles.
+        beside = ((local[:, :, None] - self._centers[:, :2]).abs() - self._flat).clamp(min=0)
+        least, which = beside.norm(dim=-1).amin(-1).min(-1, keepdim=True)
+        return least, velocity[..., :2].norm(dim=-1).gather(1, which)
+
+    def center_distances(self, points: Tensor) -> Tensor:
+        """Returns the horizontal distances from points ``[N, 2]`` to the other rovers, ``[N, agents - 1]``, m."""
+        return (points[:, None] - self._of_others(self._position)[..., :2]).norm(dim=-1)
+
+    def together(self, values: Tensor) -> Tensor:
+        """Returns what belongs to all rovers of a row's group, ``[N, agents, ...]``, of ``values [N, ...]``."""
+        return values.reshape(-1, self.agents, *values.shape[1:]).repeat_interleave(self.agents, 0)
+
+    def _of_others(self, values: Tensor) -> Tensor:
+        """Returns what belongs to the other rovers of each row, ``[N, agents - 1, ...]``, of ``values [N, ...]``."""
+        groups = values.reshape(-1, self.agents, *values.shape[1:])
+        return groups[:, self._others].flatten(0, 1)
+
+
+def solids_of(robot: Robot) -> tuple[Part, ...]:
+    """Returns the collision shapes of a robot, those fixed to its base and its wheels, as parts in its base frame.
+
+    Wheels point ahead. Shapes without known sizes, such as meshes, are left out.
+    """
+    return tuple(_part(frame, shape) for frame, shape in _shapes_of(robot))
+
+
+@lru_cache(maxsize=64)
+def _shapes_of(robot: Robot) -> list[tuple[Frame, Shape]]:
+    """Returns collision shapes with their poses in the base frame."""
+    wheels = robot.wheels
+    sizes = (wheels.radius, wheels.width) if wheels.width else (wheels.radius,)
+    # The axis of a cylinder is its z axis, and that of a wheel is y.
+    turn = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))) if wheels.width else np.eye(3)
+    own = Frame(np.zeros(3), np.eye(3))
+    wheel = Shape("cylinder" if wheels.width else "sphere", own, sizes, "", None)
+    shapes = [(Frame(np.array(hub), turn), wheel) for hub in wheels.hubs]
+    description = Description(robot.urdf)
+    for name, frame in description.fixed.items():
+        shapes += [(frame @ shape.frame, shape) for shape in description.links[name].shapes]
+    return [(frame, shape) for frame, shape in shapes if half_sizes(frame, shape) is not None]
+
+
+def _part(frame: Frame, shape: Shape) -> Part:
+    """Returns a shape as a part."""
+    x, y, z, w = matrix_to_quaternion(torch.from_numpy(frame.rotation)).tolist()
+    a, b, c = frame.position.tolist()
+    place: dict[str, Any] = {"center": (a, b, c), "orientation": (x, y, z, w)}
+    if shape.kind == "box":
+        length, width, height = shape.sizes
+        return Part("box", (length, width, height), **place)
+    sides = 2 * shape.sizes[0], 2 * shape.sizes[0]
+    if shape.kind == "cylinder":
+        return Part("cylinder", (*sides, shape.sizes[1]), **place)
+    # A sphere is a capsule without a cylinder.
+    return Part("capsule", (*sides, sides[0]), **place)

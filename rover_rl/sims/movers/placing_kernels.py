@@ -1,0 +1,109 @@
+"""Warp kernel that places the parts of movers on the ground."""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+PI = wp.constant(3.14159265358979)
+MAX_SPEED = wp.constant(20.0)
+"""Speed above which a part is put from one place to another, and pushes nothing in between, m/s."""
+
+
+@wp.struct
+class Placed:
+    """Parts of the movers of all rows, which change: see :class:`~rover_rl.sims.movers.field.Parts`."""
+
+    position: wp.array2d[wp.vec3]
+    orientation: wp.array2d[wp.quat]
+    velocity: wp.array2d[wp.vec3]
+    turn: wp.array2d[float]
+    # Heading of the mover of each part, rad.
+    yaw: wp.array2d[float]
+
+
+@wp.struct
+class Solid:
+    """Parts in the frames of their movers: see :class:`~rover_rl.sims.worlds.movers.shapes.Part`."""
+
+    mover: wp.array2d[wp.int64]
+    center: wp.array2d[wp.vec3]
+    orientation: wp.array2d[wp.quat]
+    swing: wp.array2d[float]
+
+
+@wp.struct
+class Grounds:
+    """Terrains of the rows: see :class:`~rover_rl.sims.worlds.table.TerrainRows`."""
+
+    heights: wp.array2d[float]
+    slots: wp.array[wp.int64]
+    # x and y of the first height, spacing, m; numbers of rows and columns.
+    grids: wp.array2d[wp.float64]
+
+
+@wp.func
+def height_at(grounds: Grounds, row: int, x: wp.float64, y: wp.float64) -> float:
+    """Height of the ground (m), on two triangles for each cell of the grid: see :meth:`Terrain.height_at`."""
+    one = wp.float64(1.0)
+    zero = wp.float64(0.0)
+    cell = grounds.grids[row, 2]
+    rows = int(grounds.grids[row, 3])
+    columns = int(grounds.grids[row, 4])
+    u = wp.clamp((x - grounds.grids[row, 0]) / cell, zero, wp.float64(columns - 1))
+    v = wp.clamp((y - grounds.grids[row, 1]) / cell, zero, wp.float64(rows - 1))
+    i = wp.min(int(u), columns - 2)
+    j = wp.min(int(v), rows - 2)
+    u = u - wp.float64(i)
+    v = v - wp.float64(j)
+    slot = int(grounds.slots[row])
+    corner = j * columns + i
+    right = wp.float64(grounds.heights[slot, corner + 1])
+    left = wp.float64(grounds.heights[slot, corner + columns])
+    if u + v > one:
+        far = wp.float64(grounds.heights[slot, corner + columns + 1])
+        return float(far - (one - u) * (far - left) - (one - v) * (far - right))
+    near = wp.float64(grounds.heights[slot, corner])
+    return float(near + u * (right - near) + v * (left - near))
+
+
+@wp.kernel
+def place_parts(
+    positions: wp.array2d[wp.vec2],
+    yaws: wp.array2d[float],
+    swings: wp.array2d[float],
+    solids: Solid,
+    grounds: Grounds,
+    rows: wp.array[wp.bool],
+    begins: bool,
+    dt: float,
+    placed: Placed,
+):
+    """Places a part of a mover; thread ``(row, part)``. Parts of rows that are not in ``rows`` do not move.
+
+    ``positions``, ``yaws`` and ``swings`` (by how much of their amplitude legs are ahead) are those of the movers. The
+    pose of a part is that in the frame of its mover, turned by the yaw about the vertical and moved. With ``begins``,
+    the part is at rest; else its velocity is the way from where it was, in ``dt`` (s).
+    """
+    row, part = wp.tid()
+    if not rows[row]:
+        placed.velocity[row, part] = wp.vec3(0.0, 0.0, 0.0)
+        placed.turn[row, part] = 0.0
+        return
+    mover = int(solids.mover[row, part])
+    at = positions[row, mover]
+    yaw = yaws[row, mover]
+    turn = wp.quat(0.0, 0.0, wp.sin(yaw / 2.0), wp.cos(yaw / 2.0))
+    center = solids.center[row, part] + wp.vec3(solids.swing[row, part] * swings[row, mover], 0.0, 0.0)
+    ground = height_at(grounds, row, wp.float64(at[0]), wp.float64(at[1]))
+    position = wp.vec3(at[0], at[1], ground) + wp.quat_rotate(turn, center)
+    velocity = (position - placed.position[row, part]) / dt
+    change = yaw - placed.yaw[row, part]
+    change = change - 2.0 * PI * wp.round(change / (2.0 * PI))
+    if begins or not wp.length(velocity) <= MAX_SPEED:
+        velocity = wp.vec3(0.0, 0.0, 0.0)
+        change = 0.0
+    placed.position[row, part] = position
+    placed.orientation[row, part] = turn * solids.orientation[row, part]
+    placed.velocity[row, part] = velocity
+    placed.turn[row, part] = change / dt
+    placed.yaw[row, part] = yaw

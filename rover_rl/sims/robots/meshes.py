@@ -1,0 +1,53 @@
+"""Mesh files that a URDF names: where they are, and what they hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import trimesh
+
+_PACKAGE = "package://"
+_UNIT = re.compile(rb"<unit[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)")
+"""Unit that a COLLADA file states, m."""
+
+
+def find_mesh(file: str, urdf: Path) -> Path:
+    """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
+    folder = urdf.resolve().parent
+    name = file.removeprefix("file://")
+    paths = [folder / name]
+    if file.startswith(_PACKAGE):
+        package, _, rest = file.removeprefix(_PACKAGE).partition("/")
+        paths = [parent / rest for parent in folder.parents if parent.name == package]
+        paths += [parent / package / rest for parent in (folder, *folder.parents)]
+    if found := next((path for path in paths if path.is_file()), None):
+        return found
+    raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
+
+
+def load_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> list[trimesh.Trimesh]:
+    """Loads a mesh file in any format of trimesh, such as OBJ and STL, and scales it to meters.
+
+    A file may hold several meshes of different colors.
+
+    Raises:
+        ValueError: if the file cannot be read, or has no triangles.
+    """
+    try:
+        meshes = trimesh.load_scene(path).dump()
+    # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
+    except Exception as error:
+        raise ValueError(f"cannot read the mesh {path}: {error}") from error
+    meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise ValueError(f"the mesh {path} has no triangles")
+    unit = _collada_unit(path) if path.suffix.lower() == ".dae" else 1.0
+    return [mesh.apply_scale([unit * factor for factor in scale]) for mesh in meshes]
+
+
+def _collada_unit(path: Path) -> float:
+    """Returns the unit of a COLLADA file, m, which trimesh does not apply."""
+    stated = _UNIT.search(path.read_bytes())
+    return float(stated[1]) if stated else 1.0
