@@ -47,31 +47,31 @@ def passage_scale(robot: Robot, radius: float | None = None) -> float:
     return scale
 
 
-def fitting_worlds(worlds: Source, robot: Robot) -> Source:
-    """Returns worlds with passages wide enough for a robot, where that is left open.
+def fitting_worlds(worlds: Source, *robots: Robot) -> Source:
+    """Returns worlds with passages wide enough for a robot, or for all of several, where that is left open.
 
     Names of generated worlds without a scale get that of the robot: ``"maze:5"`` becomes ``"maze:5*1.8"``. Worlds that
     have no scale, such as those of files, and names that state one, as in ``"maze:5*1"``, stay as they are.
 
     Args:
         worlds: world, name, list of both, or pool.
-        robot: robot.
+        robots: robots.
 
     Raises:
-        ValueError: if a world is unknown, or the robot is too large for any scale.
+        ValueError: if a world is unknown, or a robot is too large for any scale.
     """
-    return _fitted(worlds, robot)
+    return _fitted(worlds, max(map(passage_scale, robots)))
 
 
-def _fitted(worlds: Any, robot: Robot) -> Any:
+def _fitted(worlds: Any, scale: float) -> Any:
     if isinstance(worlds, World):
         return worlds
     if not isinstance(worlds, str):
         entries = worlds.entries if isinstance(worlds, WorldPool) else worlds
-        fitted = [_fitted(entry, robot) for entry in entries]
+        fitted = [_fitted(entry, scale) for entry in entries]
         if all(a is b for a, b in zip(fitted, entries, strict=True)):
             return worlds
         return WorldPool(*fitted) if isinstance(worlds, WorldPool) else type(worlds)(fitted)
-    if (scale := passage_scale(robot)) == 1 or not takes_scale(worlds):
+    if scale == 1 or not takes_scale(worlds):
         return worlds
     return f"{worlds}*{scale:g}"
