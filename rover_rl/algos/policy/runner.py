@@ -13,7 +13,7 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import TensorDictBase
@@ -126,7 +126,10 @@ class PolicyRunner:
         config = config or EnvConfig(lidar=LidarConfig(points=points))
         interval = self.action_repeat * (CONTROL_DT if self._env is None else self._env.control_dt)
         map_class = getattr(self.policy, "map_class", SeenMap)
-        return map_class(rows, config.lidar, config.robot, observation["lidar"].device, interval=interval)
+        robot: Any = config.robot
+        if self._env is not None and self._env.robots.are_several:
+            robot = self._env.fleet
+        return map_class(rows, config.lidar, robot, observation["lidar"].device, interval=interval)
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""

@@ -9,6 +9,7 @@ Example:
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import groupby
 
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.table import SlotTable
-from rover_rl.sims.worlds.world import Worlds
+from rover_rl.sims.worlds.world import World, Worlds
 
 SQUARE = 0.5
 """Side length of the squares whose goals share a field, m."""
@@ -39,19 +40,27 @@ class PathDistances:
 
     Args:
         worlds: worlds, by index. Usually ``RoverEnv.pool``.
-        robot: robot that determines the free space.
+        robot: robot that determines the free space, or a function that returns that of a world.
         device: device of positions and goals. ``None`` is the CPU.
         caution: relative extra cost of a path right beside an obstacle. See
             :class:`~rover_rl.sims.free_space.path_grid.PathGrid`.
     """
 
     def __init__(
-        self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None, caution: float = 0.0
+        self,
+        worlds: Worlds,
+        robot: Robot | Callable[[World], Robot],
+        device: torch.device | str | None = None,
+        caution: float = 0.0,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.sims.free_space.path_grid import PathGrid
 
-        self._grid = lru_cache(KEPT_GRIDS)(lambda index: PathGrid(worlds[index], robot, caution))
+        def grid(index: int) -> PathGrid:
+            world = worlds[index]
+            return PathGrid(world, robot(world) if callable(robot) else robot, caution)
+
+        self._grid = lru_cache(KEPT_GRIDS)(grid)
         device = device or "cpu"
         # Distances of all cells, row by row; negative in cells without a path.
         self._fields = SlotTable((), torch.float32, device)
