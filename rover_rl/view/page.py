@@ -8,14 +8,10 @@ import math
 import socket
 
 import numpy as np
+import viser
 
 from rover_rl.sims.rendering.daylight import sky_dome
 from rover_rl.sims.rendering.scenery import SUN
-
-try:
-    import viser
-except ImportError as error:
-    raise ImportError('the viewer needs viser, an extra: pip install "rover_rl[view]"') from error
 
 HOST, PORT = "127.0.0.1", 8080
 """Default address of the page: only this machine reaches it."""
@@ -36,7 +32,8 @@ def open_page(host: str = HOST, port: int = PORT) -> viser.ViserServer:
     with contextlib.redirect_stdout(io.StringIO()):
         # viser prints messages of its own.
         server = viser.ViserServer(host=host, port=port, label="rover_rl", verbose=False)
-    server.gui.configure_theme(control_layout="fixed", show_logo=False, show_share_button=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     server.gui.set_panel_label("rover_rl")
     light(server)
     return server

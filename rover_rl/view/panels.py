@@ -74,7 +74,7 @@ class Panels:
         steps = len(history.get("speed", ()))
         x = np.arange(-steps + 1, 1) * dt
         lines = {name: np.array(values) for name, values in history.items() if len(values) == steps}
-        motion = {name: lines[name] for name in ("speed", "speed command") if name in lines}
+        motion = {str(name): lines[name] for name in ("speed", "speed command") if name in lines}
         self._speed.show(self._server, x, motion)
         self._distance.show(self._server, x, {name: lines[name] for name in ("distance",) if name in lines})
         rewards = {name.removeprefix(REWARD): line for name, line in lines.items() if name.startswith(REWARD)}

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 
 import viser
+from torch import Tensor
 
 HOLD_RATE = 20.0
 """Messages of a held button, 1/s."""
@@ -105,7 +106,12 @@ class Pilot:
         speed, turn = (sum(part) for part in zip((0.0, 0.0), *held, strict=True))
         return max(-1.0, min(1.0, speed)), max(-1.0, min(1.0, turn))
 
-    def action(self, max_speed: float) -> tuple[float, float]:
-        """Returns the action: speed forward (m/s) and offset of the heading (rad)."""
+    def steered(self, action: Tensor, row: int, max_speed: float) -> Tensor:
+        """Returns the actions ``[N, k]``, of which that of ``row`` is the person's if one has taken over."""
+        if not self.active:
+            return action
         speed, turn = self.command()
-        return speed * max_speed, TURN * turn
+        steered = action.clone()
+        steered[row] = 0.0
+        steered[row, 0], steered[row, 1] = speed * max_speed, turn * TURN
+        return steered

@@ -23,6 +23,7 @@ from rover_rl.envs.make import RewardedEnv, make_env
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World
 
 KEPT = 600
 """Number of steps that plots show."""
@@ -71,7 +72,7 @@ class Simulation:
 
     def _set_env(self, env: EnvBase) -> None:
         self.env, self.rovers = env, rovers_in(env)
-        self._distances: PathDistances | None = None
+        self._distances: tuple[World, PathDistances] | None = None
 
     @property
     def config(self) -> EnvConfig:
@@ -205,10 +206,10 @@ class Simulation:
     def route(self) -> Tensor:
         """Returns the shortest path from the followed rover to its goal, ``[points, 2]``, m."""
         row, world = self.row, self.rovers.worlds[self.row]
-        if self._distances is None or self._world is not world:
-            self._distances, self._world = PathDistances([world], self.rovers.robot), world
+        if self._distances is None or self._distances[0] is not world:
+            self._distances = world, PathDistances([world], self.rovers.robot)
         position, goal = self.rovers.rover_state.position[row, :2].cpu(), self.rovers.goal[row].cpu()
-        return self._distances.path(0, position, goal)
+        return self._distances[1].path(0, position, goal)
 
     def inside(self) -> dict[str, float]:
         """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""

@@ -127,9 +127,10 @@ class Viewer:
             close_page(self.server)
             self.simulation.close()
 
-    def request(self, act: Callable[[], Any]) -> None:
-        """Lets the thread of the simulation call ``act`` between two steps. Its errors pause the simulation."""
-        self._requests.put(act)
+    def request(self, *acts: Callable[[], Any]) -> None:
+        """Lets the thread of the simulation call functions between two steps. An error in one pauses the simulation."""
+        for act in acts:
+            self._requests.put(act)
 
     def play(self, playing: bool) -> None:
         """Runs or pauses the simulation."""
@@ -202,9 +203,9 @@ class Viewer:
         if place is None:
             return
         if event.modifier == "shift":
-            self.request(lambda: (simulation.put(row, place), self._moved()))
+            self.request(lambda: simulation.put(row, place), self._moved)
         else:
-            self.request(lambda: (simulation.set_goal(row, place), self._show_route()))
+            self.request(lambda: simulation.set_goal(row, place), self._show_route)
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         """Sends the picture of a client as a PNG file."""
@@ -220,7 +221,7 @@ class Viewer:
         self._moved()
 
     def _drive_with(self, load: Callable[[], Policy]) -> None:
-        self.request(lambda: (self.simulation.set_policy(load()), self._moved()))
+        self.request(lambda: self.simulation.set_policy(load()), self._moved)
 
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
@@ -286,13 +287,8 @@ class Viewer:
 
     def _step(self) -> None:
         simulation, row = self.simulation, self.simulation.row
-        action = simulation.decide()
         by_hand = row if self.pilot.active else None
-        if by_hand is not None:
-            action = action.clone()
-            action[row] = 0.0
-            speed, turn = self.pilot.action(simulation.config.action.max_speed)
-            action[row, 0], action[row, 1] = speed, turn
+        action = self.pilot.steered(simulation.decide(), row, simulation.config.action.max_speed)
         self._before = self._now
         simulation.advance(action, by_hand)
         self._now = Pose.of(simulation.rovers.rover_state)
