@@ -63,12 +63,12 @@ class View:
         from rover_rl.view.viewer import Viewer
 
         check_address(self.host, self.port)
+        from rover_rl.algos.experiments.run_files import RunFiles
         from rover_rl.envs.make import make_env
-        from rover_rl.view.runs import RunFolder
 
         if self.policy.endswith(LOG):
             raise ValueError(f"a log is shown by rover-rl film {self.policy} --out drive.html")
-        run = RunFolder.find(Path(self.policy))
+        run = RunFiles.find(Path(self.policy))
         word = RANDOM if run is not None and not run.policies() else self.policy
         if run is not None and run.policies():
             word = str(run.policies()[-1])

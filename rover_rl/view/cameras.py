@@ -16,8 +16,10 @@ from rover_rl.view.stage import ROOT
 
 Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
-BEHIND, ABOVE = 2.8, 1.5
-"""Place of the follow camera behind and above the rover at first, m."""
+BEHIND, OVER_WALLS = (2.8, 1.5), (2.0, 3.4)
+"""Distances of the follow camera behind and above the rover at first, m, in the open and among walls."""
+WALL = 0.5
+"""Height from which on obstacles are walls, m: the median of their corners."""
 LOOK_AT = (0.0, 0.0, 0.2)
 """Point that the cameras look at, relative to the rover, m."""
 SIGHT = 150.0
@@ -33,15 +35,27 @@ class Cameras:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server, self.mode, self._offset = server, MODES[0], np.zeros(3)
-        self._yaw, self._span, self._center = 0.0, 10.0, np.zeros(3)
+        self._yaw, self._span, self._center, self._steep = 0.0, 10.0, np.zeros(3), False
+        self._world: World | None = None
         self._root = server.scene.add_frame(ROOT, show_axes=False)
         server.on_client_connect(self._aim)
 
+    def add_choice(self) -> None:
+        """Adds the choice of a camera to the page."""
+        mode = self._server.gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
+        mode.on_update(lambda _: self.select(mode.value))
+
     def enter(self, world: World) -> None:
-        """Takes the size of a world, for the view from above."""
+        """Sees a new world as a whole from above, and over its walls from behind a rover."""
+        if world is self._world:
+            return
+        self._world = world
+        tops = [obstacle.vertices[:, 2] - world.height_at(obstacle.vertices[:, :2]) for obstacle in world.obstacles]
+        self._steep = bool(tops) and torch.cat(tops).median().item() > WALL
         (left, right), (bottom, top) = world.bounds
         self._span = max(right - left, top - bottom)
         self._center = np.array(((left + right) / 2, (bottom + top) / 2, 0.0))
+        self.select(self.mode)
 
     def select(self, mode: Mode) -> None:
         """Selects a camera for all clients. The free one starts where the last one was."""
@@ -84,4 +98,5 @@ class Cameras:
         """Returns where the camera is at first, ``[3]``, m: behind the rover, or above the world."""
         if self.mode == "top":
             return np.array((0.0, -0.01, 1.05 * self._span))
-        return np.array((-BEHIND * np.cos(self._yaw), -BEHIND * np.sin(self._yaw), ABOVE))
+        behind, above = OVER_WALLS if self._steep else BEHIND
+        return np.array((-behind * np.cos(self._yaw), -behind * np.sin(self._yaw), above))

@@ -15,10 +15,10 @@ from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.algos.video.recording import Moment
 from rover_rl.envs import RoverEnv
 from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.view.cameras import MODES, Cameras
+from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, close_page, open_page
 from rover_rl.view.pilot import Pilot
-from rover_rl.view.stage import LAYERS, Pose, Stage
+from rover_rl.view.stage import Pose, Stage
 
 FRAMES = 15
 """Number of updates of the page, 1/s."""
@@ -49,16 +49,10 @@ class LivePage:
         stop.on_click(self._stop)
         gui.add_command("Stop the rover", hotkey="escape").on_trigger(self._stop)
         self._status = gui.add_markdown("Waiting for the rover.")
-        gui.add_markdown("**Drive**: hold W A S D, the arrows or these buttons. The rover stops when you let go.")
-        self.pilot = Pilot(gui, self._show_pilot)
-        self._wheel = gui.add_button("Take over", color="orange")
-        self._wheel.on_click(lambda _: self.pilot.give_back() if self.pilot.active else self.pilot.take_over())
+        self.pilot = Pilot(gui)
         self._stage, self._cameras = Stage(self.server), Cameras(self.server)
-        mode = gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
-        mode.on_update(lambda _: self._cameras.select(mode.value))
-        for layer in LAYERS:
-            box = gui.add_checkbox(layer, True)
-            box.on_update(lambda _, layer=layer, box=box: self._stage.show_layer(layer, box.value))
+        self._cameras.add_choice()
+        self._stage.add_checkboxes()
         self._latest: tuple[RoverEnv, Moment, Status] | None = None
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
@@ -73,6 +67,8 @@ class LivePage:
         close_page(self.server)
 
     async def _stop(self, _: object) -> None:
+        if self.stopped:
+            return
         self.stopped = True
         self.on_stop()
         self._status.content = "**Stopped.** The drive has ended."
@@ -92,9 +88,6 @@ class LivePage:
         moment = Moment(status.seconds, env.rover_state, env.scan, env.goal, none, none)
         self._latest = env, moment, status
 
-    def _show_pilot(self) -> None:
-        self._wheel.label = "Give back to the policy" if self.pilot.active else "Take over"
-
     def _run(self) -> None:
         while not self._closed.wait(1 / FRAMES):
             if (latest := self._latest) is not None and not self.stopped:
@@ -111,7 +104,7 @@ class LivePage:
         self._status.content = (
             f"goal {status.distance:.2f} m · {status.speed:.2f} m/s · nearest {status.nearest:.2f} m · command "
             f"{speed:.2f} m/s {turn:.2f} rad/s · latency {1000 * status.latency:.0f} ms · "
-            f"{'you' if self.pilot.active else 'policy'}"
+            f"{'by hand' if self.pilot.active else 'policy'}"
         )
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 HOLD_RATE = 20.0
 """Messages of a held button, 1/s."""
-TIMEOUT = 0.25
+TIMEOUT = 0.2
 """Time after the last message of a button from which on it counts as released, s."""
 DIRECTIONS = {"▲": (1.0, 0.0), "◀": (0.0, 1.0), "▼": (-1.0, 0.0), "▶": (0.0, -1.0)}
 """Buttons, and the shares of the top speed forward and of the largest turn to the left that they command."""
@@ -63,20 +63,17 @@ _KEYS = """
 
 
 class Pilot:
-    """Commands of a person on the page, who may take over from the policy.
+    """Commands of a person on the page, who may take over from the policy (``active``). Adds the pad to a page."""
 
-    Args:
-        gui: page, or a part of it, to which the pad is added.
-        on_change: function that is called when someone takes over or gives back.
-    """
-
-    def __init__(self, gui: viser.GuiApi, on_change: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, gui: viser.GuiApi) -> None:
         self._pressed = dict.fromkeys(DIRECTIONS, -math.inf)
-        self._on_change = on_change
         self.active = False
+        gui.add_markdown("**By hand**: hold W A S D, the arrows or these buttons. Let go, and the rover stops.")
         for label, hint in zip(DIRECTIONS, ("W or ↑", "A or ←", "S or ↓", "D or →"), strict=True):
             button = gui.add_button(label, hint=f"Drive by hand while held: {hint}")
             button.on_hold(self._presser(label), callback_hz=HOLD_RATE)
+        self._wheel = gui.add_button("Take over", color="orange")
+        self._wheel.on_click(lambda _: self.give_back() if self.active else self.take_over())
         script = " ".join(_KEYS.split()).replace('"', "&quot;")
         gui.add_html(f'<img src="data:," style="display:none" onerror="{script}">')
 
@@ -91,13 +88,11 @@ class Pilot:
 
     def take_over(self) -> None:
         """Lets the person drive. The rover stands as long as nothing is pressed."""
-        self.active = True
-        self._on_change()
+        self.active, self._wheel.label = True, "Give back to the policy"
 
     def give_back(self) -> None:
         """Lets the policy drive."""
-        self.active = False
-        self._on_change()
+        self.active, self._wheel.label = False, "Take over"
 
     def command(self) -> tuple[float, float]:
         """Returns the shares of the top speed forward and of the largest turn to the left, -1 to 1 each."""

@@ -1,62 +1,16 @@
-"""A training run on a page: its learning curve, and its earlier policies on a slider.
-
-The page only reads the files of the run's folder, which a training replaces as wholes. It neither knows nor disturbs
-the process that trains.
-"""
+"""A training run on a page: its learning curve, and its earlier policies on a slider."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import viser
 
-from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
+from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.runner import Policy
-from rover_rl.algos.train.progress import read_progress
 from rover_rl.view.panels import Plot
-
-WINDOW = 12
-"""Fraction of a run over which its curves are averaged: one in so many."""
-
-
-class RunFolder:
-    """Folder of a run, which may still be training."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    @classmethod
-    def find(cls, path: Path) -> RunFolder | None:
-        """Returns the run in a folder, ``None`` if it is no folder of a run."""
-        return cls(path) if (path / SETTINGS).is_file() else None
-
-    def policies(self) -> list[Path]:
-        """Returns the files of the policies, first to last: the snapshots, then the checkpoint."""
-        last = self.folder / CHECKPOINT
-        return [*sorted((self.folder / "snapshots").glob("*.pt")), *([last] if last.is_file() else [])]
-
-    def curves(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Returns the steps, ``[rows]``, and curves over them; empty before the first row."""
-        try:
-            columns = {key: np.array(values) for key, values in read_progress(self.folder / "progress.csv").items()}
-        except (OSError, ValueError):
-            columns = {}
-        if not columns:
-            return np.zeros(0), {}
-        width = max(1, len(columns["steps"]) // WINDOW)
-        reached, tried = (_sums(columns[key], width) for key in ("attempts_reached", "attempts"))
-        goals = _sums(columns["goals_per_2000_steps"], width) / _sums(np.ones(len(reached)), width)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            success = np.nan_to_num(reached / tried)
-        return columns["steps"], {"success rate": success, "goals in 2000 steps": goals}
-
-
-def _sums(values: np.ndarray, width: int) -> np.ndarray:
-    """Returns the sums over the last ``width`` values, ``[rows]``."""
-    total = np.concatenate((np.zeros(width), np.cumsum(np.nan_to_num(values))))
-    return total[width:] - total[:-width]
 
 
 class TrainingPanel:
@@ -69,7 +23,7 @@ class TrainingPanel:
     """
 
     def __init__(
-        self, server: viser.ViserServer, run: RunFolder, choose: Callable[[Callable[[], Policy]], None]
+        self, server: viser.ViserServer, run: RunFiles, choose: Callable[[Callable[[], Policy]], None]
     ) -> None:
         self._server, self._run, self._choose = server, run, choose
         gui = server.gui

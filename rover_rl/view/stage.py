@@ -115,6 +115,12 @@ class Stage:
         self.show_route(torch.zeros(0, 2))
         self._lines("driven path", np.zeros((0, 2, 3)), DRIVEN, 0.05)
 
+    def add_checkboxes(self) -> None:
+        """Adds a checkbox for each layer to the page."""
+        for layer in LAYERS:
+            box = self._server.gui.add_checkbox(layer, True)
+            box.on_update(lambda _, layer=layer, box=box: self.show_layer(layer, box.value))
+
     def show_layer(self, layer: str, shown: bool) -> None:
         """Shows or hides a layer."""
         self._shown[layer] = shown

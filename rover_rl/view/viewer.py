@@ -21,19 +21,20 @@ import numpy as np
 import viser
 from torchrl.envs import EnvBase
 
+from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
+from rover_rl.algos.video.session import Session
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import world_names
-from rover_rl.view.cameras import MODES, Cameras
+from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
 from rover_rl.view.panels import Panels
 from rover_rl.view.pilot import Pilot
-from rover_rl.view.runs import RunFolder, TrainingPanel
-from rover_rl.view.simulation import Simulation
-from rover_rl.view.stage import LAYERS, Pose, Stage
+from rover_rl.view.runs import TrainingPanel
+from rover_rl.view.stage import Pose, Stage
 
 FRAMES = 30
 """Number of updates of the page, 1/s."""
@@ -90,7 +91,7 @@ class Viewer:
         host: str = HOST,
         port: int = PORT,
         find_policy: Callable[[str], Policy | None] = named_policy,
-        run: RunFolder | None = None,
+        run: RunFiles | None = None,
     ) -> None:
         check_address(host, port)
         self._find, self._run_folder = find_policy, run
@@ -100,7 +101,7 @@ class Viewer:
         name = name or (RANDOM if policy is None else "given")
         if policy is not None:
             self._given[name] = policy
-        self.simulation = Simulation(env, policy)
+        self.session = Session(env, policy)
         self.server = open_page(host, port)
         self.address, self.error = address(self.server), ""
         self.playing, self.speed, self.frames = True, 1.0, 0
@@ -125,7 +126,7 @@ class Viewer:
             self._closed.set()
             self._thread.join(10.0)
             close_page(self.server)
-            self.simulation.close()
+            self.session.close()
 
     def request(self, *acts: Callable[[], Any]) -> None:
         """Lets the thread of the simulation call functions between two steps. An error in one pauses the simulation."""
@@ -156,7 +157,7 @@ class Viewer:
         self.server.scene.on_click(modifier="shift")(self._on_click)
 
     def _make_drive_tab(self, policy: str) -> None:
-        gui, simulation = self.server.gui, self.simulation
+        gui, session = self.server.gui, self.session
         self._play = gui.add_button("Pause", hint="Space")
         self._play.on_click(lambda _: self.play(not self.playing))
         gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
@@ -167,45 +168,34 @@ class Viewer:
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
         chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
         chosen.on_update(lambda _: self.request(lambda: self.set_policy(chosen.value)))
-        world, backend = simulation.rovers.worlds[0].name, simulation.config.backend
-        if simulation.can_change:
+        world, backend = session.rovers.worlds[0].name, session.config.backend
+        if session.can_change:
             worlds = gui.add_dropdown("World", list(dict.fromkeys((world, *world_names()))), initial_value=world)
             worlds.on_update(lambda _: self.request(lambda: self._change(world=worlds.value)))
-        if simulation.can_change and isinstance(backend, str):
+        if session.can_change and isinstance(backend, str):
             backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
             backends.on_update(lambda _: self.request(lambda: self._change(backend=backends.value)))
-        if simulation.rovers.num_envs > 1:
-            row = gui.add_slider("Rover", 0, simulation.rovers.num_envs - 1, 1, 0)
+        if session.rovers.num_envs > 1:
+            row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
             row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
-        gui.add_markdown(
-            "**Drive**: hold W A S D, the arrows or these buttons. Click on the ground: goal. Shift: rover."
-        )
-        self.pilot = Pilot(gui, self._show_pilot)
-        self._wheel = gui.add_button("Take over", color="orange")
-        self._wheel.on_click(lambda _: self.pilot.give_back() if self.pilot.active else self.pilot.take_over())
+        gui.add_markdown("Click on the ground: goal. Shift-click: rover.")
+        self.pilot = Pilot(gui)
 
     def _make_show_tab(self) -> None:
-        gui = self.server.gui
-        mode = gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
-        mode.on_update(lambda _: self.cameras.select(mode.value))
-        for layer in LAYERS:
-            box = gui.add_checkbox(layer, True)
-            box.on_update(lambda _, layer=layer, box=box: self.stage.show_layer(layer, box.value))
-        gui.add_button("Picture (PNG)").on_click(self._save_picture)
-
-    def _show_pilot(self) -> None:
-        self._wheel.label = "Give back to the policy" if self.pilot.active else "Take over"
+        self.cameras.add_choice()
+        self.stage.add_checkboxes()
+        self.server.gui.add_button("Picture (PNG)").on_click(self._save_picture)
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
-        simulation, row = self.simulation, self.simulation.row
-        place = self.cameras.ground_at(simulation.rovers.worlds[row], event)
+        session, row = self.session, self.session.row
+        place = self.cameras.ground_at(session.rovers.worlds[row], event)
         if place is None:
             return
         if event.modifier == "shift":
-            self.request(lambda: simulation.put(row, place), self._moved)
+            self.request(lambda: session.put(row, place), self._moved)
         else:
-            self.request(lambda: simulation.set_goal(row, place), self._show_route)
+            self.request(lambda: session.set_goal(row, place), self._show_route)
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         """Sends the picture of a client as a PNG file."""
@@ -217,44 +207,44 @@ class Viewer:
 
     def set_policy(self, name: str) -> None:
         """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
-        self.simulation.set_policy(self._given.get(name) or self._find(name))
+        self.session.set_policy(self._given.get(name) or self._find(name))
         self._moved()
 
     def _drive_with(self, load: Callable[[], Policy]) -> None:
-        self.request(lambda: self.simulation.set_policy(load()), self._moved)
+        self.request(lambda: self.session.set_policy(load()), self._moved)
 
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
-        self.simulation.change(**changes)
+        self.session.change(**changes)
         self._reset()
 
     def _follow(self, row: int) -> None:
-        self.simulation.row = row
-        self.simulation.history = {}
+        self.session.row = row
+        self.session.history = {}
         self._moved()
 
     def _reset(self) -> None:
-        self.simulation.reset()
+        self.session.reset()
         self._moved()
 
     def _moved(self) -> None:
         """Shows a rover that is elsewhere than before."""
-        self._before = self._now = Pose.of(self.simulation.rovers.rover_state)
+        self._before = self._now = Pose.of(self.session.rovers.rover_state)
         self.stage.forget_path()
         self._show_world()
 
     def _show_world(self) -> None:
         """Shows the world of the followed rover and its shortest path."""
-        rovers = self.simulation.rovers
-        world = rovers.worlds[self.simulation.row]
+        rovers = self.session.rovers
+        world = rovers.worlds[self.session.row]
         self.stage.enter(world, rovers.robot, rovers.scanner.angles.cpu())
         self.cameras.enter(world)
-        self._before = self._now = Pose.of(self.simulation.rovers.rover_state)
+        self._before = self._now = Pose.of(self.session.rovers.rover_state)
         self._show_route()
 
     def _show_route(self) -> None:
-        self._goal = self.simulation.rovers.goal[self.simulation.row]
-        self.stage.show_route(self.simulation.route())
+        self._goal = self.session.rovers.goal[self.session.row]
+        self.stage.show_route(self.session.route())
 
     @single_threaded()
     def _run(self) -> None:
@@ -267,7 +257,7 @@ class Viewer:
                     self._requests.get()()
                     self.error = ""
                 due = min(due + (began - last) * self.speed, MAX_LAG * max(1.0, self.speed)) if self.playing else 0.0
-                last, dt = began, self.simulation.rovers.control_dt
+                last, dt = began, self.session.rovers.control_dt
                 while due >= dt and self.playing and not self._closed.is_set():
                     self._step()
                     due -= dt
@@ -286,22 +276,22 @@ class Viewer:
         self._step()
 
     def _step(self) -> None:
-        simulation, row = self.simulation, self.simulation.row
+        session, row = self.session, self.session.row
         by_hand = row if self.pilot.active else None
-        action = self.pilot.steered(simulation.decide(), row, simulation.config.action.max_speed)
+        action = self.pilot.steered(session.decide(), row, session.config.action.max_speed)
         self._before = self._now
-        simulation.advance(action, by_hand)
-        self._now = Pose.of(simulation.rovers.rover_state)
-        if not simulation.rovers.goal[row].equal(self._goal):
+        session.advance(action, by_hand)
+        self._now = Pose.of(session.rovers.rover_state)
+        if not session.rovers.goal[row].equal(self._goal):
             self._show_world()
 
     def _show(self, share: float) -> None:
         """Shows the state, ``share`` of the way from the last step but one to the last."""
-        simulation, self.frames = self.simulation, self.frames + 1
+        session, self.frames = self.session, self.frames + 1
         pose = self._before.toward(self._now, min(1.0, share))
-        row = simulation.row
+        row = session.row
         with self.server.atomic():
-            self.stage.show(simulation.moment(), row, simulation.neighbors(), pose)
+            self.stage.show(session.moment(), row, session.neighbors(), pose)
             yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
             self.cameras.follow(pose.position[row].numpy(), yaw)
         if self.frames % PANELS_EVERY == 0:
@@ -311,30 +301,30 @@ class Viewer:
             self._training.refresh()
 
     def _show_status(self) -> None:
-        simulation = self.simulation
+        session = self.session
         if self.error:
             self._status.content = f"**Paused.** {self.error}"
             return
-        distance, speed = (simulation.history.get(name, [0.0])[-1] for name in ("distance", "speed"))
-        event, since = simulation.event
-        recent = f" · **{event}**" if event and simulation.seconds < since + 3 else ""
-        driver = "you" if self.pilot.active else "policy"
-        world = simulation.rovers.worlds[simulation.row].name
+        distance, speed = (session.history.get(name, [0.0])[-1] for name in ("distance", "speed"))
+        event, since = session.event
+        recent = f" · **{event}**" if event and session.seconds < since + 3 else ""
+        driver = "by hand" if self.pilot.active else "policy"
+        world = session.rovers.worlds[session.row].name
         self._status.content = (
-            f"{world} · {simulation.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · {driver}{recent}"
+            f"{world} · {session.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · {driver}{recent}"
         )
 
     def _show_panels(self) -> None:
-        simulation, row = self.simulation, self.simulation.row
-        lidar = simulation.observation.get("lidar", None)
+        session, row = self.session, self.session.row
+        lidar = session.observation.get("lidar", None)
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
-        rovers = simulation.rovers
+        rovers = session.rovers
         max_range = rovers.config.lidar.max_range
-        self.panels.show(simulation.history, rovers.control_dt, readings, max_range, simulation.inside())
-        if simulation.episodes:
+        self.panels.show(session.history, rovers.control_dt, readings, max_range, session.inside())
+        if session.episodes:
             rows = [
                 f"| {each.row} | {each.number} | {each.seconds:.1f} | {each.goals} | {each.ending} |"
-                for each in simulation.episodes
+                for each in session.episodes
             ]
             head = "| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|\n"
             self._episodes.content = head + "\n".join(rows)

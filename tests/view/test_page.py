@@ -17,10 +17,10 @@ def test_a_person_watches_and_pauses(open_viewer, open_page):
     page.get_by_text("m/s · goal").wait_for()
     page.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.playing)
-    seconds = viewer.simulation.seconds
+    seconds = viewer.session.seconds
     page.get_by_role("button", name="Step", exact=True).click()
-    until(lambda: viewer.simulation.seconds > seconds)
-    assert viewer.simulation.seconds == pytest.approx(seconds + viewer.simulation.rovers.control_dt)
+    until(lambda: viewer.session.seconds > seconds)
+    assert viewer.session.seconds == pytest.approx(seconds + viewer.session.rovers.control_dt)
     page.keyboard.press("Space")
     until(lambda: viewer.playing)
 
@@ -29,13 +29,13 @@ def test_a_click_on_the_ground_sets_the_goal(open_viewer, open_page):
     viewer = open_viewer()
     viewer.play(False)
     page = open_page(viewer.address)
-    before = viewer.simulation.rovers.goal.clone()
+    before = viewer.session.rovers.goal.clone()
     until(lambda: page.locator("canvas").count() > 0)
     page.wait_for_timeout(3000)
     page.mouse.click(160, 300)
-    until(lambda: not viewer.simulation.rovers.goal.equal(before))
+    until(lambda: not viewer.session.rovers.goal.equal(before))
     # The click is in front of the camera, which is behind the rover.
-    assert torch.dist(viewer.simulation.rovers.goal[0], viewer.simulation.rovers.rover_state.position[0, :2]) < 5
+    assert torch.dist(viewer.session.rovers.goal[0], viewer.session.rovers.rover_state.position[0, :2]) < 5
 
 
 def test_keys_take_over_and_the_rover_stops_when_they_are_released_or_the_page_is_lost(open_viewer, open_page):
@@ -48,10 +48,10 @@ def test_keys_take_over_and_the_rover_stops_when_they_are_released_or_the_page_i
     assert viewer.pilot.active
     page.keyboard.up("ArrowLeft")
     until(lambda: viewer.pilot.command() == (1.0, 0.0))
-    until(lambda: viewer.simulation.rovers.rover_state.linear_velocity.item() > 0.3)
+    until(lambda: viewer.session.rovers.rover_state.linear_velocity.item() > 0.3)
     page.close()
     until(lambda: viewer.pilot.command() == (0.0, 0.0), seconds=2)
-    until(lambda: abs(viewer.simulation.rovers.rover_state.linear_velocity.item()) < 0.1)
+    until(lambda: abs(viewer.session.rovers.rover_state.linear_velocity.item()) < 0.1)
 
 
 def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
@@ -64,7 +64,7 @@ def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
     page.get_by_role("textbox", name="Policy").or_(page.locator("input[value='scripted']")).first.click()
     page.get_by_role("option", name="pretrained:anywhere").click()
     # This one was trained with other lidar readings.
-    until(lambda: viewer.simulation.rovers.config.lidar.points == 128 or viewer.error)
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
     assert not viewer.error
 
 

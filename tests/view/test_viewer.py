@@ -16,6 +16,7 @@ from tensordict import TensorDictBase
 from rover_rl import RoverEnv
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
+from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.pretrained import FOLDER
 from rover_rl.cli import main
 from rover_rl.view import Viewer
@@ -23,7 +24,6 @@ from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.panels import bars, lidar_picture
 from rover_rl.view.pilot import TURN
-from rover_rl.view.runs import RunFolder
 from rover_rl.view.stage import Pose
 from tests.view.conftest import until
 
@@ -36,12 +36,12 @@ def paused(viewer: Viewer) -> Viewer:
 
 def test_the_rovers_drive_in_real_time_until_the_viewer_is_closed(open_viewer):
     viewer = open_viewer(num_envs=3)
-    until(lambda: viewer.simulation.seconds > 1)
+    until(lambda: viewer.session.seconds > 1)
     assert viewer.address == f"http://localhost:{viewer.server.get_port()}"
     viewer.close()
-    seconds = viewer.simulation.seconds
+    seconds = viewer.session.seconds
     viewer.close()
-    assert viewer.simulation.seconds == seconds
+    assert viewer.session.seconds == seconds
 
 
 def test_an_error_in_the_policy_pauses_the_page(open_viewer):
@@ -55,7 +55,7 @@ def test_an_error_in_the_policy_pauses_the_page(open_viewer):
     viewer.request(lambda: viewer.set_policy("scripted"))
     until(lambda: not viewer.error)
     viewer.play(True)
-    until(lambda: viewer.simulation.seconds > 0.5)
+    until(lambda: viewer.session.seconds > 0.5)
 
 
 def test_an_unknown_policy_or_world_is_one_sentence_and_the_old_one_stays(open_viewer):
@@ -66,39 +66,39 @@ def test_an_unknown_policy_or_world_is_one_sentence_and_the_old_one_stays(open_v
     viewer.request(lambda: viewer._change(world="mooon"))
     until(lambda: "mooon" in viewer.error)
     viewer.play(True)
-    seconds = viewer.simulation.seconds
-    until(lambda: viewer.simulation.seconds > seconds)
+    seconds = viewer.session.seconds
+    until(lambda: viewer.session.seconds > seconds)
 
 
 def test_a_policy_brings_the_environment_that_it_was_made_for(open_viewer):
     viewer = open_viewer("scripted", num_envs=2)
     viewer.request(lambda: viewer.set_policy("pretrained:anywhere"))
-    until(lambda: viewer.simulation.rovers.config.lidar.points == 128 or viewer.error)
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
     assert not viewer.error
-    assert viewer.simulation.rovers.num_envs == 2
+    assert viewer.session.rovers.num_envs == 2
 
 
 def test_another_world_is_shown_and_driven_in(open_viewer):
     viewer = open_viewer()
     viewer.request(lambda: viewer._change(world="maze"))
     until(lambda: viewer.stage.world is not None and viewer.stage.world.name == "maze")
-    until(lambda: viewer.simulation.seconds > 0.2)
+    until(lambda: viewer.session.seconds > 0.2)
 
 
 def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(open_viewer):
     viewer = paused(open_viewer(num_envs=2))
-    simulation = viewer.simulation
-    other = simulation.rovers.goal[1].clone()
-    viewer.request(lambda: simulation.set_goal(0, (1.0, 2.0)))
+    session = viewer.session
+    other = session.rovers.goal[1].clone()
+    viewer.request(lambda: session.set_goal(0, (1.0, 2.0)))
     viewer.request(viewer._step_once)
-    until(lambda: simulation.seconds > 0)
-    assert simulation.rovers.goal[0].tolist() == [1.0, 2.0]
-    assert simulation.rovers.goal[1].equal(other)
-    distance = torch.dist(simulation.rovers.rover_state.position[0, :2], torch.tensor([1.0, 2.0]))
-    assert simulation.history["distance"][-1] == pytest.approx(distance.item(), abs=1e-4)
-    viewer.request(lambda: simulation.put(0, (-1.0, 0.5)))
-    until(lambda: simulation.rovers.rover_state.position[0, 0] == -1.0)
-    assert simulation.rovers.goal[0].tolist() == [1.0, 2.0]
+    until(lambda: session.seconds > 0)
+    assert session.rovers.goal[0].tolist() == [1.0, 2.0]
+    assert session.rovers.goal[1].equal(other)
+    distance = torch.dist(session.rovers.rover_state.position[0, :2], torch.tensor([1.0, 2.0]))
+    assert session.history["distance"][-1] == pytest.approx(distance.item(), abs=1e-4)
+    viewer.request(lambda: session.put(0, (-1.0, 0.5)))
+    until(lambda: session.rovers.rover_state.position[0, 0] == -1.0)
+    assert session.rovers.goal[0].tolist() == [1.0, 2.0]
 
 
 def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):
@@ -163,14 +163,14 @@ def test_pictures_of_lidar_and_rewards():
 
 
 @pytest.fixture
-def run(tmp_path) -> RunFolder:
+def run(tmp_path) -> RunFiles:
     """A run that was killed while it wrote its table."""
     folder = tmp_path / "ppo-moon"
     folder.mkdir()
     write_config(folder / "config.yaml", default_config("ppo", "warp"))
     header = "steps,minutes,attempts,attempts_reached,goals_per_2000_steps\n"
     (folder / "progress.csv").write_text(header + "1000,0.1,4,1,2.0\n2000,0.2,4,3,6.0\n3000,0.3,")
-    found = RunFolder.find(folder)
+    found = RunFiles.find(folder)
     assert found is not None
     return found
 
@@ -181,7 +181,7 @@ def test_a_killed_run_shows_what_it_has_written(run):
     assert curves["success rate"].tolist() == [0.25, 0.75]
     assert curves["goals in 2000 steps"].tolist() == [2, 6]
     assert run.policies() == []
-    assert RunFolder.find(run.folder / "nothing") is None
+    assert RunFiles.find(run.folder / "nothing") is None
 
 
 def test_a_run_without_rows_has_no_curve(run):
@@ -195,7 +195,7 @@ def test_the_newest_policy_of_a_run_drives(run, open_viewer):
     viewer = open_viewer(None, run=run)
     (run.folder / "snapshots").mkdir()
     shutil.copy(FOLDER / "anywhere.pt", run.folder / "snapshots" / "000001000.pt")
-    until(lambda: viewer.simulation.rovers.config.lidar.points == 128 or viewer.error)
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
     assert not viewer.error
     Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
     until(lambda: viewer.error)
@@ -203,10 +203,10 @@ def test_the_newest_policy_of_a_run_drives(run, open_viewer):
 
 
 def test_after_a_stop_no_action_reaches_a_live_rover(open_viewer):
-    simulation = paused(open_viewer()).simulation
+    session = paused(open_viewer()).session
     with LivePage(port=0) as page:
-        runner = page.runner(simulation._policy, simulation.rovers)
-        assert runner(simulation.observation).shape == (1, 2)
+        runner = page.runner(session._policy, session.rovers)
+        assert runner(session.observation).shape == (1, 2)
         page.stopped = True
         with pytest.raises(InterruptedError, match="the rover stands"):
-            runner(simulation.observation)
+            runner(session.observation)

@@ -1,4 +1,7 @@
-"""Simulation of a page: an environment, the policy that drives in it, and what happens inside."""
+"""Interactive session: an environment, the policy that drives in it, and what happens inside.
+
+A person may change the policy, the world and the goals between two steps.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
 
 KEPT = 600
-"""Number of steps that plots show."""
+"""Number of steps that are kept."""
 KEPT_EPISODES = 12
 """Number of rows of the table of episodes."""
 _OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
@@ -50,13 +53,13 @@ def rovers_in(env: EnvBase) -> RoverEnv:
     while not isinstance(inner, RoverEnv):
         inner = getattr(inner, "base_env", None)
         if inner is None:
-            raise ValueError(f"the viewer shows a RoverEnv or make_env(...), got {type(env).__name__}")
+            raise ValueError(f"the environment must be a RoverEnv or make_env(...), got {type(env).__name__}")
     if not inner.batch_size:
-        raise ValueError("the viewer needs a batch: create the environment with num_envs=1, not None")
+        raise ValueError("the environment must be a batch: create it with num_envs=1, not None")
     return inner
 
 
-class Simulation:
+class Session:
     """Environment, policy and the records of their steps. One thread uses it.
 
     Args:
@@ -177,7 +180,7 @@ class Simulation:
         self._goals[done] = 0
 
     def _record(self, after: TensorDictBase, action: Tensor) -> None:
-        """Records what the plots show of the followed rover."""
+        """Records what happened to the followed rover."""
         row = self.row
         values = {
             "distance": after["target"][row, 0].item(),
@@ -192,7 +195,7 @@ class Simulation:
             self.history.setdefault(name, deque(maxlen=KEPT)).append(value)
 
     def moment(self) -> Moment:
-        """Returns the state of all rovers as the stage shows it."""
+        """Returns the state of all rovers."""
         rovers = self.rovers
         movers = parts_of(rovers.movers, self.row)
         state = rovers.rover_state, rovers.scan, rovers.goal
