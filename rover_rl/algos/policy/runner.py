@@ -96,6 +96,11 @@ class PolicyRunner:
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
 
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision."""
+        return dict(self._state)
+
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
 
