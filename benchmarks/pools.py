@@ -1,22 +1,26 @@
-"""Speed of Warp with many worlds in a batch, and with another world for each episode.
+"""Speed of Warp with many worlds or robots in a batch, and with another one for each episode.
 
     python -m benchmarks.pools --num-envs 1024
+    python -m benchmarks.pools --parts robots
 
 Measures environments side by side, in turn: all rows in one maze, rows in many mazes for life, and rows that draw
 another maze for each episode. Prints the steps per second of each, and their ratio to all rows in one maze in the same
 round. As mazes differ, the latter is the mean over several of them. First prints the time that a world takes to
 prepare, its layout, its free space, and its copy on the device, when nothing is on disk and when all is, and the memory
-of the process with many worlds. The cache on disk is empty at first.
+of the process with many worlds. The cache on disk is empty at first. Then measures a batch of different robots in the
+same way, compared with the mean over batches of one of these robots each.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise, product
 from statistics import harmonic_mean, median
 from tempfile import TemporaryDirectory
+from typing import Any, Literal
 from unittest.mock import patch
 
 import torch
@@ -28,8 +32,10 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from rover_rl import RoverEnv, make_env
+from rover_rl.envs.config import RobotLike
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.free_space.fitting import passage_scale
+from rover_rl.sims.robots import Robot, get_robot, get_robots
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.scene import SceneTable
 from rover_rl.sims.worlds import _make_world, get_world
@@ -40,14 +46,18 @@ from rover_rl.sims.worlds.pool import WorldPool
 class Options:
     """Options of the measurement."""
 
+    parts: tuple[Literal["worlds", "robots"], ...] = ("worlds", "robots")
+    """What to measure."""
     num_envs: int = 1024
     """Number of rovers."""
     worlds: int = 1024
     """Number of mazes that rows are in for life."""
     singles: int = 4
-    """Number of mazes that all rows are in, one after the other."""
+    """Number of mazes that all rows are in, and of robots that all rows have, one after the other."""
     pool: str = "maze:*"
     """Mazes that episodes draw from."""
+    robots: str = "any:0-63"
+    """Robots that episodes draw from."""
     warm: bool = False
     """Whether all mazes of the pool are on disk at first, as after a long run. Takes minutes."""
     length: int = 400
@@ -113,15 +123,34 @@ def warm_up(options: Options) -> None:
 
 
 def speeds(options: Options) -> Table:
-    """Measures environments side by side."""
+    """Measures environments with different worlds side by side."""
     mazes = [f"maze:{seed}" for seed in range(min(options.worlds, options.num_envs))]
     kinds = {
         **{f"one maze, {seed}": f"maze:{seed}" for seed in range(0, len(mazes), -(-len(mazes) // options.singles))},
         f"{len(mazes)} mazes": mazes,
         "another maze for each episode": options.pool,
     }
+    return _compared({name: {"world_n": worlds} for name, worlds in kinds.items()}, options)
+
+
+def robots(options: Options) -> Table:
+    """Measures environments with different robots side by side, in one maze that has room for all of them."""
+    family = get_robots(options.robots)
+    widest = max(map(passage_scale, family))
+    chosen = family[:: -(-len(family) // options.singles)]
+    kinds: dict[str, RobotLike] = {
+        **{f"one robot, {robot.name}": robot for robot in (*chosen, get_robot("rover_zero"))},
+        f"{len(family)} robots, another one for each episode": options.robots,
+    }
+    return _compared(
+        {name: {"robot": robot, "world_n": f"maze:0*{widest:g}"} for name, robot in kinds.items()}, options
+    )
+
+
+def _compared(kinds: Mapping[str, dict[str, Any]], options: Options) -> Table:
+    """Measures environments with different settings, in turn. Those named "one ..." are what others are compared to."""
     settings = {"num_envs": options.num_envs, "backend": WarpSettings(threads=options.threads), "seed": 0}
-    envs = {name: make_env(world_n=worlds, length=options.length, **settings) for name, worlds in kinds.items()}
+    envs = {name: make_env(length=options.length, **settings, **own) for name, own in kinds.items()}
     results: dict[str, list[float]] = {name: [] for name in envs}
     # Episodes end all the time, and not all of them at once, after one episode of random length.
     states = {name: _spread(env, options) for name, env in envs.items()}
@@ -129,10 +158,10 @@ def speeds(options: Options) -> Table:
         for name, env in envs.items():
             states[name], rate = _drive(env, states[name], options.steps)
             results[name].append(rate)
-    table = Table("worlds", "steps/s", "ratio", title=f"{options.num_envs} rovers, {options.threads} threads")
-    # The time of a step, averaged over the mazes.
+    table = Table("environment", "steps/s", "ratio", title=f"{options.num_envs} rovers, {options.threads} threads")
+    # The time of a step, averaged over the mazes or robots.
     single = [harmonic_mean(rates) for rates in zip(*(results[k] for k in results if k.startswith("one")), strict=True)]
-    for name, rates in {"one maze, mean": single, **results}.items():
+    for name, rates in {"mean of one": single, **results}.items():
         ratio = median(rate / other for rate, other in zip(rates, single, strict=True))
         table.add_row(name, f"{min(rates):,.0f} to {max(rates):,.0f}", f"{ratio:.2f}")
     return table
@@ -158,15 +187,18 @@ def _drive(env: EnvBase, td: TensorDictBase, steps: int) -> tuple[TensorDictBase
 
 
 def main(options: Options) -> None:
-    """Prints both tables."""
+    """Prints the tables."""
     torch.set_num_threads(options.threads)
     console = Console(width=110)
     with TemporaryDirectory() as folder, patch.dict(os.environ, XDG_CACHE_HOME=folder):
-        console.print(preparation(options))
-        console.print(memory(options))
-        if options.warm:
-            warm_up(options)
-        console.print(speeds(options))
+        if "worlds" in options.parts:
+            console.print(preparation(options))
+            console.print(memory(options))
+            if options.warm:
+                warm_up(options)
+            console.print(speeds(options))
+        if "robots" in options.parts:
+            console.print(robots(options))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import get_robots
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -111,7 +111,10 @@ class Evaluate:
 
         Tries several backends before the evaluation, which can take minutes in the first of them.
         """
+        import torch
+
         from rover_rl.sims import make_simulator
+        from rover_rl.sims.robots.fleet import Fleet
         from rover_rl.sims.worlds import Terrain, World
 
         names = [*dict.fromkeys(self.backend)]
@@ -119,8 +122,8 @@ class Evaluate:
             world = World("flat", Terrain.flat((4.0, 4.0)))
             for name in names:
                 env = self.environment.description(None, name)
-                robot = get_robot(env.robot)
-                make_simulator(name, worlds=[world], robot=robot, physics=env.preset).close()
+                fleet = Fleet(get_robots(env.robot), torch.zeros(1, dtype=torch.int64))
+                make_simulator(name, worlds=[world], robot=fleet, physics=env.preset).close()
                 for policy in policies:
                     self.environment.description(policy.module, name)
         return [*names] or [None]

@@ -23,6 +23,7 @@ from rover_rl.cli.film import Film, Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
+from rover_rl.cli.view import View
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 from rover_rl.option_names import options_of_command
@@ -41,6 +42,7 @@ COMMANDS = {
     "compare": Compare,
     "benchmark": Benchmark,
     "play": Play,
+    "view": View,
     "film": Film,
     "worlds": Worlds,
     "robots": Robots,

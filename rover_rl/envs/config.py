@@ -22,6 +22,7 @@ from rover_rl.plain import from_plain, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots import names_several
 from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.timing import CONTROL_DT
 
@@ -33,15 +34,15 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
     from rover_rl.sims.worlds.pool import WorldSource as WorldLike
 
-    RobotLike: TypeAlias = str | Robot
+    RobotLike: TypeAlias = str | Robot | Sequence[str | Robot]
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
     SensorLike: TypeAlias = str | Sensor
     RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
-    WorldLike = RewardLike = str | tuple[str, ...]
-    RobotLike = BackendLike = SensorLike = str
+    WorldLike = RewardLike = RobotLike = str | tuple[str, ...]
+    BackendLike = SensorLike = str
     # The options --robot.drive and so on, beside --robot.
     RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
@@ -153,6 +154,8 @@ class ActionConfig:
     def for_robot(self, robot: RobotLike) -> ActionConfig:
         """Returns the bounds for a robot: where no speed is stated, that of its drive, in both directions.
 
+        Those of several robots are those of the fastest one. The others drive at most as fast as they can.
+
         Raises:
             ValueError: if the robot is unknown, or the stated speed leaves no range with that of the drive.
 
@@ -162,9 +165,9 @@ class ActionConfig:
         """
         if self.min_speed is not None and self.max_speed is not None:
             return self
-        from rover_rl.sims.robots import get_robot
+        from rover_rl.sims.robots import get_robots
 
-        most = get_robot(robot).drive.max_speed
+        most = max(robot.drive.max_speed for robot in get_robots(robot))
         return replace(
             self,
             min_speed=-most if self.min_speed is None else self.min_speed,
@@ -364,7 +367,8 @@ class EnvConfig:
     "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
     episode."""
     robot: RobotLike = "rover_zero"
-    """Robot: a name (rover-rl robots lists them), a URDF file, or module:attribute."""
+    """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
+    several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
     robot_options: RobotSettings = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
@@ -438,7 +442,7 @@ class EnvConfig:
             check_positive(MAX_RATE, control_rate=self.control_rate)
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
-        for name in ("world", "reward", "sensors"):
+        for name in ("world", "robot", "reward", "sensors"):
             if isinstance(value := getattr(self, name), list):
                 object.__setattr__(self, name, tuple(value))
 
@@ -459,10 +463,11 @@ class EnvConfig:
         """Returns the description with worlds that are wide enough for the robot, where their names leave that open.
 
         ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
-        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named.
+        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named. Worlds
+        of several robots stay: see :class:`~rover_rl.sims.free_space.robot_groups.RobotGroups`.
         """
         backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
-        if self.robot == EnvConfig.robot or backend == "ros2":
+        if self.robot == EnvConfig.robot or backend == "ros2" or names_several(self.robot):
             return self
         from rover_rl.sims.free_space.fitting import fitting_worlds
         from rover_rl.sims.robots import get_robot
@@ -476,9 +481,9 @@ class EnvConfig:
         if self.robot == EnvConfig.robot:
             # It has none, and the robots need PyTorch.
             return self.sensors
-        from rover_rl.sims.robots import get_robot
+        from rover_rl.sims.robots import get_robots
 
-        return (*get_robot(self.robot).sensors, *self.sensors)
+        return (*get_robots(self.robot)[0].sensors, *self.sensors)
 
     @property
     def bounded_action(self) -> ActionConfig:
@@ -514,7 +519,8 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     """Checks that a policy trained in one environment can be used in another.
 
     The lidar readings (number and range), robot, action bounds and heading gains must be equal, and the environment
-    must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ.
+    must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ. A
+    policy that was made for several robots may drive any robot, whose limits bound its actions.
 
     Args:
         made_for: description of the environment that the policy was trained in.
@@ -532,18 +538,23 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     """Yields what must be equal in two environments. The bounds of the action come after the robot they depend on."""
     yield "lidar points", made_for.lidar.points, env.lidar.points
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
-    yield "the robot", *_robots(made_for.robot, env.robot)
+    several = names_several(made_for.robot)
+    if not several:
+        yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     rates = made_for.control_rate or 1 / CONTROL_DT, env.control_rate or 1 / CONTROL_DT
     yield "a control rate of (Hz)", *rates
-    actions = _values(made_for.bounded_action), _values(env.bounded_action)
-    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *actions
+    # A robot whose limits are tighter bounds what the policy does.
+    expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
+    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual
     gains = _values(made_for.heading_gains), _values(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 
 
 def name_of_part(part: Any) -> str:
-    """Returns the name of a world or robot, which is either a name or an object."""
+    """Returns the name of a world or robot, which is either a name or an object, or the names of several."""
+    if isinstance(part, tuple):
+        return " ".join(map(name_of_part, part))
     return part if isinstance(part, str) else part.name
 
 
@@ -552,9 +563,9 @@ def _robots(made_for: RobotLike, given: RobotLike) -> tuple[str, str]:
     names = name_of_part(made_for), name_of_part(given)
     if isinstance(made_for, str) and isinstance(given, str):
         return names
-    from rover_rl.sims.robots import get_robot
+    from rover_rl.sims.robots import get_robots
 
-    if get_robot(made_for) == get_robot(given):
+    if get_robots(made_for) == get_robots(given):
         return names[0], names[0]
     return names if names[0] != names[1] else (names[0], f"another robot of the name {names[1]}")
 

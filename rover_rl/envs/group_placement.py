@@ -101,7 +101,7 @@ class GroupPlacement(Placement):
         """Moves rows to their worlds in the table: see :meth:`Placement.enter_worlds`."""
         super().enter_worlds()
         for world in self._unchecked().values():
-            if (room := _room(world, self._robot, self._spacing, self._agents)) < self._agents:
+            if (room := _room(world, self._robot_in(world), self._spacing, self._agents)) < self._agents:
                 self._crowded = (
                     f"the start area of world {world.name!r} has room for {room} rovers {GAP:g} m apart, not for "
                     f"agents={self._agents}"

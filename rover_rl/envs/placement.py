@@ -9,6 +9,7 @@ randomization", ICRA 2018).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import fields
 
 import torch
@@ -20,6 +21,7 @@ from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.table import SlotTable, WorldTable
 
 _START, _GOAL, _DYNAMICS = 0, 1, 2
@@ -34,7 +36,7 @@ class Placement:
 
     Args:
         worlds: world of each row. The device of the slots is that of the draws.
-        robot: robot that determines the free space.
+        robot: robot that determines the free space, or a function that returns that of a world.
         min_goal_distance: minimum distance from the rover to a new goal, m.
 
     Attributes:
@@ -46,8 +48,9 @@ class Placement:
     bounds_low: Tensor
     bounds_high: Tensor
 
-    def __init__(self, worlds: WorldTable, robot: Robot, min_goal_distance: float) -> None:
-        self._robot, self._min_goal_distance, device = robot, min_goal_distance, worlds.slots.device
+    def __init__(self, worlds: WorldTable, robot: Robot | Callable[[World], Robot], min_goal_distance: float) -> None:
+        self._robot_in = robot if callable(robot) else lambda _: robot
+        self._min_goal_distance, device = min_goal_distance, worlds.slots.device
         self._worlds, self._entered = worlds, worlds.follow()
         self._start_cells = SlotTable((2,), torch.float32, device)
         self._headings = SlotTable((), torch.int64, device)
@@ -61,7 +64,7 @@ class Placement:
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed."""
         for slot, world in self._entered().items():
-            space = free_space(world, self._robot)
+            space = free_space(world, self._robot_in(world))
             self._start_cells[slot], self._headings[slot] = space.spawn_cells, space.spawn_headings
             self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
             self._bounds[slot] = torch.tensor(world.bounds).T

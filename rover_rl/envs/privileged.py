@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from tensordict import TensorDict
@@ -13,7 +14,7 @@ from rover_rl.envs.task import target_info
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.world import Worlds
+from rover_rl.sims.worlds.world import World, Worlds
 from rover_rl.tensordicts import unchecked_tensordict
 
 MAP_DISTANCES = (0.5, 1.5)
@@ -52,11 +53,11 @@ class PrivilegedObservation:
 
     Args:
         worlds: worlds of the environment, by index.
-        robot: robot that determines the free space.
+        robot: robot that determines the free space, or a function that returns that of a world.
         device: device of the observation.
     """
 
-    def __init__(self, worlds: Worlds, robot: Robot, device: torch.device) -> None:
+    def __init__(self, worlds: Worlds, robot: Robot | Callable[[World], Robot], device: torch.device) -> None:
         self._distances = PathDistances(worlds, robot, device)
         self._bearings = torch.arange(MAP_BEARINGS, device=device) * (2 * math.pi / MAP_BEARINGS)
         self._reach = torch.tensor(MAP_DISTANCES, device=device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
@@ -23,6 +24,7 @@ from rover_rl.envs.groups import Groups, first_of_group
 from rover_rl.envs.perception import Localization, Perception, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
+from rover_rl.envs.row_robots import RowRobots
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensors.base import Observer, Rig, SensorInput, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, clipped_pose
@@ -31,15 +33,17 @@ from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
-from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, Scanner, View, WorldChanger
+from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, RobotChanger, Scanner, View, WorldChanger
 from rover_rl.sims.field_of_view import in_view
 from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.company import Company
 from rover_rl.sims.movers.rays import MoverScanner
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import Robot, get_robots
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 from rover_rl.tensordicts import unchecked_tensordict
 
 if TYPE_CHECKING:
@@ -92,7 +96,8 @@ class RoverEnv(EnvBase):
             rover) or ``"module:attribute"``; or settings of a backend, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
         physics: physics preset of a backend given by name. Bullet has ``"default"``, ``"accurate"`` and ``"fast"``.
-        robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`.
+        robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`. With a range of a family (``"any:0-255"``) or
+            a list, each episode draws a robot: see :class:`EnvConfig`.
         lidar_beams: number of beams of a raw scan.
         lidar_period: number of steps from one scan to the next: see :class:`LidarConfig`.
         pose: pose that the sensors report. ``None``: the true one.
@@ -114,6 +119,9 @@ class RoverEnv(EnvBase):
     Attributes:
         config: description of the environment.
         num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
+        robots: robots of the rows, and how episodes draw them.
+        fleet: robot of each row, ``env.fleet[row]``.
+        robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
@@ -154,10 +162,18 @@ class RoverEnv(EnvBase):
         self.num_envs = num_envs
         self._row_shape = torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
-        self.robot = get_robot(config.robot)
-        self.config = config = _with_threshold(config.fitted(), self.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
-        self._row_worlds = RowWorlds(config.world, first_of_group(first_keys, config.agents), config.agents)
+        self._robot_groups = RobotGroups(get_robots(config.robot))
+        config = config.fitted()
+        worlds, choices = self._robot_groups.spread(config.world)
+        is_drawn = draws_worlds(config.world) or len(choices) > len(config.worlds)
+        world_keys = first_of_group(first_keys, config.agents)
+        self._row_worlds = RowWorlds(worlds, world_keys, config.agents, is_drawn)
+        self._choices = torch.tensor(choices or [(0, 1)], device=self._tensor_device)
+        self.robots = RowRobots(self._robot_groups.robots, first_keys, self._row_choices())
+        self.fleet = self.robots.fleet
+        self.robot = self.fleet.largest
+        self.config = config = _with_threshold(config, self.fleet)
         self._has_movers = config.agents > 1 or self._row_worlds.have_movers
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
@@ -167,7 +183,7 @@ class RoverEnv(EnvBase):
         self._make_simulator = partial(
             make_simulator,
             config.backend,
-            robot=self.robot,
+            robot=self.fleet,
             physics=config.preset,
             control_rate=config.control_rate,
             connection=config.connection,
@@ -180,16 +196,20 @@ class RoverEnv(EnvBase):
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
-        placing = (self._row_worlds.table, self.robot, config.task.min_goal_distance)
-        self.placement = Placement(*placing) if config.agents == 1 else GroupPlacement(*placing, config.agents)
-        self._navigation = Navigation(config, self.placement, self.robot, self.num_envs, device)
+        worlds, agents, least = self._row_worlds.table, config.agents, config.task.min_goal_distance
+        if agents == 1:
+            self.placement = Placement(worlds, self.robot_in, least)
+        else:
+            self.placement = GroupPlacement(worlds, self.robot, least, agents)
+        self._navigation = Navigation(config, self.placement, self.fleet)
         gains = config.heading_gains
-        gains = replace(gains, max_output=min(gains.max_output, self.robot.drive.max_yaw_rate))
+        fastest = max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
+        gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = HeadingController(self.num_envs, gains, device)
         self._localization = Localization(config.pose)
-        size = len(specs.action_bounds(config.action, self.robot).low)
+        size = len(specs.action_bounds(config.action, config.robot).low)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
-        self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
+        self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
 
     @property
@@ -201,6 +221,13 @@ class RoverEnv(EnvBase):
     def pool(self) -> WorldPool:
         """All worlds that rows can be in. ``outcome["world"]`` is the index of a row's world."""
         return self._row_worlds.pool
+
+    def robot_in(self, world: World) -> Robot:
+        """Returns the robot, or of several the one that needs the most space of those that drive in a world.
+
+        It determines the free space: where starts and goals are, and where paths lead.
+        """
+        return self._robot_groups.largest_in(world)
 
     @property
     def length(self) -> int:
@@ -285,6 +312,15 @@ class RoverEnv(EnvBase):
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)
 
+    def set_goal(self, goal: Tensor) -> None:
+        """Sets the goal of every row, ``[N, 2]``, m, within its episode: from the next step on, for example by hand."""
+        self._require_started("set_goal")
+        checked = checked_place("goal", goal, None, (self.num_envs, 2), self._tensor_device)
+        assert checked is not None
+        state, reference = self._state, self._state.reference
+        target = target_info(reference.position, reference.yaw, checked)
+        state.task = replace(state.task, goal=checked, target=target)
+
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_open("render")
@@ -314,7 +350,7 @@ class RoverEnv(EnvBase):
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         try:
-            _check_requirements(self.config, self.robot, self.simulator, self._has_movers)
+            _check_requirements(self.config, self.fleet, self.simulator, self._has_movers)
         except ValueError:
             self.simulator.close()
             raise
@@ -325,7 +361,7 @@ class RoverEnv(EnvBase):
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
-            self._row_worlds.open(partial(_prepare, self.robot, self.simulator))
+            self._row_worlds.open(partial(_prepare, self.robot_in, self.simulator))
             self.simulator.enter_worlds()
 
     def _meet_movers(self) -> None:
@@ -337,21 +373,21 @@ class RoverEnv(EnvBase):
         self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live, company)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
         self._surroundings.is_live = is_live
-        lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
-        self._lidar = in_view(lidar, self.robot.lidar_view)
+        lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)
+        self._lidar = in_view(lidar, self.fleet)
         if "movers" in self.simulator.capabilities:
             cast(MoverCarrier, self.simulator).meet(self.movers)
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
-        action = specs.action_bounds(self.config.action, self.robot)
+        action = specs.action_bounds(self.config.action, self.config.robot)
         bounds = {key: sensor.bounds for key, sensor in self.sensors.items()}
         several, moving = len(self.pool) > 1, self._has_movers
         self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, several, moving)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        rig = Rig(self.num_envs, self.robot, self.config.lidar, self.control_dt, self._tensor_device)
+        rig = Rig(self.num_envs, self.robot, self.config.lidar, self.control_dt, self._tensor_device, self.fleet)
         self._observer = Observer(self.sensors, rig)
         self._action_clip = action.tensors(self._tensor_device)
 
@@ -389,6 +425,9 @@ class RoverEnv(EnvBase):
             poses = start
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
+        if self.robots.are_several:
+            self.robots.draw(mask, self._keys, self._row_choices())
+            cast(RobotChanger, self.simulator).enter_robots(rows)
         if self.randomization.varies_dynamics:
             cast(DynamicsChanger, self.simulator).set_dynamics(
                 rows, draw_dynamics(self.randomization, self._keys.to(device))
@@ -412,6 +451,11 @@ class RoverEnv(EnvBase):
             truncated=state.truncated,
         )
 
+    def _row_choices(self) -> Tensor:
+        """Returns the first of the robots that drive in each row's world, and their number, ``[N, 2]``."""
+        one = len(self._choices) == 1
+        return self._choices.expand(self.num_envs, 2) if one else self._choices[self._row_worlds.entry]
+
     def _change_worlds(self, mask: Tensor, keys: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
         if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
@@ -433,7 +477,7 @@ class RoverEnv(EnvBase):
         # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:], sensed.yaw, sensed.rover.dt, active)
-        command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
+        command = self.robots.limited(torch.cat((action[:, :1], turn, action[:, 2:]), -1))
         command = self._delay(command.masked_fill(invalid, 0.0), active)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
@@ -539,17 +583,18 @@ class RoverEnv(EnvBase):
 RoverEnv.__signature__ = SIGNATURE
 
 
-def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
+def _prepare(robot_in: Callable[[World], Robot], simulator: WorldChanger, world: World) -> None:
     """Prepares a world for episodes in it."""
-    free_space(world, robot)
+    free_space(world, robot_in(world))
     simulator.prepare_world(world)
 
 
-def _with_threshold(config: EnvConfig, robot: Robot) -> EnvConfig:
-    """Returns a description with the threshold of the robot, if it has one, in place of none."""
-    if config.task.collision_threshold is not None or robot.collision_range is None:
+def _with_threshold(config: EnvConfig, fleet: Fleet) -> EnvConfig:
+    """Returns a description with the threshold of the robots, if they have the same one, in place of none."""
+    thresholds = {robot.collision_range for robot in fleet.robots}
+    if config.task.collision_threshold is not None or len(thresholds) > 1 or None in thresholds:
         return config
-    return replace(config, task=replace(config.task, collision_threshold=robot.collision_range))
+    return replace(config, task=replace(config.task, collision_threshold=thresholds.pop()))
 
 
 def _require_count(name: str, value: int, most: int) -> None:
@@ -557,7 +602,7 @@ def _require_count(name: str, value: int, most: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
 
 
-def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator, has_movers: bool) -> None:
+def _check_requirements(config: EnvConfig, fleet: Fleet, simulator: Simulator, has_movers: bool) -> None:
     """Raises an error for the first thing that an environment needs and its simulator or robot cannot do."""
     needs: dict[Capability, str] = {}
     if config.task.collision_from == "contact":
@@ -566,6 +611,8 @@ def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator, h
         needs["dynamics"] = "randomized friction, mass and motors need a backend in which they can be varied"
     if has_movers and "live" not in simulator.capabilities:
         needs["movers"] = "a world with movers needs a backend that lets them push the rovers"
+    if len(fleet.robots) > 1:
+        needs["robots"] = "several robots in one batch need a backend that simulates them"
     if config.agents > 1:
         needs["movers"] = f"agents={config.agents} need a backend in which rovers push one another"
     for capability, need in needs.items():
@@ -573,6 +620,9 @@ def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator, h
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
     if config.action.max_sideways and "live" in simulator.capabilities:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
-    if config.action.max_sideways and not robot.drive.sideways:
+    if config.agents > 1 and len(fleet.robots) > 1:
+        raise ValueError(f"agents={config.agents} need one robot for all rows, got {len(fleet.robots)} robots")
+    robot = next((robot for robot in fleet.robots if not robot.drive.sideways), None)
+    if config.action.max_sideways and robot is not None:
         drive = type(robot.drive).__name__
         raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")

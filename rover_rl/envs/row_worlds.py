@@ -37,6 +37,7 @@ class RowWorlds:
         world_n: worlds.
         keys: random keys of the first episodes, ``[N, 1]``.
         agents: number of consecutive rows that share a world, and the keys that draw it.
+        is_drawn: whether episodes draw their worlds. ``None``: as above.
 
     Attributes:
         pool: all worlds that rows can be in.
@@ -48,14 +49,14 @@ class RowWorlds:
         ValueError: if a world is unknown, or there are more worlds than rows.
     """
 
-    def __init__(self, world_n: WorldSource, keys: Tensor, agents: int = 1) -> None:
+    def __init__(self, world_n: WorldSource, keys: Tensor, agents: int = 1, is_drawn: bool | None = None) -> None:
         num_envs = len(keys)
         groups = num_envs // agents
         if world_n == [] or world_n == ():
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got 0")
         self.pool = WorldPool.of(world_n)
         count = len(self.pool)
-        self.is_drawn = draws_worlds(world_n)
+        self.is_drawn = draws_worlds(world_n) if is_drawn is None else is_drawn
         if not self.is_drawn and count > groups:
             shared = "" if agents == 1 else f" / agents={agents}"
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs}{shared} worlds, got {count}")
@@ -79,6 +80,11 @@ class RowWorlds:
     def index_if_several(self) -> Tensor | None:
         """:attr:`index`, or ``None`` if the pool has only one world."""
         return self.index if len(self.pool) > 1 else None
+
+    @property
+    def entry(self) -> Tensor:
+        """Index of the entry of the pool that each row's world belongs to, int64 ``[N]``."""
+        return torch.searchsorted(self._starts, self.index.squeeze(-1), right=True) - 1
 
     @property
     def have_movers(self) -> bool:

@@ -25,7 +25,7 @@ from torch import Tensor
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.placement import Placement
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import collision_ranges
 from rover_rl.sims.rotations import angle_of, wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
@@ -236,24 +236,20 @@ class Navigation:
     Args:
         config: description of the environment.
         placement: source of goals and of the bounds of each row's world.
-        robot: robot, whose outline tells collisions if the task states no threshold.
-        num_envs: number of rows.
-        device: device of the rows.
+        fleet: robots of the rows, whose outlines tell collisions if the task states no threshold.
 
     Attributes:
         length: number of steps after which an episode is truncated.
     """
 
-    def __init__(
-        self, config: EnvConfig, placement: Placement, robot: Robot, num_envs: int, device: torch.device
-    ) -> None:
+    def __init__(self, config: EnvConfig, placement: Placement, fleet: Fleet) -> None:
         self._task, self.length, self._end_on_goal = config.task, config.length, config.end_on_goal
-        self._placement = placement
-        # Reading below which the rover is in collision, of all beams or of each. Of all, pooled readings do.
+        self._placement, self._fleet = placement, fleet
+        # Reading below which a rover is in collision, of all beams or of each robot and beam. Of all, pooled ones do.
         self._threshold, self._ranges = config.task.collision_threshold, torch.empty(0)
         if self._threshold is None:
-            self._ranges = torch.tensor(collision_ranges(robot, config.lidar.beams), dtype=torch.float32, device=device)
-        self._history = PositionHistory(num_envs, config.task.stuck_window, device)
+            self._ranges = fleet.table(lambda robot: collision_ranges(robot, config.lidar.beams).tolist())
+        self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
     def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
         """Begins new episodes: sets goals, resets counters and clears the outcome.
@@ -346,7 +342,8 @@ class Navigation:
             assert reference.rover.contact is not None
             return reference.rover.contact
         if self._threshold is None:
-            return (reference.ranges < self._ranges).any(-1, keepdim=True)
+            ranges = self._ranges[self._fleet.index] if len(self._ranges) > 1 else self._ranges
+            return (reference.ranges < ranges).any(-1, keepdim=True)
         return reference.readings.amin(-1, keepdim=True) < self._threshold
 
     def _end(self, state: StepState, active: Tensor | None) -> None:

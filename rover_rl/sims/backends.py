@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from rover_rl.sims.base import LidarCarrier, Scanner, Simulator
     from rover_rl.sims.robots import Robot
+    from rover_rl.sims.robots.fleet import Fleet
     from rover_rl.sims.worlds import World
 
 
@@ -76,7 +77,7 @@ class Backend(Protocol):
         self,
         *,
         worlds: Sequence[World],
-        robot: Robot,
+        robot: Robot | Fleet,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> Simulator:
@@ -121,7 +122,7 @@ def make_simulator(
     backend: BackendLike,
     *,
     worlds: Sequence[World],
-    robot: Robot,
+    robot: Robot | Fleet,
     physics: str | None = None,
     connection: Connection | None = None,
     device: torch.device | None = None,
@@ -130,19 +131,24 @@ def make_simulator(
     """Builds a simulator.
 
     Args:
-        backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
-            example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
-        worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-        robot: robot model.
-        physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
-        connection: topics of a real rover. ``None`` uses those of the contract.
-        device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
-        control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
+            backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
+                example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
+            worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
+            robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
+                simulate.
+            physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
+            connection: topics of a real rover. ``None`` uses those of the contract.
+            device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
+            control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
 
     Raises:
-        ValueError: if the backend or the preset is unknown, its settings have no ``control_dt`` to change, or the
-            ``make`` of a :class:`Backend` does not take these arguments or returns something else than a simulator.
+            ValueError: if the backend or the preset is unknown, it cannot simulate several robots, its settings have no
+            ``control_dt`` to change, or the ``make`` of a :class:`Backend` does not take these arguments or returns
+            something else than a simulator.
     """
+    robots = getattr(robot, "robots", (robot,))
+    if len(robots) == 1:
+        (robot,) = robots
     settings = resolve_backend(backend, physics)
     if control_rate is not None:
         settings = at_rate(settings, control_rate)
@@ -152,7 +158,13 @@ def make_simulator(
     built_in = _BUILT_IN[name_of(settings)]
     module, _, simulator = built_in.simulator.partition(":")
     taken = {option: options[option] for option in built_in.options}
-    return getattr(import_module(module), simulator)(worlds, robot, settings, **taken)
+    made = getattr(import_module(module), simulator)
+    if len(robots) > 1 and "robots" not in made.capabilities:
+        raise ValueError(
+            f"several robots in one batch need a backend that simulates them: {simulator} does not state the "
+            "capability 'robots'"
+        )
+    return made(worlds, robot, settings, **taken)
 
 
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:

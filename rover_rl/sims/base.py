@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
-Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live", "movers"]
+Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live", "movers", "robots"]
 """What not every backend does: it reports contacts, scales the dynamics of each rover, has a lidar of its own (a
-:class:`LidarCarrier`; else, rays are cast), drives a live rover, around which nothing is known but the map, or lets
-movers push the rovers (a :class:`MoverCarrier`)."""
+:class:`LidarCarrier`; else, rays are cast), drives a live rover, around which nothing is known but the map, lets movers
+push the rovers (a :class:`MoverCarrier`), or simulates different robots in one batch (a :class:`RobotChanger`)."""
 
 
 class RoverState(TensorClass):
@@ -201,6 +201,20 @@ class DynamicsChanger(Protocol):
         Args:
             mask: rovers to change, bool ``[N]``.
             dynamics: new scale factors of all rovers.
+        """
+        ...
+
+
+class RobotChanger(Protocol):
+    """Interface of a simulator with the capability ``"robots"``.
+
+    The simulator is built with a :class:`~rover_rl.sims.robots.fleet.Fleet`, whose rows change robots.
+    """
+
+    def enter_robots(self, mask: Tensor) -> None:
+        """Gives the rovers of ``mask`` (bool ``[N]``) their robots of the fleet. The caller resets these rovers next.
+
+        Their dynamics are those of the robot description again.
         """
         ...
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Scanner
+from rover_rl.sims.robots.fleet import Fleet
 
 _TOLERANCE = 1e-6
 """Tolerance of angles at the borders of a view, rad."""
@@ -28,18 +29,24 @@ class ViewScanner:
 
     Args:
         scanner: lidar with a full turn of beams: see :class:`~rover_rl.sims.base.Scanner`.
-        view: total angle of the view, rad.
+        fleet: robots of the rows, whose lidars have views.
     """
 
-    def __init__(self, scanner: Scanner, view: float) -> None:
+    def __init__(self, scanner: Scanner, fleet: Fleet) -> None:
         self.angles = scanner.angles
-        self._scanner, self._hidden = scanner, ~seen(scanner.angles, view)
+        self._scanner, self._fleet = scanner, fleet
+        # Beams outside of the view of each robot's lidar, [K, beams].
+        self._hidden = torch.stack([~seen(scanner.angles, robot.lidar_view) for robot in fleet.robots])
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
         """Scans: see :meth:`~rover_rl.sims.base.Scanner.scan`."""
-        return self._scanner.scan(rows).masked_fill(self._hidden, math.inf)
+        hidden = self._hidden
+        if len(hidden) > 1:
+            hidden = hidden[self._fleet.index.to(hidden.device)]
+        return self._scanner.scan(rows).masked_fill(hidden, math.inf)
 
 
-def in_view(scanner: Scanner, view: float) -> Scanner:
-    """Returns a lidar with a view (rad), which is the scanner itself for a full turn."""
-    return scanner if view >= 2 * math.pi - _TOLERANCE else ViewScanner(scanner, view)
+def in_view(scanner: Scanner, fleet: Fleet) -> Scanner:
+    """Returns a lidar with the views of the robots, which is the scanner itself if they see a full turn."""
+    least = min(robot.lidar_view for robot in fleet.robots)
+    return scanner if least >= 2 * math.pi - _TOLERANCE else ViewScanner(scanner, fleet)

@@ -27,6 +27,7 @@ FEATURES = [
     pytest.param({"backend": "warp", "lidar_period": 4}, id="slow lidar"),
     pytest.param({"backend": "warp", "world_n": WorldPool(*ROOMS)}, id="pool of worlds"),
     pytest.param({"backend": "warp", "world_n": "maze:0-2"}, id="range of worlds"),
+    pytest.param({"backend": "warp", "robot": "any:0-3", "sensors": ["route", "robot"]}, id="robots"),
 ]
 """Settings of environments that draw numbers, or have a memory, for each rover."""
 

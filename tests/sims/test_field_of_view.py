@@ -36,7 +36,7 @@ def test_readings_outside_of_the_view_have_no_return(backend: str) -> None:
 
 def test_a_full_view_costs_nothing() -> None:
     env = RoverEnv(world_n="maze", seed=0)
-    assert in_view(env.scanner, 2 * math.pi) is env.scanner
+    assert in_view(env.scanner, env.fleet) is env.scanner
 
 
 def test_robots_state_the_views_of_their_lidars() -> None:

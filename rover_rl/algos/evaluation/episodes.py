@@ -27,6 +27,7 @@ from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.envs.config import RobotLike
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
@@ -34,7 +35,8 @@ from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import Robot, get_robots
+from rover_rl.sims.robots.fleet import largest_of
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.table import WorldTable
@@ -134,7 +136,7 @@ def draw_episodes(
     min_path: float = MIN_PATH,
     *,
     episodes: int | None = None,
-    robot: str | Robot = "rover_zero",
+    robot: RobotLike = "rover_zero",
     workers: int | None = 1,
     agents: int = 1,
 ) -> EpisodeSet:
@@ -151,7 +153,8 @@ def draw_episodes(
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
         episodes: another name for ``count``, as on the command line.
-        robot: robot, or its name, for which the starts, goals and paths must be free.
+        robot: robot, or its name, for which the starts, goals and paths must be free. Of several, it is the one that
+            needs the most space.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
         agents: number of consecutive episodes that are driven at once, by rovers that share a world. Their starts are
             apart, and so are their goals. ``count`` must be a multiple.
@@ -164,10 +167,10 @@ def draw_episodes(
     check_at_least(1, MAX_COUNT, count=count, agents=agents)
     if count % agents:
         raise ValueError(f"count must be a multiple of agents={agents}, got {count}")
-    robot = get_robot(robot)
-    world = fitting_worlds(world, robot)
+    robots = get_robots(robot)
+    world = fitting_worlds(world, *robots)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=robot, count=count, seed=seed, min_path=min_path, agents=agents)
+    draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path, agents=agents)
     if len(pool) == 1:
         drawn = [draw(pool[0])]
     else:
@@ -229,7 +232,7 @@ def choose_episodes(
     count: int | None = None,
     seed: int | None = None,
     *,
-    robot: str | Robot = "rover_zero",
+    robot: RobotLike = "rover_zero",
     workers: int | None = 1,
     agents: int = 1,
 ) -> EpisodeSet:

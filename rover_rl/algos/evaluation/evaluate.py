@@ -36,7 +36,7 @@ from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.movers.field import Parts
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import get_robots
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -95,10 +95,10 @@ def evaluate(
         ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
             in groups of ``env.agents`` in the same world.
     """
-    action_repeat = default_action_repeat(policy, action_repeat)
+    env_config = environment_for(policy, env)
+    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = environment_for(policy, env)
     if env_config.agents > 1:
         _check_groups(episodes, env_config.agents)
         rows = len(episodes)
@@ -171,11 +171,11 @@ def evaluate_endless(
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
     """
-    action_repeat = default_action_repeat(policy, action_repeat)
+    env_config = environment_for(policy, env)
+    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
     check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = environment_for(policy, env)
-    world = fitting_worlds(world, get_robot(env_config.robot))
+    world = fitting_worlds(world, *get_robots(env_config.robot))
     place = get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
     world_name = world if isinstance(world, str) else place.name
@@ -191,8 +191,8 @@ def usual_seconds(env: EnvConfig) -> float:
 
     It is 60 s, longer by the scale of the worlds that the robot needs, and by as much as it is slower than 1 m/s.
     """
-    robot = get_robot(env.robot)
-    return round(60 * passage_scale(robot) / min(1.0, robot.drive.max_speed))
+    robots = get_robots(env.robot)
+    return round(60 * max(passage_scale(robot) / min(1.0, robot.drive.max_speed) for robot in robots))
 
 
 def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:
@@ -229,7 +229,8 @@ def _drive(
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
 
-    Movers depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an episode.
+    Movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an
+    episode.
     """
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
@@ -239,7 +240,7 @@ def _drive(
 
     def placed() -> dict[str, Tensor]:
         if keys is not None:
-            env.movers.keys = keys[episode]
+            env.movers.keys = env.robots.keys = keys[episode]
         return {key: values[episode] for key, values in places.items()}
 
     with closing(env), ProgressDisplay(name) as display, set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -315,22 +315,24 @@ def count_runs(flags: Tensor) -> int:
 
 
 def find_body_contacts(
-    trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
+    trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot | Sequence[Robot]
 ) -> list[Tensor]:
     """Finds the poses of each episode at which the rover's body touches an obstacle at rest, bool ``[T + 1]`` each.
 
     See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
-    sides and at the rear, the outline may be farther from the lidar. ``world`` is that of all episodes, or of each.
+    sides and at the rear, the outline may be farther from the lidar. ``world`` and ``robot`` are those of all episodes,
+    or of each.
     """
     worlds = [world] * len(trajectories) if isinstance(world, World) else world
-    together: dict[World, list[int]] = {}
-    for episode, place in enumerate(worlds):
-        together.setdefault(place, []).append(episode)
+    robots = [robot] * len(trajectories) if isinstance(robot, Robot) else robot
+    together: dict[tuple[World, Robot], list[int]] = {}
+    for episode, pair in enumerate(zip(worlds, robots, strict=True)):
+        together.setdefault(pair, []).append(episode)
     contacts: dict[int, Tensor] = {}
-    for place, episodes in together.items():
+    for (place, driven), episodes in together.items():
         members = [trajectories[episode] for episode in episodes]
         position, angles = (torch.cat([getattr(t, key) for t in members]) for key in ("position", "angles"))
-        touched = is_touching(position, angles, place, robot)
+        touched = is_touching(position, angles, place, driven)
         contacts |= zip(episodes, touched.split([len(t.position) for t in members]), strict=True)
     return [contacts[episode] for episode in range(len(trajectories))]
 

@@ -24,8 +24,11 @@ from rover_rl.algos.evaluation.metrics import (
 )
 from rover_rl.algos.evaluation.tables import finite_row
 from rover_rl.envs.config import EnvConfig, plain_env
+from rover_rl.envs.row_robots import RowRobots
+from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.backends import name_of
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.free_space.robot_groups import RobotGroups
+from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.worlds import World
 
 WORST = 6  # number of worlds with the lowest success rates that are named and drawn
@@ -49,10 +52,23 @@ class _Results:
         """World of all episodes, or of each."""
         raise NotImplementedError
 
+    @property
+    def _first_seed(self) -> int:
+        """Seed of the first episode."""
+        raise NotImplementedError
+
+    @cached_property
+    def robots(self) -> list[Robot]:
+        """Robot of each episode."""
+        keys = episode_keys(row_keys(self._first_seed, len(self.trajectories), torch.device("cpu")), 1)
+        # All of them fit in the worlds of an evaluation.
+        robots = RobotGroups(get_robots(self.env.robot)).robots
+        return [*RowRobots(robots, keys, torch.tensor([[0, len(robots)]] * len(keys))).fleet]
+
     @cached_property
     def wall_contacts(self) -> list[Tensor]:
         """Whether the body touches an obstacle at rest at the start and after each step: bool ``[T + 1]`` each."""
-        return find_body_contacts(self.trajectories, self._places, get_robot(self.env.robot))
+        return find_body_contacts(self.trajectories, self._places, self.robots)
 
     @cached_property
     def contacts(self) -> list[Tensor]:
@@ -115,6 +131,10 @@ class Evaluation(_Results):
     @property
     def _places(self) -> list[World]:
         return self.episodes.worlds
+
+    @property
+    def _first_seed(self) -> int:
+        return self.episodes.seed + self.episodes.offset
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
@@ -238,6 +258,10 @@ class EndlessEvaluation(_Results):
     @property
     def _places(self) -> World:
         return self.world
+
+    @property
+    def _first_seed(self) -> int:
+        return self.seed
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:

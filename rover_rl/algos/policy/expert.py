@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
@@ -12,7 +13,7 @@ from torch import Tensor
 from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
 from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.algos.policy.maneuvers import Maneuvers, cost_of_turn
-from rover_rl.envs.config import EnvConfig, RobotLike
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
 from rover_rl.sims.free_space.path_distance import PathDistances
@@ -35,6 +36,7 @@ OVERSHOOT = 0.05
 BACKWARD = math.radians(120)
 BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
 MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
+TIGHT = 0.5  # cost of a pose in which the body fits, and not in all headings, m
 AHEAD = 0.3  # distance ahead of a pose at which the alignment of its heading with the path is evaluated, m
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
@@ -88,8 +90,9 @@ class PrivilegedExpert:
         beyond, is_open = self._distances.along(fields, ahead)
         # The way gets shorter by as much as the heading is along it.
         along = torch.where(is_open, ((path - beyond) / AHEAD).clamp(-1, 1), -1.0)
-        cost = path + cost_of_turn(torch.acos(along), poses.gear, maneuvers.radius, path)
-        return maneuvers.choose(cost, maneuvers.on_the_way(is_free), None, rows["velocities"][:, :1])
+        cost = path + cost_of_turn(torch.acos(along), poses.gear, maneuvers.radius, path) + TIGHT * ~is_free
+        clearances = maneuvers.clearances(maneuvers.hits(rows["lidar"], math.inf))
+        return maneuvers.choose(cost, maneuvers.free(clearances), clearances, rows["velocities"][:, :1])
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""
@@ -108,8 +111,11 @@ class MapExpert(TensorDictModuleBase):
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__()
-        get_robot(robot)
-        self.made_for = EnvConfig(robot=robot)
+        lidar = LidarConfig()
+        if not get_robot(robot).drive.turns_in_place:
+            # Of its arcs, the expert drops those on which the body would touch what the lidar sees.
+            lidar = replace(lidar, points=lidar.beams)
+        self.made_for = EnvConfig(robot=robot, lidar=lidar)
         self.in_keys = ["pose", "imu", "target", "lidar", "velocities", "outcome"]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None

@@ -100,7 +100,9 @@ class Maneuvers:
 
     def clearances(self, hits: Tensor) -> Tensor:
         """Returns the distance of the body from the nearest of ``hits``, now and in each pose, ``[N, 1 + M]``, m."""
-        nearest = torch.cat([torch.cdist(self._discs, part).amin(-1) for part in hits.split(1)])
+        # Alone, a row has the same distances whatever the others are, and on a CPU they fit into its cache.
+        size = 1 if hits.device.type == "cpu" else 64
+        nearest = torch.cat([torch.cdist(self._discs, part).amin(-1) for part in hits.split(size)])
         return nearest.unflatten(-1, (-1, self._count)).amin(-1) - self._size
 
     def blocked(self, hits: Tensor, place: Tensor) -> Tensor:
@@ -108,11 +110,9 @@ class Maneuvers:
         way_x, way_y = place[:, :1] - self.poses.x, place[:, 1:] - self.poses.y
         length = torch.hypot(way_x, way_y).clamp(min=1e-6)
         way_x, way_y = way_x / length, way_y / length
-        # The products of matrices are those of each pose with each point.
-        lane = torch.stack((way_x, way_y, -(way_x * self.poses.x + way_y * self.poses.y)), -1)
-        side = torch.stack((-way_y, way_x, way_y * self.poses.x - way_x * self.poses.y), -1)
-        points = torch.cat((hits, torch.ones_like(hits[..., :1])), -1).mT
-        ahead, aside = lane @ points, side @ points
+        past, beside = way_x * self.poses.x + way_y * self.poses.y, way_x * self.poses.y - way_y * self.poses.x
+        (x, y), (way_x, way_y) = hits[:, None].unbind(-1), (way_x[..., None], way_y[..., None])
+        ahead, aside = way_x * x + way_y * y - past[..., None], way_x * y - way_y * x - beside[..., None]
         return ((ahead > 0) & (ahead < length[..., None]) & (aside.abs() < self._half_lane)).any(-1)
 
     def free(self, clearances: Tensor) -> Tensor:
@@ -121,33 +121,31 @@ class Maneuvers:
         A body that is too close already may move as long as it does not get closer.
         """
         least = (clearances[:, :1] - 0.001).clamp(max=SAFETY)
-        return self.on_the_way(clearances[:, 1:] >= least)
+        return self._on_the_way(clearances[:, 1:] >= least)
 
-    def choose(self, cost: Tensor, free: Tensor, clearances: Tensor | None, speed: Tensor) -> Tensor:
+    def choose(self, cost: Tensor, free: Tensor, clearances: Tensor, speed: Tensor) -> Tensor:
         """Returns the actions that begin the best maneuvers, ``[N, 2]``: speed (m/s) and heading offset (rad).
 
         Args:
             cost: cost of what remains from each pose, ``[N, M]``, m.
             free: poses that are free with all on the way, bool ``[N, M]``.
-            clearances: see :meth:`clearances`; ``None`` without any.
+            clearances: see :meth:`clearances`.
             speed: forward speed of the robot, ``[N, 1]``, m/s.
         """
         tree = self._tensors
         total = cost + tree["cost"]
         switches = (speed.abs() > MOVING) & (speed.sign() != tree["gear"])
         total = total + SWITCH * switches
-        if clearances is not None:
-            near = (1 - (clearances[:, 1:] - SAFETY) / MARGIN).clamp(0, 1)
-            total = total + MARGIN_COST * near
+        near = (1 - (clearances[:, 1:] - SAFETY) / MARGIN).clamp(0, 1)
+        total = total + MARGIN_COST * near
         total = torch.where(free, total, total + _BLOCKED)
         best = total.argmin(-1, keepdim=True)
         gear, curvature, length = (tree[name][best] for name in ("gear", "curvature", "length"))
         drive = self._robot.drive
         fastest = torch.where(gear > 0, drive.max_speed, min(FASTEST_BACK, drive.max_speed))
         pace = torch.minimum((length / BRAKING).clamp(min=SLOWEST), fastest)
-        if clearances is not None:
-            beside = torch.minimum(clearances[:, :1], clearances[:, 1:].gather(-1, best))
-            pace = torch.minimum(pace, (SLOWEST + PACE * (beside - SAFETY)).clamp(min=SLOWEST))
+        beside = torch.minimum(clearances[:, :1], clearances[:, 1:].gather(-1, best))
+        pace = torch.minimum(pace, (SLOWEST + PACE * (beside - SAFETY)).clamp(min=SLOWEST))
         blocked = total.gather(-1, best) >= _BLOCKED
         forward = gear * torch.where(blocked, SLOWEST, pace)
         offset = (forward * curvature / HeadingGains.kp).clamp(-math.pi, math.pi)
@@ -169,7 +167,7 @@ class Maneuvers:
         cost = cost + OBSTRUCTED * self.radius * self.blocked(hits, place)
         return self.choose(cost, self.free(clearances), clearances, speed)
 
-    def on_the_way(self, free: Tensor) -> Tensor:
+    def _on_the_way(self, free: Tensor) -> Tensor:
         """Returns which poses are free with all poses on the way to them, of which poses are, bool ``[N, M]``."""
         first, rest = free[:, : self._first], free[:, self._first :]
         first = first.unflatten(-1, (-1, PIECES)).cummin(-1).values.flatten(1)

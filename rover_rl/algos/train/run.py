@@ -35,7 +35,7 @@ from rover_rl.algos.workers import default_workers
 from rover_rl.envs.goal_pay import pays_for_goals
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.specs import available_device
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import check_training_robots
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.names import check_training_seed
 from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
@@ -313,7 +313,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
         raise ValueError(
             f"curriculum chooses among the worlds of a range, as in 'maze:*', or of a WorldPool, got {env.world!r}"
         )
-    get_robot(env.robot)
+    check_training_robots(env.robot)
     if not pays_for_goals(reward_components(env.reward, env.contract_reward), env):
         warnings.warn(
             f"no component of reward={env.reward!r} pays for a goal, so that the policy need not learn to reach one; "

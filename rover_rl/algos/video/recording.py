@@ -131,7 +131,7 @@ def record_endless(
             seen, movers = (rovers.rover_state, rovers.scan), parts_of(rovers.movers, 0)
             moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event, movers))
         angles = rovers.scanner.angles.cpu()
-        return Recording(moments, rovers.worlds[0], rovers.robot, angles, rovers.control_dt, steps=driven)
+        return Recording(moments, rovers.worlds[0], rovers.fleet[0], angles, rovers.control_dt, steps=driven)
 
 
 def record_episodes(
@@ -153,12 +153,12 @@ def record_episodes(
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
-    robot, drives = get_robot(evaluation.env.robot), []
+    drives = []
     for index in wanted:
         ending = evaluation.endings[index]
         moments = moments_of(states[index], episodes.goal[index : index + 1], dt, ending)
         where = episodes.offset + index
-        drives.append(Recording(moments, episodes.worlds[index], robot, angles, dt, ending, where))
+        drives.append(Recording(moments, episodes.worlds[index], evaluation.robots[index], angles, dt, ending, where))
     return drives
 
 

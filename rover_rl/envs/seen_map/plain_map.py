@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch._higher_order_ops.while_loop import while_loop
 
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.envs.seen_map import route_kernels as routes
 from rover_rl.envs.seen_map.scans import (
     CELL,
@@ -45,7 +45,6 @@ from rover_rl.envs.seen_map.scans import (
     relative_route,
     route_in_meters,
 )
-from rover_rl.sims.robots import Robot
 
 _WINDOW = (SIZE, SIZE)
 _DIGITS = (1.0, 16.0, 256.0, 4096.0, 65536.0)
@@ -65,7 +64,7 @@ class PlainSeenMap(nn.Module):
     """Number of entries of the state."""
 
     def __init__(
-        self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero", interval: float = 0.2
+        self, lidar: LidarConfig | None = None, robot: RobotLike = "rover_zero", interval: float = 0.2
     ) -> None:
         super().__init__()
         self._reader, self._limits = ScanReader(lidar or LidarConfig(), robot, interval), limits_of(robot)

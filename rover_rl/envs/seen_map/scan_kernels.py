@@ -190,8 +190,8 @@ def add_scans(
     grounds: wp.array2d[wp.vec3],
     closed: wp.array2d[wp.vec2],
     closes: wp.array2d[wp.bool],
-    limits: wp.vec4i,
-    reach: int,
+    limits: wp.array[wp.vec4i],
+    reaches: wp.array[int],
     evidences: wp.array2d[wp.uint8],
     boxes: wp.array2d[wp.vec4ub],
     heights: wp.array2d[float],
@@ -211,16 +211,16 @@ def add_scans(
     ground, the height of a cell is the greatest one that has been seen there, at the end of a beam or below the rover.
 
     The rows ``added`` change. ``befores`` are the cells in the middle of the windows before. ``centers`` and what
-    follows are those of a :class:`~rover_rl.envs.seen_map.scans.Scan`, ``limits`` and what follows those of
-    :class:`Cells`, ``[N, SIZE * SIZE]``.
+    follows are those of a :class:`~rover_rl.envs.seen_map.scans.Scan`, ``limits`` and ``reaches`` those of each row's
+    robot, and what follows is that of :class:`Cells`, ``[N, SIZE * SIZE]``.
     """
     i = first + wp.tid()
     if not added[i]:
         return
     cells = Cells()
     cells.rough = roughs[i]
-    cells.limits = limits
-    cells.reach = reach
+    cells.limits = limits[i]
+    cells.reach = reaches[i]
     cells.evidence = evidences[i]
     cells.boxes = boxes[i]
     cells.heights = heights[i]

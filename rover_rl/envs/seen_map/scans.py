@@ -16,11 +16,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.sims.base import beam_angles
 from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
 
@@ -114,6 +114,10 @@ class Scan(NamedTuple):
     closes: Tensor
 
 
+NUMBERS = 5
+"""How many of the numbers of :func:`reading_of` come before those of each reading."""
+
+
 class ScanReader(nn.Module):
     """Computes what scans tell, from the observation and a small state of each rover.
 
@@ -121,49 +125,55 @@ class ScanReader(nn.Module):
     """
 
     _directions: Tensor
-    _mount: Tensor
+    _turn: Tensor
     _seen: Tensor | None
+    _reading: Tensor
 
-    def __init__(self, lidar: LidarConfig, robot: str | Robot, interval: float) -> None:
+    def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
         super().__init__()
-        # From this reading on, a beam has hit nothing.
-        self._no_return = (lidar.max_range - 1e-3) / map_unit(robot)
-        patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
-        self._patience = math.ceil(patience / interval)
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        directions = torch.stack((angles.cos(), angles.sin()), -1)
-        is_seen = _seen_readings(lidar, get_robot(robot).lidar_view)
+        directions, reading = torch.stack((angles.cos(), angles.sin()), -1), reading_of(lidar, robot, interval)
+        is_seen = torch.tensor(reading[NUMBERS:]) > 0
         # A reading outside of the view is a beam without length, which clears no cell.
         self.register_buffer("_directions", directions * is_seen[:, None])
+        self.register_buffer("_turn", directions)
         self.register_buffer("_seen", None if is_seen.all() else is_seen)
-        self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
+        self.register_buffer("_reading", torch.tensor(reading[:NUMBERS]))
 
-    def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
+    def forward(
+        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, reading: Tensor | None = None
+    ) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        The arguments are the state before, ``[N, 8]``, and entries of the observation in units of the map, ``[N, n]``.
+        The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, and
+        the :func:`reading_of` different robots, ``[N, NUMBERS + P]``.
         """
+        numbers, directions, is_seen = self._reading, self._directions, self._seen
+        if reading is not None:
+            numbers, is_seen = reading[:, :NUMBERS], reading[:, NUMBERS:] > 0
+            directions = self._turn * is_seen[..., None]
+        mount, no_return, patience = numbers.split((3, 1, 1), -1)
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
-        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes)
+        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount, directions)
         size = beams[..., :2].abs().amax(-1)
-        returned = lidar < self._no_return
-        if self._seen is not None:
-            returned = returned & self._seen
+        returned = lidar < no_return
+        if is_seen is not None:
+            returned = returned & is_seen
         ends = returned & (size < REACH)
-        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up) | ~rough)
+        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up, mount) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
-        height = pose[:, 2:] + (axes[:, 2] * self._mount).sum(-1, keepdim=True)
+        height = pose[:, 2:] + (axes[:, 2] * mount).sum(-1, keepdim=True)
         z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
         points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
         ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
         leaves = (waits == 0) | ((xy - place).norm(dim=-1, keepdim=True) > WAY)
         place, scans = torch.where(leaves, xy, place), torch.where(leaves, 1.0, waits + 1)
-        halts = scans > self._patience
+        halts = scans > patience
         # The rover's vertical axis leans downhill.
         ways = torch.stack((-up[:, :2], corner - xy), 1)
         closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
@@ -173,22 +183,24 @@ class ScanReader(nn.Module):
         scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
         return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
 
-    def _beams(self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+    def _beams(
+        self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor, directions: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Returns the position of the lidar, and the vectors from there to the ends of the beams."""
         cos, sin = yaw.cos(), yaw.sin()
-        offset = self._mount[0] * torch.cat((cos, sin), -1) + self._mount[1] * torch.cat((-sin, cos), -1)
+        offset = mount[..., :1] * torch.cat((cos, sin), -1) + mount[..., 1:2] * torch.cat((-sin, cos), -1)
         ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
-        beams = self._directions[:, :1] * ahead + self._directions[:, 1:] * left
+        beams = directions[..., :1] * ahead + directions[..., 1:] * left
         return (xy + offset) / CELL, (lidar / CELL)[..., None] * beams
 
-    def _is_steep(self, beams: Tensor, up: Tensor) -> Tensor:
+    def _is_steep(self, beams: Tensor, up: Tensor, mount: Tensor) -> Tensor:
         """Returns whether beams end at an obstacle on rough ground, too, and not at a slope that the rover can climb.
 
         Some of the ground from below the lidar to the end of the beam is at least as steep as the straight line between
         them. So the end is an obstacle if that line is too steep: on a level rover with the lidar at 0.32 m, within
         0.72 m. Farther ends are suspected ones.
         """
-        rise = beams + (self._mount[2] / CELL * up)[:, None]
+        rise = beams + (mount[..., 2:] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
 
 
@@ -216,7 +228,7 @@ class Limits(NamedTuple):
         return math.ceil(math.sqrt(self.wide) / PARTS)
 
 
-def limits_of(robot: str | Robot) -> Limits:
+def limits_of(robot: RobotLike) -> Limits:
     """Returns the distances from obstacles at which the levels of cells begin."""
     half_width = footprint(get_robot(robot)).half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
@@ -224,12 +236,25 @@ def limits_of(robot: str | Robot) -> Limits:
     return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
 
 
-def map_unit(robot: str | Robot) -> float:
-    """Returns the unit of lengths of a robot's map, m: 1 for Rover Zero."""
-    return passage_scale(get_robot(robot))
+def reading_of(lidar: LidarConfig, robot: RobotLike, interval: float) -> tuple[float, ...]:
+    """Returns how the scans of a robot are read, in units of its map.
+
+    Position of the lidar; the reading from which on a beam has hit nothing; the number of scans, each after an
+    ``interval`` (s), after which a rover that makes no way is stuck; and, for each reading, 1 if the lidar sees there.
+    """
+    no_return = (lidar.max_range - 1e-3) / map_unit(robot)
+    patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
+    is_seen = _seen_readings(lidar, get_robot(robot).lidar_view).float().tolist()
+    return *lidar_mount(robot), no_return, float(math.ceil(patience / interval)), *is_seen
 
 
-def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
+def map_unit(robot: RobotLike) -> float:
+    """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
+    robot = get_robot(robot)
+    return passage_scale(robot, footprint(robot).corner)
+
+
+def lidar_mount(robot: RobotLike) -> tuple[float, float, float]:
     """Returns the position of the lidar in the robot's frame, in units of the map.
 
     Raises:
@@ -243,19 +268,21 @@ def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
     return x / unit, y / unit, z / unit
 
 
-def in_units(unit: float, lidar: Tensor, pose: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns entries of the observation, in meters, in units of the map."""
-    if unit == 1:
+def in_units(unit: float | Tensor, lidar: Tensor, pose: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns entries of the observation, in meters, in units of the map: of all rows, or of each, ``[N, 1]``."""
+    if isinstance(unit, float) and unit == 1:
         return lidar, pose, target
     distance, angle = target.split(1, -1)
     return lidar / unit, pose / unit, torch.cat((distance / unit, angle), -1)
 
 
-def route_in_meters(unit: float, route: Tensor) -> Tensor:
+def route_in_meters(unit: float | Tensor, route: Tensor) -> Tensor:
     """Returns routes ``[N, 5]``, whose lengths are in units of the map, in meters. A length of -1 stays."""
-    if unit == 1:
+    if isinstance(unit, float) and unit == 1:
         return route
-    scaled = route * route.new_tensor((unit, 1.0, unit, 1.0, unit))
+    factor = unit if isinstance(unit, Tensor) else route.new_tensor([unit])
+    one = torch.ones_like(factor)
+    scaled = route * torch.cat((factor, one, factor, one, factor), -1)
     return torch.cat((scaled[:, :4], torch.where(route[:, 4:] < 0, route[:, 4:], scaled[:, 4:])), -1)
 
 

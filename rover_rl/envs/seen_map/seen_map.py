@@ -18,7 +18,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
@@ -33,10 +33,12 @@ from rover_rl.envs.seen_map.scans import (
     in_units,
     limits_of,
     map_unit,
+    reading_of,
     relative_route,
     route_in_meters,
 )
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots.fleet import Fleet
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
@@ -73,7 +75,7 @@ class SeenMap:
     Args:
         rows: number N of rovers.
         lidar: settings of the lidar; ``None``: the defaults.
-        robot: robot, or its name, for the position of the lidar.
+        robot: robot, or its name, for its width and the position of its lidar; or the robots of the rows.
         device: device of the observations; ``None``: the CPU.
         threads: number of CPU threads. Results do not depend on it.
         interval: time from one scan that is added to the next, s.
@@ -86,7 +88,7 @@ class SeenMap:
         self,
         rows: int,
         lidar: LidarConfig | None = None,
-        robot: str | Robot = "rover_zero",
+        robot: RobotLike | Fleet = "rover_zero",
         device: torch.device | str | None = None,
         threads: int = 1,
         interval: float = 0.2,
@@ -95,8 +97,14 @@ class SeenMap:
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
-        self._points, self._unit = lidar.points, map_unit(robot)
-        self._reader, self._limits = ScanReader(lidar, robot, interval).to(device), limits_of(robot)
+        self._points = lidar.points
+        self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
+        self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
+        self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
+        # Unit of the map of the only robot, and of each one.
+        self._unit = map_unit(self._fleet.robots[0])
+        self._units = self._fleet.table(lambda robot: [map_unit(robot)])
+        self._limits = self._fleet.table(lambda robot: [*limits_of(robot), limits_of(robot).reach], torch.int32)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._state = torch.zeros(rows, sum(STATE), device=device)
@@ -147,13 +155,15 @@ class SeenMap:
         lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
-        ranges, place, goal = in_units(self._unit, lidar, pose, target)
-        scan, state = self._reader(self._state, ranges, place, imu)
+        several, index = len(self._fleet.robots) > 1, self._fleet.index
+        unit = self._units[index] if several else self._unit
+        ranges, place, goal = in_units(unit, lidar, pose, target)
+        scan, state = self._reader(self._state, ranges, place, imu, self._readings[index] if several else None)
         scan = self._noted(scan, lidar, pose, imu, renewed)
-        bounds = self._unbounded if bounds is None else bounds.contiguous() / self._unit
+        bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal_positions(place, imu, goal), bounds, rows)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
-        return route_in_meters(self._unit, relative_route(self._corners, self._lengths, place, imu))
+        return route_in_meters(unit, relative_route(self._corners, self._lengths, place, imu))
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -168,7 +178,9 @@ class SeenMap:
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * (CELL * self._unit)
+        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * (
+            CELL * self._units[self._fleet.index]
+        )
 
     def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
         """Returns what the map takes from a scan."""
@@ -190,7 +202,9 @@ class SeenMap:
         device = wp.device_from_torch(rows.device)
         options = {"device": device, "stream": wp.stream_from_torch(rows.device) if device.is_cuda else None}
         before, center = self._state[:, :2].int(), scan.center.int()
-        scans = [rows, before, center, *scan[1:], wp.vec4i(*self._limits), self._limits.reach]
+        limits = self._limits[self._fleet.index]
+        limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
+        scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
         closing = self._closing(rows, center)
         plans = [goals, bounds, rows, center, self._levels if closing is None else closing[1][-1], self._doubts]

@@ -1,5 +1,6 @@
 """Sensors: the entries of an observation.
 
 ``base``: ``Sensor``, what a sensor is, and ``SensorInput``, what it reads from. ``standard``: lidar, pose, IMU, target
-and wheel odometry. ``route``: the way to the goal on a map of what the lidar has seen. ``suite``: sensors by name.
+and wheel odometry. ``route``: the way to the goal on a map of what the lidar has seen. ``robot``: size and
+limits of the robot. ``suite``: sensors by name.
 """

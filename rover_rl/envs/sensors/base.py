@@ -21,6 +21,7 @@ from rover_rl.sims import RoverState
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.table import TerrainTable, WorldTable
@@ -73,10 +74,11 @@ class Rig:
 
     Attributes:
         rows: number N of rovers.
-        robot: robot of all of them.
+        robot: robot of all of them, or the largest one.
         lidar: settings of its lidar.
         control_dt: duration of a step, s.
         device: device of the readings.
+        fleet: robot of each row. ``None``: ``robot``.
     """
 
     rows: int
@@ -84,6 +86,7 @@ class Rig:
     lidar: LidarConfig
     control_dt: float
     device: torch.device
+    fleet: Fleet | None = None
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class Route(Sensor):
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader with maps of its own."""
         interval = self.period * rig.control_dt
-        seen = SeenMap(rig.rows, rig.lidar, rig.robot, rig.device, self.threads, interval)
+        seen = SeenMap(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device, self.threads, interval)
 
         def read(inputs: SensorInput) -> Tensor:
             due = inputs.due(self.period)

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
+ROBOT = "robot"
+"""Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
+OPTIONAL = {ROUTE, ROBOT}
+"""Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
     "pose": "rover_rl.envs.sensors.standard:Pose",
@@ -20,10 +24,11 @@ BUILT_IN = {
     "target": "rover_rl.envs.sensors.standard:Target",
     "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
     ROUTE: "rover_rl.envs.sensors.route:Route",
+    ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
 }
 """Class of each sensor of the package, by the key of its entry, in the order of the observation."""
 _REGISTRY = Registry("sensor", BUILT_IN)
-_TAKEN = {*BUILT_IN, "action", "reward", "done", "terminated", "truncated", "outcome", "privileged"} - {ROUTE}
+_TAKEN = {*BUILT_IN, "action", "reward", "done", "terminated", "truncated", "outcome", "privileged"} - OPTIONAL
 """Keys that sensors of one's own cannot have."""
 
 
@@ -71,9 +76,9 @@ def policy_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[s
 
 
 def environment_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[str, Sensor]:
-    """Returns the sensors that an environment reads, by key: the route only if it is one of ``own``."""
-    sensors = policy_sensors(lidar, own)
-    return {name: sensor for name, sensor in sensors.items() if name != ROUTE or ROUTE in own_sensors(own)}
+    """Returns the sensors that an environment reads, by key: those of :data:`OPTIONAL` only if they are in ``own``."""
+    sensors, asked = policy_sensors(lidar, own), own_sensors(own)
+    return {name: sensor for name, sensor in sensors.items() if name not in OPTIONAL or name in asked}
 
 
 def require_entries(observation: Sequence[str], own: Sequence[SensorLike]) -> None:

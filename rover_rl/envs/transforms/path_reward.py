@@ -36,7 +36,7 @@ class PathReward(Transform):
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
         super().__init__()
-        self._distances = PathDistances(env.pool, env.robot, env.device, CAUTION)
+        self._distances = PathDistances(env.pool, env.robot_in, env.device, CAUTION)
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

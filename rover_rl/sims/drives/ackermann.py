@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from rover_rl.sims.drives.base import Drive, Joints, Wheels
+from rover_rl.sims.drives.base import Drive, Equations, Joints, Wheels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,31 +90,78 @@ class Ackermann(Drive):
         if self.min_radius(wheels) <= max(abs(hub[1]) for hub in wheels.hubs):
             raise ValueError(f"max_steering of {self.max_steering:g} rad turns about a point between the wheels")
 
+    def equations(self, wheels: Wheels, dt: float, device: torch.device | str | None = None) -> AckermannEquations:
+        """Returns the equations of the drive: see :meth:`Drive.equations`."""
+        return _equations(self, wheels, dt, torch.device(device or "cpu"))
+
     def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:
         """Returns the speed (m/s) and steering angle (rad) after ``dt``, ``[N, 2]``."""
+        return self.equations(wheels, dt, command.device).advance(set_point, command)
+
+    def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
+        """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""
+        return self.equations(wheels, 0.0, before.device).targets(before, after)
+
+    def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
+        """Returns the mean speed of the rear wheels, and the yaw rate by the angles of the front wheels, ``[N, 2]``."""
+        return self.equations(wheels, 0.0, joints.speeds.device).odometry(joints)
+
+
+@dataclass(frozen=True)
+class AckermannEquations(Equations):
+    """Equations of a car: see :class:`Equations`.
+
+    Attributes:
+        wheelbase: distance from the rear to the front axle, m.
+        radius: radius of a wheel, m.
+        sides: y of the left and right rear wheels, and of the left and right front wheels, m.
+        max_steering: largest steering angle of the middle of the front axle, rad.
+        gain: largest change of the speed in a step, m/s.
+        turn: largest change of the steering angle in a step, rad.
+    """
+
+    wheelbase: Tensor
+    radius: Tensor
+    sides: Tensor
+    max_steering: Tensor
+    gain: Tensor
+    turn: Tensor
+
+    def advance(self, set_point: Tensor, command: Tensor) -> Tensor:
+        """Returns the speed (m/s) and steering angle (rad) after a step, ``[N, 2]``."""
         speed, angle = set_point.split(1, -1)
         desired, yaw_rate = command.split(1, -1)
         # In reverse, the same yaw rate needs the opposite angle.
         side = torch.where(desired < 0, -yaw_rate, yaw_rate)
-        wanted = torch.atan2(side * self.wheelbase(wheels), desired.abs()).clamp(-self.max_steering, self.max_steering)
-        gain, turn = self.max_linear_acceleration * dt, self.max_steering_rate * dt
-        steps = (desired - speed).clamp(-gain, gain), (wanted - angle).clamp(-turn, turn)
+        wanted = torch.atan2(side * self.wheelbase, desired.abs()).clamp(-self.max_steering, self.max_steering)
+        steps = (desired - speed).clamp(-self.gain, self.gain), (wanted - angle).clamp(-self.turn, self.turn)
         return torch.cat((speed + steps[0], angle + steps[1]), -1)
 
-    def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
+    def targets(self, before: Tensor, after: Tensor) -> Joints:
         """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""
-        base = self.wheelbase(wheels)
         speed = (before[:, :1] + after[:, :1]) * 0.5
-        curvature = after[:, 1:].tan() / base
-        sides = speed.new_tensor([hub[1] for hub in wheels.hubs])
-        inside = 1 - curvature * sides
-        angles = torch.atan2(curvature * base, inside[:, 2:])
-        return Joints(speed * inside[:, :2] / wheels.radius, angles)
+        curvature = after[:, 1:].tan() / self.wheelbase
+        inside = 1 - curvature * self.sides
+        angles = torch.atan2(curvature * self.wheelbase, inside[:, 2:])
+        return Joints(speed * inside[:, :2] / self.radius, angles)
 
-    def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
+    def odometry(self, joints: Joints) -> Tensor:
         """Returns the mean speed of the rear wheels, and the yaw rate by the angles of the front wheels, ``[N, 2]``."""
-        speed = joints.speeds.mean(-1, keepdim=True) * wheels.radius
+        # The mean of two, in the same order for any layout of the batch.
+        speed = (joints.speeds[:, :1] + joints.speeds[:, 1:]) / 2 * self.radius
         tangents = joints.angles.tan()
-        sides = tangents.new_tensor([hub[1] for hub in wheels.hubs[2:]])
-        curvature = (tangents / (self.wheelbase(wheels) + sides * tangents)).mean(-1, keepdim=True)
-        return torch.cat((speed, speed * curvature), -1)
+        curvatures = tangents / (self.wheelbase + self.sides[..., 2:] * tangents)
+        return torch.cat((speed, speed * ((curvatures[:, :1] + curvatures[:, 1:]) / 2)), -1)
+
+
+@lru_cache(maxsize=64)
+def _equations(drive: Ackermann, wheels: Wheels, dt: float, device: torch.device) -> AckermannEquations:
+    """Copies the numbers of the equations to a device once: a copy from the host waits for the device."""
+    return AckermannEquations(
+        wheelbase=torch.tensor([drive.wheelbase(wheels)], device=device),
+        radius=torch.tensor([wheels.radius], device=device),
+        sides=torch.tensor([hub[1] for hub in wheels.hubs], device=device),
+        max_steering=torch.tensor([drive.max_steering], device=device),
+        gain=torch.tensor([drive.max_linear_acceleration * dt], device=device),
+        turn=torch.tensor([drive.max_steering_rate * dt], device=device),
+    )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
+import torch
 from torch import Tensor
 
 
@@ -38,6 +40,36 @@ class Joints(NamedTuple):
 
     speeds: Tensor
     angles: Tensor
+
+
+@dataclass(frozen=True)
+class Equations(ABC):
+    """Equations of a kind of drive, whose fields are the numbers in them: float32 ``[k]`` for one robot.
+
+    Those of several robots are stacked and chosen by row, ``[N, k]`` each, so that a batch of different robots is
+    computed at once. The methods are those of :class:`Drive`, for the wheels and the step that the numbers are of.
+    """
+
+    def stacked_with(self, others: Sequence[Equations]) -> Equations:
+        """Returns the equations of several robots, ``[1 + len(others), k]`` each: this one and ``others``."""
+        names = vars(self)
+        return replace(self, **{name: torch.stack([vars(each)[name] for each in (self, *others)]) for name in names})
+
+    def of_rows(self, index: Tensor) -> Equations:
+        """Returns the equations of rows, each with those of the robot at its index (int64 ``[N]``) of the stack."""
+        return replace(self, **{name: numbers[index] for name, numbers in vars(self).items()})
+
+    @abstractmethod
+    def advance(self, set_point: Tensor, command: Tensor) -> Tensor:
+        """Returns the set point after a step: see :meth:`Drive.advance`."""
+
+    @abstractmethod
+    def targets(self, before: Tensor, after: Tensor) -> Joints:
+        """Returns the targets of the joints in a step: see :meth:`Drive.targets`."""
+
+    @abstractmethod
+    def odometry(self, joints: Joints) -> Tensor:
+        """Returns the twist that the joints report: see :meth:`Drive.odometry`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +172,13 @@ class Drive(ABC):
         Raises:
             ValueError: if it cannot.
         """
+
+    def equations(self, wheels: Wheels, dt: float, device: torch.device | str | None = None) -> Equations | None:
+        """Returns the equations of the drive for these wheels and steps of ``dt`` (s).
+
+        A batch of different robots whose drives have some is computed at once, and one by one without: ``None``.
+        """
+        return None
 
     @abstractmethod
     def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:

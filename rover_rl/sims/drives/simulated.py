@@ -8,6 +8,8 @@ from torch.nn.functional import pad
 
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.drives.base import Drive, Joints, Wheels
+from rover_rl.sims.drives.fleet import FleetDrive, OneDrive
+from rover_rl.sims.robots.fleet import Fleet
 
 
 class SimulatedDrives:
@@ -15,7 +17,7 @@ class SimulatedDrives:
 
     Args:
         drive: drive of every rover.
-        wheels: geometry of its wheels.
+        wheels: geometry of their wheels.
         dt: duration of a control step, s.
         num_envs: number of rovers.
         device: device of the commands.
@@ -24,8 +26,18 @@ class SimulatedDrives:
     def __init__(
         self, drive: Drive, wheels: Wheels, dt: float, num_envs: int, device: torch.device | str | None = None
     ) -> None:
-        self._drive, self._wheels, self._step = drive, wheels, dt
-        self._first_angle = 7 + len(drive.motors)
+        self._begin(OneDrive(drive, wheels, dt), dt, num_envs, device)
+
+    @classmethod
+    def of(cls, fleet: Fleet, dt: float) -> SimulatedDrives:
+        """Returns the drives of a fleet, a robot per row. A change of its index is followed."""
+        drives, device = cls.__new__(cls), fleet.index.device
+        one = OneDrive(fleet.robots[0].drive, fleet.robots[0].wheels, dt)
+        drives._begin(one if len(fleet.robots) == 1 else FleetDrive(fleet, dt), dt, len(fleet), device)
+        return drives
+
+    def _begin(self, drive: OneDrive | FleetDrive, dt: float, num_envs: int, device: torch.device | str | None) -> None:
+        self._drive, self._step, self._first_angle = drive, dt, 7 + drive.motors
         self._dt = torch.full((num_envs, 1), dt, device=device)
         self._set_point = torch.zeros(num_envs, drive.set_point_size, device=device)
         self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
@@ -47,8 +59,8 @@ class SimulatedDrives:
         """
         if self._drive.sideways and commands.shape[-1] == 2:
             commands = pad(commands, (0, 1))
-        set_point = self._drive.advance(self._set_point, commands, self._wheels, self._step)
-        targets = self._drive.targets(self._set_point, set_point, self._wheels)
+        set_point = self._drive.advance(self._set_point, commands)
+        targets = self._drive.targets(self._set_point, set_point)
         stamp = self._stamp + self._step
         if active is not None:
             set_point = torch.where(active[:, None], set_point, self._set_point)
@@ -66,7 +78,7 @@ class SimulatedDrives:
             mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
         """
         joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
-        twist = self._drive.odometry(joints, self._wheels)
+        twist = self._drive.odometry(joints)
         optional = {"contact": contact, "mover_contact": mover_contact}
         if self._drive.sideways:
             optional["lateral_velocity"] = twist[:, 2:]

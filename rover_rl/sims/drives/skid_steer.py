@@ -8,7 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from rover_rl.sims.drives.base import Drive, Joints, Wheels
+from rover_rl.sims.drives.base import Drive, Equations, Joints, Wheels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,26 +68,25 @@ class SkidSteer(Drive):
                     f"{side} wheel {name!r} is at y = {hub[1]:g} m; left wheels must be at y > 0, right wheels at y < 0"
                 )
 
+    def equations(self, wheels: Wheels, dt: float, device: torch.device | str | None = None) -> SkidSteerEquations:
+        """Returns the equations of the drive: see :meth:`Drive.equations`."""
+        limits = self.max_linear_acceleration, self.max_angular_acceleration
+        return _equations(self.track(wheels), wheels.radius, limits, dt, torch.device(device or "cpu"))
+
     def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:
         """Returns the twist after ``dt``, limited in acceleration."""
-        limit = _limit(self.max_linear_acceleration, self.max_angular_acceleration, dt, command.device)
-        return set_point + torch.clamp(command - set_point, -limit, limit)
+        return self.equations(wheels, dt, command.device).advance(set_point, command)
 
     def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
         """Returns the wheel speeds without slip, ``(v -+ w separation / 2) / r``.
 
         They are those of the mean twist, so that the distance driven matches the limited acceleration.
         """
-        twist = (before + after) * 0.5
-        inverse_radius, left_right, _, _ = _factors(self.track(wheels), wheels.radius, twist.device)
-        speeds = torch.addcmul(twist[:, :1] * inverse_radius, twist[:, 1:], left_right)
-        return Joints(speeds, speeds[:, :0])
+        return self.equations(wheels, 0.0, before.device).targets(before, after)
 
     def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
         """Returns ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s), ``[N, 2]``."""
-        speeds = joints.speeds
-        _, _, from_left, from_right = _factors(self.track(wheels), wheels.radius, speeds.device)
-        return torch.addcmul(speeds[:, :1] * from_left, speeds[:, 1:], from_right)
+        return self.equations(wheels, 0.0, joints.speeds.device).odometry(joints)
 
     def track(self, wheels: Wheels) -> float:
         """Returns the distance of left and right wheels in the kinematics, m: ``separation``, or that of the hubs."""
@@ -98,18 +97,48 @@ class SkidSteer(Drive):
         return sum(sides[:left]) / left - sum(sides[left:]) / len(self.right)
 
 
-@lru_cache(maxsize=32)
-def _factors(separation: float, radius: float, device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Copies the factors of the wheel speeds in the twist, and of the twist in the wheel speeds, to a device once."""
+@dataclass(frozen=True)
+class SkidSteerEquations(Equations):
+    """Equations of a skid-steer drive: see :class:`Equations`.
+
+    Attributes:
+        limit: largest changes of speed (m/s) and yaw rate (rad/s) in a step.
+        inverse_radius: inverse of the radius of a wheel, 1/m.
+        left_right: speeds of the left and the right wheels per unit of yaw rate.
+        from_left, from_right: speed and yaw rate per unit of the speed of the left and of the right wheels.
+    """
+
+    limit: Tensor
+    inverse_radius: Tensor
+    left_right: Tensor
+    from_left: Tensor
+    from_right: Tensor
+
+    def advance(self, set_point: Tensor, command: Tensor) -> Tensor:
+        """Returns the twist after a step, limited in acceleration."""
+        return set_point + torch.clamp(command - set_point, -self.limit, self.limit)
+
+    def targets(self, before: Tensor, after: Tensor) -> Joints:
+        """Returns the wheel speeds of the mean twist."""
+        twist = (before + after) * 0.5
+        speeds = torch.addcmul(twist[:, :1] * self.inverse_radius, twist[:, 1:], self.left_right)
+        return Joints(speeds, speeds[:, :0])
+
+    def odometry(self, joints: Joints) -> Tensor:
+        """Returns the twist of the wheel speeds."""
+        return torch.addcmul(joints.speeds[:, :1] * self.from_left, joints.speeds[:, 1:], self.from_right)
+
+
+@lru_cache(maxsize=64)
+def _equations(
+    separation: float, radius: float, limits: tuple[float, float], dt: float, device: torch.device
+) -> SkidSteerEquations:
+    """Copies the numbers of the equations to a device once: a copy from the host waits for the device."""
     linear, angular = radius / 2, radius / separation
-    return (
-        torch.tensor(1 / radius, device=device),
-        torch.tensor((-separation / 2, separation / 2), device=device) / radius,
-        torch.tensor((linear, -angular), device=device),
-        torch.tensor((linear, angular), device=device),
+    return SkidSteerEquations(
+        limit=dt * torch.tensor(limits, device=device),
+        inverse_radius=torch.tensor([1 / radius], device=device),
+        left_right=torch.tensor((-separation / 2, separation / 2), device=device) / radius,
+        from_left=torch.tensor((linear, -angular), device=device),
+        from_right=torch.tensor((linear, angular), device=device),
     )
-
-
-@lru_cache(maxsize=32)
-def _limit(linear: float, angular: float, dt: float, device: torch.device) -> Tensor:
-    return dt * torch.tensor((linear, angular), device=device)

@@ -145,22 +145,23 @@ def circle_in_plane(kind: int, half: wp.vec3, center: wp.vec3, axis: wp.vec3) ->
 def scan_parts(
     parts: PartArrays,
     poses: wp.array2d[float],
-    mount: wp.vec3,
+    mounts: wp.array[wp.vec4],
     beams: wp.array[wp.vec2],
     rows: wp.array[wp.bool],
-    max_range: float,
     ranges: wp.array2d[float],
 ):
     """Shortens the beams of a planar lidar that meet a part; thread ``row`` of those in ``rows``.
 
-    ``poses`` are those of the rovers, position (m) and quaternion, and ``beams`` the directions (ahead, left), equally
-    spaced counter-clockwise from straight ahead. Tests the beams in the angle that a circle around a part fills in the
-    scan plane: see :func:`circle_in_plane`.
+    ``poses`` are those of the rovers, position (m) and quaternion, ``mounts`` the position of the lidar on each one
+    and its range (m), and ``beams`` the directions (ahead, left), equally spaced counter-clockwise from straight ahead.
+    Tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`.
     """
     row = wp.tid()
     if not rows[row]:
         return
     turn = wp.quat(poses[row, 3], poses[row, 4], poses[row, 5], poses[row, 6])
+    mount = wp.vec3(mounts[row][0], mounts[row][1], mounts[row][2])
+    max_range = mounts[row][3]
     start = wp.vec3(poses[row, 0], poses[row, 1], poses[row, 2]) + wp.quat_rotate(turn, mount)
     # Axes of the rover in the world frame.
     ahead = wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0))

@@ -10,6 +10,7 @@ from torch import Tensor
 from rover_rl.sims.base import Scanner, Simulator
 from rover_rl.sims.movers.field import MoverField, Parts
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 
 if TYPE_CHECKING:
     from rover_rl.sims.movers.kernels import PartArrays
@@ -56,13 +57,15 @@ class MoverScanner:
         scanner: scanner of what does not move.
         movers: movers of the rows.
         simulator: simulator of the rovers.
-        robot: robot that carries the lidar.
+        robot: robot that carries the lidar, or the robots of the rows.
     """
 
-    def __init__(self, scanner: Scanner, movers: MoverField, simulator: Simulator, robot: Robot) -> None:
+    def __init__(self, scanner: Scanner, movers: MoverField, simulator: Simulator, robot: Robot | Fleet) -> None:
         self.angles = scanner.angles
         self._scanner, self._movers, self._simulator = scanner, movers, simulator
-        self._mount, self._range = robot.lidar_position, robot.lidar_range
+        self._fleet = Fleet.of(robot, simulator.num_envs, simulator.device)
+        # Position of the lidar, and its range.
+        self._mounts = self._fleet.table(lambda robot: [*robot.lidar_position, robot.lidar_range])
         angles = scanner.angles.double()
         self._beams = torch.stack((angles.cos(), angles.sin()), -1).float()
         self._every = torch.ones(simulator.num_envs, dtype=torch.bool, device=simulator.device)
@@ -91,10 +94,9 @@ class MoverScanner:
             inputs = [
                 part_arrays(parts),
                 wp.from_torch(poses),
-                wp.vec3(*self._mount),
+                wp.from_torch(self._mounts[self._fleet.index.to(ranges.device)], dtype=wp.vec4),
                 wp.from_torch(self._beams, dtype=wp.vec2),
                 wp.from_torch(rows.contiguous()),
-                self._range,
                 wp.from_torch(ranges),
             ]
             wp.launch(scan_parts, len(ranges), inputs, device=wp.device_from_torch(ranges.device))

@@ -5,17 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rover_rl.registry import Registry
 from rover_rl.sims.robots.options import LIDAR_OPTIONS, RobotOptions, is_robot_file, split_options
 
 if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
+
+    RobotSource: TypeAlias = str | Robot | Sequence[str | Robot]
 
 ROBOTS = {
     "rover_zero": "rover_rl.sims.robots.rover_zero:ROVER_ZERO",
@@ -24,10 +27,16 @@ ROBOTS = {
     "husky": "rover_rl.sims.robots.husky:HUSKY",
     "racer": "rover_rl.sims.robots.racer:RACER",
     "hunter": "rover_rl.sims.robots.hunter:HUNTER",
+    "any": "rover_rl.sims.robots.any_robot:any_robot",
 }
 """Built-in robots, by name."""
 
 
+TRAINING_SEEDS = 10_000
+"""Number of seeds of a family for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
+
+_MEMBER = re.compile(r"(.+):([0-9]+)", re.ASCII)
+_RANGE = re.compile(r"([^,]+):([0-9]+)-([0-9]+)(,.*)?", re.ASCII)
 _REGISTRY = Registry("robot", ROBOTS, also=", a URDF file, a Robot, or 'module:attribute' of your own")
 
 
@@ -49,21 +58,33 @@ def robot_names() -> list[str]:
     return _REGISTRY.names()
 
 
-def get_robot(robot: str | Robot) -> Robot:
+def names_several(robots: RobotSource) -> bool:
+    """Whether robots are given by a range of seeds, or a list of more than one."""
+    if isinstance(robots, str):
+        return _RANGE.fullmatch(robots) is not None
+    return isinstance(robots, Sequence) and (len(robots) > 1 or any(map(names_several, robots)))
+
+
+def get_robot(robot: RobotSource) -> Robot:
     """Returns a robot by name. Returns a :class:`Robot` unchanged.
 
     Args:
         robot: name in :func:`robot_names`, path of a URDF (``"scout.urdf"``), ``"module:attribute"`` of a robot or of a
-            function that returns one, or a robot. A name may have options, as in
-            ``"scout.urdf,drive=skid_steer,max_speed=1.5"``: the fields of :class:`RobotOptions`.
+            function that returns one, or a robot. A suffix ``:seed`` selects a robot of a family, a function of a seed:
+            ``"any:17"``. A name may have options, as in ``"scout.urdf,drive=skid_steer,max_speed=1.5"``: the fields of
+            :class:`RobotOptions`.
 
     Raises:
-        ValueError: if the name is unknown, or refers to something else than a robot; if a URDF holds no robot that can
-            be driven, or an option does not fit the robot.
+        ValueError: if the name is unknown, that of a range, or refers to something else than a robot; if a URDF holds
+            no robot that can be driven, or an option does not fit the robot.
         FileNotFoundError: if there is no such file.
     """
     from rover_rl.sims.robots.robot import Robot
 
+    if names_several(robot):
+        raise ValueError(f"{robot!r} names several robots, and one is needed here"[:200])
+    if isinstance(robot, (list, tuple)) and robot:
+        (robot,) = robot
     if isinstance(robot, Robot):
         return robot
     if not isinstance(robot, str):
@@ -112,11 +133,56 @@ def _named(robot: str) -> Robot:
     """Returns a robot by its name, without options."""
     from rover_rl.sims.robots.robot import Robot
 
-    part = _REGISTRY.find(robot)
-    part = _REGISTRY.call(robot, part) if callable(part) else part
+    name, seed = robot, ""
+    if _MEMBER.fullmatch(robot):
+        name, _, seed = robot.rpartition(":")
+    part = _REGISTRY.find(name)
+    if seed and not callable(part):
+        raise ValueError(f"robot {robot!r} has a seed, and {name!r} is one robot, not a family")
+    part = _REGISTRY.call(robot, part, *map(int, filter(None, [seed]))) if callable(part) else part
     if not isinstance(part, Robot):
         raise ValueError(f"robot {robot!r} must be a Robot or a function that returns one, got {type(part).__name__}")
     return part
+
+
+def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
+    """Returns the robots that episodes draw from, each once.
+
+    Args:
+        robots: robot, its name, a range of seeds of a family (``"any:0-255"``), or a list of them.
+
+    Raises:
+        ValueError: as :func:`get_robot`, or if there are no robots or too many, or a range is not in order.
+    """
+    from rover_rl.sims.robots.fleet import MAX_ROBOTS
+
+    entries = [robots] if isinstance(robots, str) or not isinstance(robots, Sequence) else robots
+    names = [name for entry in entries for name in _members(entry)]
+    if not 1 <= len(names) <= MAX_ROBOTS:
+        raise ValueError(f"robot must give 1 to {MAX_ROBOTS} robots, as 'any:0-255' does, got {len(names)}")
+    return tuple(dict.fromkeys(map(get_robot, names)))
+
+
+def check_training_robots(robots: RobotSource) -> None:
+    """Raises a ``ValueError`` if robots are unknown, or one is for evaluation: has a seed of 10,000 or more."""
+    for robot in get_robots(robots):
+        match = _MEMBER.fullmatch(robot.name)
+        if match is not None and int(match[2]) >= TRAINING_SEEDS:
+            raise ValueError(
+                f"robots with seeds from {TRAINING_SEEDS} up are for evaluation; train with lower ones, as in "
+                f"'{match[1]}:0-255', got {robot.name!r}"
+            )
+
+
+def _members(entry: str | Robot) -> Sequence[str | Robot]:
+    """Returns the names of the robots of a range, or the only entry."""
+    match = _RANGE.fullmatch(entry) if isinstance(entry, str) else None
+    if match is None:
+        return [entry]
+    family, first, last = match[1], int(match[2]), int(match[3])
+    if last < first:
+        raise ValueError(f"the ends of {entry!r} must be in order, as in '{family}:0-255'")
+    return [f"{family}:{seed}{match[4] or ''}" for seed in range(first, min(last, first + 10_000) + 1)]
 
 
 def __getattr__(name: str) -> Any:
@@ -127,4 +193,14 @@ def __getattr__(name: str) -> Any:
     return Robot
 
 
-__all__ = ["ROBOTS", "Robot", "RobotOptions", "get_robot", "register_robot", "robot_names"]
+__all__ = [
+    "ROBOTS",
+    "Robot",
+    "RobotOptions",
+    "check_training_robots",
+    "get_robot",
+    "get_robots",
+    "names_several",
+    "register_robot",
+    "robot_names",
+]

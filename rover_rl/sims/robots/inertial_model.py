@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,26 +53,15 @@ class InertialModel:
             Mass ``[N]``, center of mass ``[N, 3]``, and inertia about it ``[N, 3, 3]``. The inertia leaves out that of
             the wheels about their axles, since the spin of a wheel is a state of its own.
         """
-        chassis_center, chassis_inertia, hubs, turn = self._on(chassis_mass.device)
-        mass = chassis_mass + len(hubs) * self.wheel_mass
-        center = (chassis_mass[:, None] * chassis_center + self.wheel_mass * hubs.sum(0)) / mass[:, None]
-        inertia = chassis_mass[:, None, None] / self.chassis_mass * chassis_inertia
-        inertia = inertia + _parallel_axis(chassis_mass, chassis_center - center)
-        wheel = torch.full_like(chassis_mass, self.wheel_mass)
-        for hub in hubs:
-            inertia = inertia + turn + _parallel_axis(wheel, hub - center)
-        return mass, center, inertia
+        return self._table(chassis_mass.device).total(chassis_mass, torch.zeros_like(chassis_mass, dtype=torch.int64))
 
-    def _on(self, device: torch.device) -> list[Tensor]:
-        """Returns the tensors of :meth:`total`, copied to a device once: a copy from the host waits for the device."""
-        if device not in self._copies:
-            turn = np.diag((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia))
-            arrays = (self.chassis_center, self.chassis_inertia, self.hubs, turn)
-            self._copies[device] = [torch.from_numpy(array).to(device) for array in arrays]
-        return self._copies[device]
+    def _table(self, device: torch.device) -> MassTable:
+        if device not in self._tables:
+            self._tables[device] = MassTable([self], device)
+        return self._tables[device]
 
     @cached_property
-    def _copies(self) -> dict[torch.device, list[Tensor]]:
+    def _tables(self) -> dict[torch.device, MassTable]:
         return {}
 
     def points(self) -> np.ndarray:
@@ -89,6 +79,51 @@ class InertialModel:
             others = np.delete(self.box_centers, index, 0), np.delete(self.box_halves, index, 0) + 5e-3
             points.append(own[(np.abs(own[:, None] - others[0]) > others[1]).any(2).all(1)])
         return np.concatenate(points)
+
+
+class MassTable:
+    """Mass properties of K robots, copied to a device once: a copy from the host waits for the device.
+
+    Attributes:
+        chassis_mass: mass of the chassis of each robot, ``[K]``, kg, float64.
+    """
+
+    def __init__(self, models: Sequence[InertialModel], device: torch.device) -> None:
+        most = max(len(model.hubs) for model in models)
+        # A wheel that a robot lacks has no mass.
+        weights = np.array([[float(wheel < len(model.hubs)) for wheel in range(most)] for model in models])
+        hubs = [np.pad(model.hubs, ((0, most - len(model.hubs)), (0, 0))) for model in models]
+        turns = [np.diag((model.wheel_turn_inertia, 0.0, model.wheel_turn_inertia)) for model in models]
+        wheel_mass = np.array([model.wheel_mass for model in models])
+        arrays = {
+            "mass": [model.chassis_mass for model in models],
+            "center": [model.chassis_center for model in models],
+            "inertia": [model.chassis_inertia for model in models],
+            "wheels_mass": [len(model.hubs) * model.wheel_mass for model in models],
+            "wheels_moment": [model.wheel_mass * torch.from_numpy(model.hubs).sum(0).numpy() for model in models],
+            "hubs": hubs,
+            "wheel": wheel_mass[:, None] * weights,
+            "turn": np.array(turns)[:, None] * weights[:, :, None, None],
+        }
+        tensors = {name: torch.from_numpy(np.array(array, dtype=float)).to(device) for name, array in arrays.items()}
+        self.chassis_mass, self._tensors = tensors["mass"], tensors
+
+    def total(self, chassis_mass: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns the mass properties of whole rovers: see :meth:`InertialModel.total`.
+
+        Args:
+            chassis_mass: masses of the chassis, ``[N]``, float64.
+            index: robot of each rover, int64 ``[N]``.
+        """
+        own = {name: values[index] for name, values in self._tensors.items()}
+        mass = chassis_mass + own["wheels_mass"]
+        center = (chassis_mass[:, None] * own["center"] + own["wheels_moment"]) / mass[:, None]
+        inertia = (chassis_mass / own["mass"])[:, None, None] * own["inertia"]
+        inertia = inertia + _parallel_axis(chassis_mass, own["center"] - center)
+        for wheel in range(own["hubs"].shape[1]):
+            offset = own["hubs"][:, wheel] - center
+            inertia = inertia + own["turn"][:, wheel] + _parallel_axis(own["wheel"][:, wheel], offset)
+        return mass, center, inertia
 
 
 def read_inertial_model(robot: Robot) -> InertialModel:

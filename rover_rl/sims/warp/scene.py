@@ -15,6 +15,7 @@ import torch
 from rover_rl.sims import worlds
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
 from rover_rl.sims.worlds import World
@@ -174,6 +175,23 @@ def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Dev
     model.lidar_position = wp.vec3(*robot.lidar_position)
     model.lidar_range = robot.lidar_range
     return model
+
+
+class ModelTable:
+    """Models of the robots of a fleet, by index, in one array.
+
+    Attributes:
+        models: model of each robot.
+        reach: radius of a sphere around the center of mass that contains any of the rovers, m.
+        ranges: maximum range of each robot's lidar, ``[K]``, m.
+    """
+
+    def __init__(self, fleet: Fleet, inertial_models: Sequence[InertialModel], device: wp.Device) -> None:
+        # A struct in an array refers to other arrays without owning them.
+        self._owners = [make_robot_model(*pair, device) for pair in zip(fleet.robots, inertial_models, strict=True)]
+        self.models = wp.array(self._owners, dtype=RobotModel, device=device)
+        self.reach = max(model.bounding_radius for model in self._owners)
+        self.ranges = fleet.table(lambda robot: robot.lidar_range)
 
 
 def bounding_radius(robot: Robot, model: InertialModel) -> float:

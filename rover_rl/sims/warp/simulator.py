@@ -13,19 +13,20 @@ from torch import Tensor
 
 from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
-from rover_rl.sims.free_space import rest_on_ground
+from rover_rl.sims.free_space.rest_pose import Stances, rest_on_ground
 from rover_rl.sims.movers.field import MoverField, Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
-from rover_rl.sims.warp.scene import SceneTable, make_robot_model
+from rover_rl.sims.warp.scene import ModelTable, SceneTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import Obstacle, Terrain, World
@@ -48,7 +49,7 @@ class WarpSimulator:
 
     Args:
         worlds: world of each rover.
-        robot: robot to simulate.
+        robot: robot to simulate, or a fleet with the robot of each rover.
         settings: settings of the physics; ``None`` uses the defaults.
         device: device of the simulation and of its tensors; ``None`` is the CPU.
 
@@ -57,12 +58,12 @@ class WarpSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers", "robots"})
 
     def __init__(
         self,
         worlds: Sequence[World],
-        robot: Robot,
+        robot: Robot | Fleet,
         settings: WarpSettings | None = None,
         device: torch.device | str | None = None,
     ) -> None:
@@ -72,16 +73,17 @@ class WarpSimulator:
             self.device = torch.device("cuda", torch.cuda.current_device())
         self.settings = settings or WarpSettings()
         self.control_dt = self.settings.control_dt
-        self.robot = robot
-        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count, self.device)
-        self._renderers = RendererCache(robot)
+        self.fleet = Fleet.of(robot, count, self.device)
+        self._drive = SimulatedDrives.of(self.fleet, self.control_dt)
+        self._stances = Stances(self.fleet)
+        self._renderers: dict[Robot, RendererCache] = {}
 
-        inertial_model = read_inertial_model(robot)
-        self._buffers = StateBuffers(inertial_model, robot, count, self.device)
-        self._model = make_robot_model(robot, inertial_model, self._wp_device)
+        inertial_models = [read_inertial_model(each) for each in self.fleet.robots]
+        self._buffers = StateBuffers(self.fleet, inertial_models)
+        self._models = ModelTable(self.fleet, inertial_models, self._wp_device)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
-        self._scenes = SceneTable(self._worlds.capacity, self._model.bounding_radius, self._wp_device)
+        self._scenes = SceneTable(self._worlds.capacity, self._models.reach, self._wp_device)
         self._terrains = TerrainTable(self.device)
         self.enter_worlds()
         self._poses = wp.from_torch(self._buffers.poses)
@@ -89,9 +91,14 @@ class WarpSimulator:
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
         self._movers: MoverField | None = None
         self._parts: Parts | None = None
-        self._forms, self._form_count = SceneTable(1, self._model.bounding_radius, self._wp_device), 0
+        self._forms, self._form_count = SceneTable(1, self._models.reach, self._wp_device), 0
         self._dynamics = self._record_dynamics()
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
+
+    @property
+    def lidar_ranges(self) -> Tensor:
+        """Maximum range of each rover's lidar, ``[N]``, m."""
+        return self._models.ranges[self.fleet.index]
 
     @property
     def _wp_device(self) -> wp.Device:
@@ -114,7 +121,7 @@ class WarpSimulator:
     def _record(self, kernel: wp.Kernel, *inputs: Any, lanes: tuple[int, ...] = ()) -> list[wp.Launch]:
         """Records the launches of a kernel, one per CPU thread, with ``lanes`` threads of the device per rover."""
         options = {"record_cmd": True, **self._launch_options}
-        inputs = (self._scenes.scenes, self._model, *inputs)
+        inputs = (self._scenes.scenes, self._models.models, *inputs)
         return [
             wp.launch(kernel, dim=(count, *lanes), inputs=[*inputs, first, *lanes], **options)
             for first, count in self._shards
@@ -127,7 +134,12 @@ class WarpSimulator:
             dtype = vars(MoverArrays)["vars"][name].type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
-        inputs = [_solver(self.settings, self.robot.mass), self._buffers.rovers, self._forms.scenes, arrays]
+        inputs = [
+            _solver(self.settings, max(robot.mass for robot in self.fleet.robots)),
+            self._buffers.rovers,
+            self._forms.scenes,
+            arrays,
+        ]
         return self._record(step_dynamics, *inputs)
 
     def meet(self, movers: MoverField) -> None:
@@ -170,11 +182,15 @@ class WarpSimulator:
         """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
         self._scenes.prepare(world)
 
+    def enter_robots(self, mask: Tensor) -> None:
+        """Gives rovers the robots of the fleet: see :meth:`RobotChanger.enter_robots`."""
+        self._buffers.enter_robots(mask)
+
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
         self._set_rest_poses(mask, poses)
         self._buffers.active.copy_(mask)
-        inputs = [self._model, self._buffers.rovers, self._poses]
+        inputs = [self._models.models, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
         self._drive.reset(mask)
         return self.state()
@@ -184,7 +200,7 @@ class WarpSimulator:
         # On the CPU, computes only the rows of the mask. On a GPU, selecting rows would synchronize with the device.
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
         ground = self._terrains.of(self._buffers.scene[chosen].long())
-        position, rotation = rest_on_ground(ground, self.robot, poses[chosen])
+        position, rotation = rest_on_ground(ground, self._stances.of_rows(self.fleet.index[chosen]), poses[chosen])
         target = self._buffers.poses
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
@@ -214,7 +230,8 @@ class WarpSimulator:
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""
         pose, movers = self._buffers.base_state[row, :7], parts_of(self._movers, row)
-        return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
+        renderers = self._renderers.setdefault(self.fleet[row], RendererCache(self.fleet[row]))
+        return renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 
     @property
     def robot_connected(self) -> bool:
@@ -225,7 +242,8 @@ class WarpSimulator:
         """Stops the threads and releases the renderers. Idempotent."""
         if self._pool is not None:
             self._pool.shutdown()
-        self._renderers.close()
+        for renderers in self._renderers.values():
+            renderers.close()
 
     @property
     def _stream(self) -> wp.Stream | None:
@@ -264,7 +282,7 @@ class WarpScanner:
         self.visible = torch.zeros(count, SECTORS, device=device)
         self.lanes = simulator.settings.lidar_lanes or (GPU_LIDAR_LANES if device.type == "cuda" else 1)
         self.launches: list[wp.Launch] = []
-        self._run, self._max_range = simulator.run, simulator.robot.lidar_range
+        self._simulator = simulator
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
         """Scans: see :meth:`Scanner.scan`."""
@@ -279,12 +297,12 @@ class WarpScanner:
         """Launches the kernel for the rovers of :attr:`rows`."""
         if self.lanes > 1:
             self.ranges.masked_fill_(self.rows[:, None], torch.inf)
-            self.visible.fill_(self._max_range)
-        self._run(self.launches)
+            self.visible.copy_(self._simulator.lidar_ranges[:, None])
+        self._simulator.run(self.launches)
 
 
 def _solver(settings: WarpSettings, mass: float) -> Solver:
-    """Converts settings to the solver parameters of the kernels, for a robot of a mass (kg)."""
+    """Converts settings to the solver parameters of the kernels, for robots of a mass (kg) at most."""
     solver, share = Solver(), max(1.0, mass / HEAVY)
     solver.dt = settings.substep
     solver.substeps = settings.substeps

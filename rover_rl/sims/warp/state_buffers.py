@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -9,18 +10,21 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.inertial_model import InertialModel
+from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.sims.robots.inertial_model import InertialModel, MassTable
 from rover_rl.sims.warp.kernels.types import RoverArrays
 
 
 class StateBuffers:
     """State and parameters of all rovers, a row each. Torch tensors and Warp arrays share the same memory.
 
+    Robots with fewer wheels, motors or steering joints than others leave columns unused.
+
     Attributes:
         rovers: Warp arrays for the kernels.
         poses: poses of the base frames for the next placement, position (m) and quaternion (x, y, z, w), ``[N, 7]``.
         scene: index of each rover's world in the array of scenes, int32 ``[N]``.
+        robot: index of each rover's robot in the array of models, int32 ``[N]``.
         target_speeds: target speed of each motor, ``[N, M]``, rad/s.
         target_angles: target angle of each steering joint, ``[N, S]``, rad.
         active: rovers that the next launch simulates, bool ``[N]``.
@@ -30,12 +34,16 @@ class StateBuffers:
         mover_contact: whether they touched a mover, bool ``[N, 1]``.
     """
 
-    def __init__(self, model: InertialModel, robot: Robot, count: int, device: torch.device) -> None:
-        self._model, self._wheel_torque = model, robot.drive.torque
+    def __init__(self, fleet: Fleet, models: Sequence[InertialModel]) -> None:
+        count, device = len(fleet), fleet.index.device
+        self._fleet, self._masses = fleet, MassTable(models, device)
+        self._wheel_torque = fleet.table(lambda robot: robot.drive.torque)
         zeros = partial(torch.zeros, device=device)
-        wheels, motors, steering = len(model.hubs), len(robot.drive.motors), len(robot.drive.steering)
+        wheels = max(len(model.hubs) for model in models)
+        motors = max(len(robot.drive.motors) for robot in fleet.robots)
+        steering = max(len(robot.drive.steering) for robot in fleet.robots)
         self.poses = zeros(count, 7)
-        self.scene = zeros(count, dtype=torch.int32)
+        self.scene, self.robot = zeros(count, dtype=torch.int32), fleet.index.int()
         self.target_speeds, self.target_angles = zeros(count, motors), zeros(count, steering)
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.base_state = zeros(count, 7 + motors + steering)
@@ -58,6 +66,7 @@ class StateBuffers:
             "impulses": zeros(count, 7 * wheels),
             **self._parameters,
             "scene": self.scene,
+            "robot": self.robot,
             "target_speeds": self.target_speeds,
             "target_angles": self.target_angles,
             "angles": zeros(count, steering),
@@ -67,8 +76,8 @@ class StateBuffers:
             "mover_contact": self.mover_contact.view(count),
         }
         self.rovers = self.struct()
-        ones = torch.ones(count, device=device)
-        self.set_dynamics(torch.ones(count, dtype=torch.bool, device=device), Dynamics(ones, ones, ones))
+        self._nominal = self._parameters_of(torch.arange(len(models), device=device))
+        self.enter_robots(torch.ones(count, dtype=torch.bool, device=device))
 
     def struct(self, **scan: Tensor) -> RoverArrays:
         """Returns the struct for the kernels, with the arrays of a scan for the lidar's."""
@@ -77,20 +86,36 @@ class StateBuffers:
             setattr(rovers, name, wp.from_torch(tensor, dtype=types[name].type.dtype))
         return rovers
 
+    def enter_robots(self, mask: Tensor) -> None:
+        """Gives the rovers of ``mask`` the robots of the fleet's index, with their own dynamics."""
+        index = self._fleet.index
+        self.robot.copy_(index)
+        self._change(mask, {name: values[index] for name, values in self._nominal.items()})
+
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         """Sets the dynamics of the rovers of ``mask``.
 
         A changed mass moves the center of mass: the stored positions are valid again after the next placement.
         """
-        mass, center, inertia = self._model.total(self._model.chassis_mass * dynamics.chassis_mass.double())
-        changed = {
+        self._change(mask, self._parameters_of(self._fleet.index, dynamics))
+
+    def _parameters_of(self, index: Tensor, dynamics: Dynamics | None = None) -> dict[str, Tensor]:
+        """Returns the parameters of robots, by their index (int64 ``[M]``), with factors of their dynamics."""
+        if dynamics is None:
+            ones = torch.ones(len(index), device=index.device)
+            dynamics = Dynamics(ones, ones, ones)
+        chassis = self._masses.chassis_mass[index] * dynamics.chassis_mass.double()
+        mass, center, inertia = self._masses.total(chassis, index)
+        return {
             "mass": mass,
             "center": center,
             "inertia": inertia,
             "inverse_inertia": _inverse(inertia),
             "friction_scale": dynamics.friction,
-            "motor_torque": self._wheel_torque * dynamics.motor_torque,
+            "motor_torque": self._wheel_torque[index] * dynamics.motor_torque,
         }
+
+    def _change(self, mask: Tensor, changed: dict[str, Tensor]) -> None:
         for name, new in changed.items():
             values, rows = self._parameters[name], mask.reshape(-1, *[1] * (new.ndim - 1))
             values.copy_(torch.where(rows, new.to(values.dtype), values))

@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
-from rover_rl.sims.warp.scene import SceneTable, make_robot_model
+from rover_rl.sims.warp.scene import ModelTable, SceneTable
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, get_world
 
@@ -39,7 +40,7 @@ def poses(world: World, count: int) -> tuple[np.ndarray, Rotation]:
 @wp.kernel
 def scan_in_order(
     scenes: wp.array[Scene],
-    model: RobotModel,
+    models: wp.array[RobotModel],
     rovers: RoverArrays,
     beams: wp.array[wp.vec2],
     order: wp.array[int],
@@ -47,7 +48,7 @@ def scan_in_order(
 ):
     """Scans with the lanes of a rover in a given order; on the CPU, threads run one after another."""
     row, n = wp.tid()
-    scan_share(scenes, model, rovers, beams, row, order[n], lanes)
+    scan_share(scenes, models, rovers, beams, row, order[n], lanes)
 
 
 def warp_scan(
@@ -60,10 +61,10 @@ def warp_scan(
     scanned: torch.Tensor | None = None,
 ) -> np.ndarray:
     """Launches the scan kernel for any poses; a simulator scans only from poses that a rover can have."""
-    inertial_model = read_inertial_model(ROVER)
-    model = make_robot_model(ROVER, inertial_model, "cpu")
     count = len(position)
-    buffers = StateBuffers(inertial_model, ROVER, count, torch.device("cpu"))
+    fleet, inertial_models = Fleet.of(ROVER, count), [read_inertial_model(ROVER)]
+    models = ModelTable(fleet, inertial_models, "cpu")
+    buffers = StateBuffers(fleet, inertial_models)
     buffers.base_state[:, :3] = torch.from_numpy(position)
     buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
     rows = torch.ones(count, dtype=torch.bool) if scanned is None else scanned
@@ -71,10 +72,10 @@ def warp_scan(
     visible = torch.full((count, SECTORS), ROVER.lidar_range)
     angles = np.arange(beams) * (2 * math.pi / beams)
     directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device="cpu")
-    table = SceneTable(1, model.bounding_radius, "cpu")
+    table = SceneTable(1, models.reach, "cpu")
     table[0] = world
     rovers = buffers.struct(scanned=rows, ranges=ranges, visible=visible)
-    inputs = [table.scenes, model, rovers, directions]
+    inputs = [table.scenes, models.models, rovers, directions]
     if order is None:
         wp.launch(scan, dim=(len(position), lanes), inputs=[*inputs, 0, lanes], device="cpu")
     else:

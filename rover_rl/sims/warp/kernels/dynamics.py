@@ -198,7 +198,7 @@ def solve_contacts(
 @wp.kernel
 def step_dynamics(
     scenes: wp.array[Scene],
-    model: RobotModel,
+    models: wp.array[RobotModel],
     solver: Solver,
     rovers: RoverArrays,
     forms: wp.array[Scene],
@@ -214,6 +214,7 @@ def step_dynamics(
     if not rovers.active[row]:
         return
     scene = scenes[rovers.scene[row]]
+    model = models[rovers.robot[row]]
     wheels = model.wheels
     wheel_contacts = 2 * wheels
     # Working memory of the thread.
@@ -396,12 +397,13 @@ def write_base_state(model: RobotModel, rovers: RoverArrays, row: int):
                 total += rovers.wheel_spins[row, wheel] - wp.dot(axle_of(model, rovers, row, wheel, 0.0), rate)
                 count += 1.0
         rovers.base_state[row, 7 + motor] = total / count
+    # Robots with fewer motors than others of the batch have their angles in the same columns.
     for joint in range(rovers.angles.shape[1]):
-        rovers.base_state[row, 7 + model.motors + joint] = rovers.angles[row, joint]
+        rovers.base_state[row, 7 + rovers.target_speeds.shape[1] + joint] = rovers.angles[row, joint]
 
 
 @wp.kernel
-def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
+def place(models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array2d[float]):
     """Places the active rovers at rest, with no stored impulses; thread ``t`` places rover ``t``.
 
     ``poses`` are those of the base frames: position (m) and quaternion (x, y, z, w), ``[N, 7]``.
@@ -423,4 +425,4 @@ def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
         rovers.angles[row, joint] = 0.0
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
-    write_base_state(model, rovers, row)
+    write_base_state(models[rovers.robot[row]], rovers, row)

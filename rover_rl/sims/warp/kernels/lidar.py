@@ -407,7 +407,7 @@ def slice_obstacles(
 @wp.func
 def scan_share(
     scenes: wp.array[Scene],
-    model: RobotModel,
+    models: wp.array[RobotModel],
     rovers: RoverArrays,
     beams: wp.array[wp.vec2],
     row: int,
@@ -423,7 +423,8 @@ def scan_share(
         rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
     )
     scene = scenes[rovers.scene[row]]
-    plane = scan_plane(base, orientation, model.lidar_position, model.lidar_range)
+    robot = rovers.robot[row]
+    plane = scan_plane(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
     plane.lane = lane
     plane.lanes = lanes
     plane.tie = wp.where(lanes == 1, 1.0, TIE)
@@ -436,7 +437,12 @@ def scan_share(
 
 @wp.kernel
 def scan(
-    scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int, lanes: int
+    scenes: wp.array[Scene],
+    models: wp.array[RobotModel],
+    rovers: RoverArrays,
+    beams: wp.array[wp.vec2],
+    first: int,
+    lanes: int,
 ):
     """One scan per rover that scans, from the pose in ``rovers.base_state``.
 
@@ -454,4 +460,4 @@ def scan(
     if lanes == 1:
         for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
-    scan_share(scenes, model, rovers, beams, row, lane, lanes)
+    scan_share(scenes, models, rovers, beams, row, lane, lanes)

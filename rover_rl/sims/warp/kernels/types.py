@@ -49,7 +49,7 @@ class Scene:
 
 @wp.struct
 class RobotModel:
-    """Geometry and wheel inertia shared by all rovers. Positions in the base frame, m."""
+    """Geometry and wheel inertia of a robot. Positions in the base frame, m."""
 
     wheels: int
     # Motor of each wheel, -1 for a wheel without one; the steering joint that carries it, -1 without one; and the
@@ -127,8 +127,9 @@ class RoverArrays:
     center: wp.array[wp.vec3]
     inertia: wp.array[wp.mat33]
     inverse_inertia: wp.array[wp.mat33]
-    # Index of the rover's world in the array of scenes.
+    # Index of the rover's world in the array of scenes, and of its robot in the array of models.
     scene: wp.array[int]
+    robot: wp.array[int]
     # Factor of all friction coefficients, and maximum torque of a wheel motor, N m.
     friction_scale: wp.array[float]
     motor_torque: wp.array[float]

@@ -1,0 +1,57 @@
+"""Robot: what a policy needs to know of the robot that it drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.sims.robots.footprint import footprint
+
+TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 0.2, 0.4)
+"""Values that networks read as 1, or -1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotBody(Sensor):
+    """Size and limits of the robot, ``[N, 9]``, so that one policy can drive different robots.
+
+    Reach of the footprint behind and ahead of the origin and half its width (m), largest speed (m/s) and yaw rate
+    (rad/s), smallest radius of a turn (m; 0 for a robot that turns in place), and position of the lidar (m).
+
+    Example:
+        >>> env = RoverEnv(num_envs=2, seed=0, sensors=["robot"])
+        >>> env.reset()["robot"][0, :3]
+        tensor([0.2670, 0.2635, 0.2250])
+    """
+
+    name: str = "robot"
+    mirror_signs = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
+    bounds = Bounds((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, -5.0, 0.0), (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 5.0, 5.0))
+
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns a reader of the robots of the rows."""
+        fleet = Fleet.of(rig.robot if rig.fleet is None else rig.fleet, rig.rows, rig.device)
+        table = fleet.table(body_of)
+        return lambda inputs: table[fleet.index]
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Raises an error: the robots are those of a :meth:`reader`."""
+        raise NotImplementedError("the robots are those of a rig: read them by reader(rig)")
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the value in units of :data:`TYPICAL`."""
+        return value / torch.tensor(TYPICAL, device=value.device)
+
+
+def body_of(robot: Robot) -> list[float]:
+    """Returns the numbers of a robot: see :class:`RobotBody`."""
+    outline, drive = footprint(robot), robot.drive
+    size = [-outline.back, outline.front, outline.half_width]
+    return [*size, drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels), *robot.lidar_position]

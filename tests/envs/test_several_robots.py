@@ -1,0 +1,174 @@
+"""Different robots in the rows of one batch: draws, company, limits, worlds, and what a policy is told."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl import RoverEnv
+from rover_rl.algos.config import training_config
+from rover_rl.algos.train.run import prepare
+from rover_rl.envs.config import ActionConfig, EnvConfig, Randomization, require_match
+from rover_rl.envs.sensors.robot import RobotBody
+from rover_rl.sims.free_space.fitting import passage_scale
+from rover_rl.sims.robots import get_robot, get_robots
+from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.worlds import Terrain, World, box, get_world
+
+ROBOTS = ("any:0-5", "leo", "husky", "racer", "rover_zero")
+PLAIN = World("plain", Terrain.flat((40.0, 40.0)), [box((2.5, 1.5, 0.5), (1, 1, 1)), box((-2, 2.5, 0.5), (1, 2, 1))])
+
+
+def make(rows: int, seed: int = 3, robot=ROBOTS, **settings) -> RoverEnv:
+    return RoverEnv(**{"world_n": PLAIN, "num_envs": rows, "seed": seed, "backend": "warp", "robot": robot} | settings)
+
+
+def drive(env: RoverEnv, actions: torch.Tensor, **places: torch.Tensor) -> torch.Tensor:
+    """Returns poses and readings of each step, ``[steps, N, k]``."""
+    td, records = env.reset(**places), []
+    for action in actions:
+        td = env.step(td.set("action", action))["next"]
+        rover = env.rover_state
+        records.append(torch.cat((rover.position, rover.orientation, td["velocities"], td["lidar"]), -1))
+    return torch.stack(records)
+
+
+def random_actions(steps: int, rows: int) -> torch.Tensor:
+    unit = torch.rand(steps // 10, rows, 2, generator=torch.Generator().manual_seed(1)).repeat_interleave(10, 0)
+    return torch.stack((3 * unit[..., 0] - 0.5, unit[..., 1] - 0.5), -1)
+
+
+@pytest.mark.parametrize("randomization", [Randomization(), Randomization.typical()], ids=["nominal", "randomized"])
+def test_a_rover_drives_the_same_to_the_last_bit_alone_and_in_any_company(randomization):
+    settings = {"randomization": randomization, "sensors": ["route"]}
+    rows, actions = 12, random_actions(60, 12)
+    env = make(rows, **settings)
+    td = env.reset()
+    start, goal = torch.cat((env.rover_state.position[:, :2], td["imu"][:, 2:]), -1), env.goal
+    names = [robot.name for robot in env.fleet]
+    assert len(set(names)) > 4
+    together = drive(make(rows, **settings), actions, start=start, goal=goal)
+    for row in range(0, rows, 3):
+        places = {"start": start[row : row + 1], "goal": goal[row : row + 1]}
+        mine = actions[:, row : row + 1]
+        in_pool = drive(make(1, 3 + row, **settings), mine, **places)
+        alone = drive(make(1, 3 + row, names[row], **settings), mine, **places)
+        assert torch.equal(in_pool, together[:, row : row + 1])
+        assert torch.equal(alone, together[:, row : row + 1])
+
+
+def test_each_episode_draws_a_robot_by_its_seed_and_number():
+    env, other = make(64), make(16, 3 + 8)
+    seen = []
+    for _ in range(3):
+        env.reset(), other.reset()
+        assert list(other.fleet) == list(env.fleet)[8:24]
+        seen.append([robot.name for robot in env.fleet])
+    assert {name for names in seen for name in names} == {robot.name for robot in get_robots(ROBOTS)}
+    assert len({tuple(names) for names in seen}) == 3
+
+
+def test_rows_that_are_not_reset_keep_their_robots():
+    env = make(16)
+    td = env.reset()
+    before, mask = list(env.fleet), torch.arange(16)[:, None] < 8
+    env.reset(td.set("_reset", mask))
+    assert list(env.fleet)[8:] == before[8:]
+    assert list(env.fleet)[:8] != before[:8]
+
+
+def test_actions_reach_the_speed_of_the_fastest_robot_and_each_robot_keeps_its_limits():
+    env = make(24)
+    space = env.action_spec.space
+    assert space.high[0, 0] == max(robot.drive.max_speed for robot in get_robots(ROBOTS)) == -space.low[0, 0]
+    td = env.reset()
+    for _ in range(60):
+        td = env.step(td.set("action", torch.tensor([10.0, 2.0]).expand(24, 2)))["next"]
+        for row, robot in enumerate(env.fleet):
+            speed, rate = td["velocities"][row].abs().tolist()
+            assert speed <= 1.05 * robot.drive.max_speed
+            assert rate <= 1.1 * robot.drive.max_yaw_rate + 0.1
+
+
+def test_generated_worlds_are_as_wide_as_their_robots_need():
+    env = RoverEnv(world_n="maze:0-1", num_envs=64, seed=0, backend="warp", robot="any:0-15")
+    td = env.reset()
+    scales = [float(name.partition("*")[2]) for name in env.pool.entries]
+    assert len(scales) == 4
+    for robot, index in zip(env.fleet, td["outcome", "world"].flatten().tolist(), strict=True):
+        scale = float(env.pool.name(index).partition("*")[2])
+        group = scales.index(scale)
+        assert passage_scale(robot) <= scale
+        assert group == 0 or passage_scale(robot) > scales[group - 1]
+        assert robot.radius <= env.robot_in(env.pool[index]).radius
+    narrow = RoverEnv(world_n="maze:0*1.3", num_envs=32, seed=0, backend="warp", robot="any:0-15")
+    assert {passage_scale(robot) <= 1.3 for robot in narrow.fleet} == {True}
+
+
+def test_the_sensor_tells_size_and_limits_of_each_robot():
+    env = make(16, sensors=["robot"])
+    for _ in range(2):
+        told = env.reset()["robot"]
+        for row, robot in enumerate(env.fleet):
+            outline, drive = footprint(robot), robot.drive
+            size = (-outline.back, outline.front, outline.half_width)
+            limits = (drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels))
+            assert told[row].tolist() == pytest.approx((*size, *limits, *robot.lidar_position))
+    alone = RoverEnv(sensors=["robot"], seed=0).reset()["robot"][0]
+    assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, *get_robot("rover_zero").lidar_position))
+    sensor = RobotBody()
+    aside = alone.clone()
+    aside[7] = 0.1
+    assert torch.equal(sensor.mirror(aside)[7], -aside[7])
+    assert torch.equal(sensor.mirror(alone), alone)
+    assert sensor.encode(told).abs().max() < 10
+
+
+def test_a_policy_for_several_robots_drives_any_and_one_for_a_robot_does_not():
+    several, one = EnvConfig(robot="any:0-3", sensors=("robot",)), EnvConfig(robot="husky", sensors=("robot",))
+    require_match(several, one)
+    with pytest.raises(ValueError, match=r"made for the robot husky, and the environment has any:0-3"):
+        require_match(one, several)
+    with pytest.raises(ValueError, match=r"made for actions of"):
+        require_match(several, EnvConfig(robot="husky", sensors=("robot",), action=ActionConfig(max_speed=0.5)))
+
+
+def test_robots_for_evaluation_are_not_trained_with():
+    config = training_config("ppo", robot="any:9998-10001", backend="warp", seed=0)
+    with pytest.raises(ValueError, match=r"seeds from 10000 up are for evaluation.*'any:0-255', got 'any:10000'"):
+        prepare(config)
+
+
+@pytest.mark.parametrize(
+    ("robot", "settings", "message"),
+    [
+        ("any:0-3", {"backend": "bullet"}, "several robots in one batch need a backend that simulates them: Bullet"),
+        ("any:3-0", {}, "the ends of 'any:3-0' must be in order"),
+        ("any:0-1024", {}, "robot must give 1 to 1024 robots, as 'any:0-255' does, got 1025"),
+        ((), {}, "robot must give 1 to 1024 robots"),
+        (("leo", "tank"), {}, "unknown robot 'tank'"),
+        ("husky:3", {}, "robot 'husky:3' has a seed, and 'husky' is one robot"),
+        (("leo", 3), {}, "robot must be a name or a Robot, got int 3"),
+        ("any:0-3", {"action": ActionConfig(max_sideways=0.5)}, "max_sideways needs a drive that moves sideways"),
+    ],
+)
+def test_robots_that_cannot_share_a_batch_are_refused_in_one_sentence(robot, settings, message):
+    with pytest.raises(ValueError, match=message):
+        make(2, robot=robot, **settings)
+
+
+def test_each_seed_is_another_robot_and_always_the_same():
+    robots = get_robots("any:0-15")
+    assert len({robot.urdf.read_text() for robot in robots}) == 16
+    assert {type(robot.drive).__name__ for robot in robots} == {"SkidSteer", "Ackermann"}
+    assert robots[7] == get_robot("any:7")
+    with pytest.raises(ValueError, match="'any:0-15' names several robots, and one is needed here"):
+        get_robot("any:0-15")
+
+
+def test_lidars_of_different_robots_see_what_moves():
+    world = get_world("maze+walkers:3")
+    actions = random_actions(20, 4)
+    together = drive(make(4, world_n=world), actions)
+    for row in range(4):
+        assert torch.equal(drive(make(1, 3 + row, world_n=world), actions[:, row : row + 1])[:, 0], together[:, row])
