@@ -424,9 +424,7 @@ class EnvConfig:
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
         if self.robot_options != RobotOptions():
-            if not isinstance(self.robot, str):
-                raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
-            object.__setattr__(self, "robot", with_options(self.robot, self.robot_options))
+            object.__setattr__(self, "robot", _with_options(self.robot, self.robot_options))
             object.__setattr__(self, "robot_options", RobotOptions())
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
@@ -499,6 +497,15 @@ class EnvConfig:
     def preset(self) -> str | None:
         """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics
+
+
+def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
+    """Returns the names of robots with options."""
+    if isinstance(robots, str):
+        return with_options(robots, options)
+    if not isinstance(robots, (list, tuple)) or not all(isinstance(robot, str) for robot in robots):
+        raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
+    return tuple(with_options(robot, options) for robot in robots)
 
 
 _PARTS: dict[str, type] = {
