@@ -100,6 +100,7 @@ nitpick_ignore = [
             "Missing",
             "Path",
             "Reward",
+            "RobotSettings",
             "TimeLimit",
             "Transform",
             "Unknown",
@@ -123,7 +124,7 @@ nitpick_ignore = [
 autodoc_type_aliases = {
     "RoverEnv": "rover_rl.RoverEnv",
     "Worlds": "rover_rl.sims.worlds.world.Worlds",
-    **{name: name for name in ("BackendLike", "RewardLike", "RobotLike", "WorldLike")},
+    **{name: name for name in ("BackendLike", "RewardLike", "RobotLike", "RobotSettings", "WorldLike")},
 }
 
 sphinx_gallery_conf = {

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     )
     from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
     from rover_rl.sims.backends import register_backend
-    from rover_rl.sims.robots import Robot, register_robot
+    from rover_rl.sims.robots import Robot, RobotOptions, register_robot
     from rover_rl.sims.worlds import Terrain, World, box, cylinder, register_world
 
 __version__ = "0.1.0"
@@ -80,6 +80,7 @@ __all__ = [
     "RewardComponent",
     "RewardConfig",
     "Robot",
+    "RobotOptions",
     "RoverEnv",
     "Sensor",
     "TaskConfig",
@@ -101,7 +102,7 @@ __all__ = [
 _OUTSIDE_OF_ENVS = {
     "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
     "rover_rl.sims.backends": ("register_backend",),
-    "rover_rl.sims.robots": ("Robot", "register_robot"),
+    "rover_rl.sims.robots": ("Robot", "RobotOptions", "register_robot"),
     "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
 }
 """Public names that are not in ``rover_rl.envs``, by module."""

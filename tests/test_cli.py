@@ -62,7 +62,8 @@ def test_the_help_of_a_command_has_its_options_with_defaults(capsys: pytest.Capt
 
 
 COMMANDS = [
-    *("train", "sweep", "evaluate", "compare", "benchmark", "play", "film", "worlds", "demo", "robot", "drive"),
+    *("train", "sweep", "evaluate", "compare", "benchmark", "play", "view", "film", "worlds", "robots", "demo"),
+    *("robot", "drive"),
     "export",
 ]
 NAMES = f"use one of {COMMANDS}; see rover-rl --help"

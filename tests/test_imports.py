@@ -37,6 +37,7 @@ LAYERS = (
     ("algos.evaluation",),
     ("algos.benchmarks", "algos.deploy", "algos.experiments", "algos.video"),
     ("algos.__init__",),
+    ("view",),
     ("cli",),
     ("__init__",),
 )

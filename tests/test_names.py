@@ -12,7 +12,8 @@ import rover_rl
 PUBLIC_NAMES = """
 ENV_ID LEARNING_DEFAULTS LEARNING_ENV_ID __version__ make_env RoverEnv GymWrapper GymVectorWrapper contract_reward
 EnvConfig ActionConfig LidarConfig PoseConfig RewardConfig TaskConfig Randomization Bounds Sensor RewardComponent
-Robot Terrain World box cylinder register_backend register_reward register_robot register_sensor register_world
+Robot RobotOptions Terrain World box cylinder
+register_backend register_reward register_robot register_sensor register_world
 """
 
 

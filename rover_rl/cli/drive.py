@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.cli.policies import ResolvedPolicy
     from rover_rl.envs.config import EnvConfig
+    from rover_rl.view.live import LivePage
 
 GOAL_NOT_REACHED = 1
 """Exit code if a goal was not reached."""
@@ -104,6 +105,12 @@ class Drive:
     """Log file that the drives are appended to. rover-rl evaluate reads it."""
     dry_run: bool = False
     """Print the commands instead of sending them."""
+    view: bool = False
+    """Open a page with the scan, a stop button and keys to drive by hand (needs the extra view)."""
+    host: str = "127.0.0.1"
+    """Address to serve the page on; 0.0.0.0 lets other machines reach it, and drive."""
+    port: int = 8080
+    """Port of the page; 0 takes a free one."""
 
     def __call__(self) -> int:
         """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached."""
@@ -124,11 +131,15 @@ class Drive:
             goals, settings = self._goals(policy.worlds[0]), self._settings()
             described = self._description(policy, settings)
             checks = [raise_if_interrupted]
+            page = self._open_page(stack) if self.view else None
             if not self.dry_run:
-                checks.append(stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT)).alive)
+                watchdog = stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
+                checks.append(watchdog.alive)
+                if page is not None:
+                    page.on_stop = watchdog.halt
             env = RoverEnv(described)
             stack.callback(env.close)
-            runner = PolicyRunner(policy.module, env=env)
+            runner = PolicyRunner(policy.module, env=env) if page is None else page.runner(policy.module, env)
             log = stack.enter_context(
                 DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, name_of_part(described.robot))
             )
@@ -138,8 +149,12 @@ class Drive:
                 def on_step(moment: Moment | None, label: str = f"goal {number} of {len(goals)}") -> None:
                     for check in checks:
                         check()
+                    if page is not None:
+                        page.check()
                     if moment is not None:
                         show_status(label, moment)
+                        if page is not None:
+                            page.show(env, moment)
 
                 on_step(None)  # arms the watchdog: it stops the rover if the next call is late
                 ending = drive_to(
@@ -158,6 +173,14 @@ class Drive:
                     break  # the pose of a restarted robot is unknown
         print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
+
+    def _open_page(self, stack: ExitStack) -> LivePage:
+        """Opens the page before the rover moves."""
+        from rover_rl.view.live import LivePage
+
+        page = stack.enter_context(LivePage(self.host, self.port))
+        print(f"Page: {page.address}", flush=True)
+        return page
 
     def _check(self) -> None:
         """Checks that all options are in range."""

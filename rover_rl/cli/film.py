@@ -40,6 +40,8 @@ class Film:
     policy: Annotated[tyro.conf.Positional[str], _POLICY]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
+    html: Path | None = None
+    """Page to write in place of a film: one file that opens offline, with a time slider (needs the extra view)."""
     episode: int | None = None
     """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a log: the drive in it;
     default: the last one."""
@@ -88,7 +90,7 @@ class Film:
 
     def _check(self) -> None:
         """Checks the settings before the drive, which takes seconds."""
-        self._style.check(self.out)
+        self._style.check(self.out if self.html is None else Path("page.gif"))
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
@@ -98,6 +100,8 @@ class Film:
                 raise ValueError(f"{name} belongs to films without --episode, --failures and logs")
         if self.episode is not None and self.failures:
             raise ValueError("give --episode or --failures, not both")
+        if self.html is not None and self.rewards is not None:
+            raise ValueError("--rewards belongs to films without --html")
         if self.failures and self.policy.endswith(LOG):
             raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
 
@@ -111,7 +115,12 @@ class Film:
         from rover_rl.algos.video.film import film_recording
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
-        film_recording(shown, out, self._style)
+        if self.html is not None:
+            # Those of several failures have numbers, as films have.
+            out = self.html.with_stem(out.stem.replace(self.out.stem, self.html.stem))
+            _write_page(shown, out)
+        else:
+            film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
         print(f"Film: {out}: episode {recording.episode} {of}{where}, {_how_it_ended(recording)}", flush=True)
 
@@ -175,6 +184,10 @@ class Film:
         world = policy.worlds[0] if policy.worlds else "maze"
         # Each rover meets movers of its own, of which a film shows those of the first one.
         alone = self.view == "chase" or bool(WorldPool(world)[0].movers)
+        rows = self.rovers or (1 if alone else 16)
+        if self.html is not None:
+            self._write_endless(policy, world, rows)
+            return
         rollout = film(
             policy.module,
             self.out,
@@ -182,7 +195,7 @@ class Film:
             view=self.view,
             seconds=FILMED if self.seconds is None else self.seconds,
             seed=self.seed or 0,
-            rows=self.rovers or (1 if alone else 16),
+            rows=rows,
             width=self.width,
             height=self.height,
             fps=self.fps,
@@ -193,6 +206,24 @@ class Film:
         if self.rewards is not None:
             draw_reward_components(rollout, self.rewards)
             print(f"Rewards: {self.rewards}")
+
+    def _write_endless(self, policy: ResolvedPolicy, world: str, rows: int) -> None:
+        """Writes a page of rovers that drive from goal to goal."""
+        from rover_rl.algos.video.recording import record_endless
+
+        assert self.html is not None
+        seconds = FILMED if self.seconds is None else self.seconds
+        env = self.environment.description(policy.module, self.backend)
+        recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
+        _write_page(recording, self.html)
+        print(f"Page: {self.html}")
+
+
+def _write_page(recording: Recording, path: Path) -> None:
+    # Importing viser takes seconds.
+    from rover_rl.view.replay import write_replay
+
+    write_replay(recording, path)
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:

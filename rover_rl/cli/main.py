@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any
 
@@ -21,6 +23,7 @@ from rover_rl.cli.film import Film, Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
+from rover_rl.cli.view import View
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 from rover_rl.option_names import options_of_command
@@ -39,6 +42,7 @@ COMMANDS = {
     "compare": Compare,
     "benchmark": Benchmark,
     "play": Play,
+    "view": View,
     "film": Film,
     "worlds": Worlds,
     "robots": Robots,
@@ -83,7 +87,7 @@ def main(args: list[str] | None = None) -> int:
         sys.path.insert(0, os.getcwd())
     try:
         try:
-            with options_of_command("rover-rl worlds import "):
+            with options_of_command("rover-rl worlds import "), _warnings_as_lines():
                 return int(read_command(args)())
         finally:
             _flush()
@@ -102,6 +106,17 @@ def main(args: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("rover-rl: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Prints warnings as one line, without the file and the line of the code."""
+    usual = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"rover-rl: {message}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def _flush() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -125,24 +123,12 @@ def train_one(config: TrainingConfig, folder: Path | None, advice: str | None = 
     from rover_rl.algos.experiments.curves import draw_learning_curve
     from rover_rl.algos.train import train
 
-    with _warnings_as_lines():
-        summary = train(config, folder)
+    summary = train(config, folder)
     print(format_summary(summary), flush=True)
     draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
     if advice:
         print(advice.format(summary.checkpoint))
     return INTERRUPTED if summary.interrupted else 0
-
-
-@contextmanager
-def _warnings_as_lines() -> Iterator[None]:
-    """Prints warnings as one line, without the file and the line of the code."""
-    usual = warnings.formatwarning
-    warnings.formatwarning = lambda message, *_, **__: f"rover-rl: {message}\n"
-    try:
-        yield
-    finally:
-        warnings.formatwarning = usual
 
 
 def train_defaults(args: Sequence[str]) -> Train:

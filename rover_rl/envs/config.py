@@ -38,10 +38,13 @@ if TYPE_CHECKING:
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
     SensorLike: TypeAlias = str | Sensor
+    RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
     WorldLike = RewardLike = RobotLike = str | tuple[str, ...]
     BackendLike = SensorLike = str
+    # The options --robot.drive and so on, beside --robot.
+    RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
@@ -366,7 +369,7 @@ class EnvConfig:
     robot: RobotLike = "rover_zero"
     """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
     several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
-    robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
+    robot_options: RobotSettings = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
@@ -588,10 +591,13 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
         parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):
             raise ValueError(f"{kind} cannot be written to a file, and {name} is one; {advice}")
-    if isinstance(config.backend, str):
-        return to_plain(config)
-    settings = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
-    return to_plain(replace(config, backend="bullet")) | {"backend": settings}
+    own = not isinstance(config.backend, str)
+    data = to_plain(replace(config, backend="bullet") if own else config)
+    # They are part of the robot's name.
+    del data["robot_options"]
+    if own:
+        data["backend"] = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
+    return data
 
 
 def env_from_plain(data: Any, source: str) -> EnvConfig:

@@ -312,6 +312,15 @@ class RoverEnv(EnvBase):
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)
 
+    def set_goal(self, goal: Tensor) -> None:
+        """Sets the goal of every row, ``[N, 2]``, m, within its episode: from the next step on, for example by hand."""
+        self._require_started("set_goal")
+        checked = checked_place("goal", goal, None, (self.num_envs, 2), self._tensor_device)
+        assert checked is not None
+        state, reference = self._state, self._state.reference
+        target = target_info(reference.position, reference.yaw, checked)
+        state.task = replace(state.task, goal=checked, target=target)
+
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_open("render")

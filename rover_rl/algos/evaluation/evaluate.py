@@ -95,10 +95,10 @@ def evaluate(
         ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
             in groups of ``env.agents`` in the same world.
     """
-    action_repeat = default_action_repeat(policy, action_repeat)
+    env_config = environment_for(policy, env)
+    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = environment_for(policy, env)
     if env_config.agents > 1:
         _check_groups(episodes, env_config.agents)
         rows = len(episodes)
@@ -171,10 +171,10 @@ def evaluate_endless(
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
     """
-    action_repeat = default_action_repeat(policy, action_repeat)
+    env_config = environment_for(policy, env)
+    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
     check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = environment_for(policy, env)
     world = fitting_worlds(world, *get_robots(env_config.robot))
     place = get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)

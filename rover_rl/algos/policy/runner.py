@@ -36,15 +36,19 @@ A policy that needs to know the environment has a method ``enter(env)``. A polic
 only with the rows that decide."""
 
 
-def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
+def default_action_repeat(policy: Policy | None, given: int | None = None, dt: float = CONTROL_DT) -> int:
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
     A policy with a memory or a map, which change with each decision, decides as often as in training, others at each
-    step.
+    step. ``dt`` is the duration of a step, s: a planner, which no environment has trained, decides at the same times
+    whatever that is.
     """
     if given is not None:
         return given
-    return getattr(policy, "trained_action_repeat", 1) if state_keys(policy) or reads_route(policy) else 1
+    if not (state_keys(policy) or reads_route(policy)):
+        return 1
+    repeat = getattr(policy, "trained_action_repeat", 1)
+    return repeat if getattr(policy, "made_for", None) else max(1, round(repeat * CONTROL_DT / dt))
 
 
 def reads_route(policy: object) -> bool:
@@ -75,7 +79,8 @@ class PolicyRunner:
         self._env = env
         if env is not None and hasattr(policy, "enter"):
             policy.enter(env)
-        self.action_repeat = default_action_repeat(policy, action_repeat)
+        self._dt = CONTROL_DT if env is None else env.control_dt
+        self.action_repeat = default_action_repeat(policy, action_repeat, self._dt)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
         # Rows whose episode begins, and number of steps that each row's action has been held for.
@@ -90,6 +95,11 @@ class PolicyRunner:
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision."""
+        return dict(self._state)
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
@@ -124,7 +134,7 @@ class PolicyRunner:
         rows, points = observation["lidar"].shape
         config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
         config = config or EnvConfig(lidar=LidarConfig(points=points))
-        interval = self.action_repeat * (CONTROL_DT if self._env is None else self._env.control_dt)
+        interval = self.action_repeat * self._dt
         map_class = getattr(self.policy, "map_class", SeenMap)
         robot: Any = config.robot
         if self._env is not None and self._env.robots.are_several:

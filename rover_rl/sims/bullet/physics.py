@@ -12,7 +12,7 @@ from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, 
 from rover_rl.sims.bullet.movers import MoverBodies
 from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.movers.near import NearParts
+from rover_rl.sims.movers.near import NearParts, fastest_point
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotation_forms
@@ -29,8 +29,6 @@ STEERING_TORQUE = 50.0
 """Maximum torque of a steering joint, N m: enough to turn a wheel on the spot."""
 STEERING_GAIN = 0.5
 """Share of the remaining angle that a steering joint turns in a physics step."""
-MAX_SPEED = 2.0
-"""Speed above which a point of a rover may reach an obstacle unnoticed within a control step, m/s."""
 
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 _ROTATION = rotation_forms().double().reshape(9, 16).numpy()
@@ -74,7 +72,7 @@ class RoverPhysics:
                 self._rovers += [(client, load_rover(client, urdf, settings)) for _ in rovers]
         client, body = self._rovers[0]
         corners = bounding_box(client, body)
-        self._near = NearObstacles(world.obstacles, *corners, settings.control_dt)
+        self._near = NearObstacles(world.obstacles, *corners, fastest_point(robot) * settings.control_dt)
         # Radius of a sphere around the base frame that contains the rover, m.
         self.reach = float(np.linalg.norm(np.abs(corners).max(0)))
         self._movers: MoverBodies | None = None
@@ -260,15 +258,16 @@ class NearObstacles:
     """Broad phase: finds the obstacles that rovers may touch in a control step, by axis-aligned bounding boxes.
 
     A query of Bullet's contacts takes a few microseconds. Most rovers are far from all obstacles and need none.
-    ``low`` and ``high`` are the corners ``[3]`` (m) of the rover's bounding box in the base frame.
+    ``low`` and ``high`` are the corners ``[3]`` (m) of the rover's bounding box in the base frame, and ``way`` is how
+    far a point of it moves in a control step, m.
     """
 
-    def __init__(self, obstacles: Sequence[Obstacle], low: np.ndarray, high: np.ndarray, dt: float) -> None:
+    def __init__(self, obstacles: Sequence[Obstacle], low: np.ndarray, high: np.ndarray, way: float) -> None:
         corners = [obstacle.vertices.numpy() for obstacle in obstacles]
         self._low = np.array([points.min(0) for points in corners]).reshape(-1, 3)
         self._high = np.array([points.max(0) for points in corners]).reshape(-1, 3)
         self._center, self._half = (low + high) / 2, (high - low) / 2
-        self._margin = MAX_SPEED * dt
+        self._margin = way
 
     def find(self, position: np.ndarray, rotation: np.ndarray) -> list[tuple[int, int]]:
         """Returns the indices of pairs of a rover and an obstacle near it, from ``[k, 3]`` and ``[k, 3, 3]``."""

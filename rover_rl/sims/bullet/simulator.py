@@ -17,7 +17,7 @@ from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
-from rover_rl.sims.movers.near import NearParts, find_near
+from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
@@ -135,7 +135,8 @@ class BulletSimulator:
         """Returns the parts of movers near the rovers of a group."""
         if self._movers is None or self._movers.parts is None:
             return None
-        return find_near(self._movers.parts, group.block, group.position, group.physics.reach, self.control_dt)
+        speed = fastest_point(self._robot)
+        return find_near(self._movers.parts, group.block, group.position, group.physics.reach, self.control_dt, speed)
 
     def _read(self, group: _WorldGroup, local: np.ndarray) -> None:
         """Reads the poses and joints of the rovers with indices ``local`` within their group."""

@@ -8,6 +8,7 @@ Example:
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import lru_cache
@@ -22,6 +23,8 @@ from rover_rl.sims.worlds.world import World, Worlds
 
 SQUARE = 0.5
 """Side length of the squares whose goals share a field, m."""
+STRIDE, DIRECTIONS = 0.15, 32
+"""Length (m) of the steps of :meth:`PathDistances.path`, and number of directions that are compared in each."""
 KEPT_BYTES = 2**29
 """Memory of the fields that are kept, the last used ones."""
 BYTES = 5
@@ -108,6 +111,26 @@ class PathDistances:
         slot, cell, inside = self._cells(fields, position)
         values = self._fields.values[slot, cell]
         return values.abs(), inside & ~values.signbit()
+
+    def path(self, world: int, start: Tensor, goal: Tensor) -> Tensor:
+        """Returns points of the shortest path between two points ``[2]`` of a world, for pictures: ``[points, 2]``, m.
+
+        It goes down the field of distances, and ends where there is no way on.
+        """
+        field = self.fields(torch.tensor([world], device=goal.device), goal[None])
+        angles = torch.arange(DIRECTIONS, device=goal.device) * (2 * math.pi / DIRECTIONS)
+        around = STRIDE * torch.stack((angles.cos(), angles.sin()), -1)
+        points, left = [start], math.inf
+        while torch.dist(points[-1], goal) > 2 * STRIDE:
+            candidates = points[-1] + around
+            distance, free = (values[0] for values in self.along(field, candidates[None]))
+            # Cells are coarse: of those at the same distance, the one nearest to the goal.
+            costs = torch.where(free, distance + 0.01 * (candidates - goal).norm(dim=-1), math.inf)
+            best = int(costs.argmin())
+            if not costs[best] < left:
+                break
+            points, left = [*points, candidates[best]], costs[best].item()
+        return torch.stack([*points, goal])
 
     def narrow(self, fields: Tensor, position: Tensor) -> Tensor:
         """Returns whether positions are in cells that the rover passes in some orientations only, as :meth:`along`."""

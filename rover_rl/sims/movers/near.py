@@ -7,9 +7,18 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.robots import Robot
 
 MAX_ROVER_SPEED = 2.0
-"""Speed above which a point of a rover may reach a part unnoticed within a control step, m/s."""
+"""Least speed above which a point of a rover may reach something unnoticed within a control step, m/s."""
+
+
+def fastest_point(robot: Robot) -> float:
+    """Returns the speed above which a point of a robot may reach something unnoticed within a control step, m/s.
+
+    It is twice the robot's own, as a corner of a robot that turns is faster than its middle.
+    """
+    return max(MAX_ROVER_SPEED, 2 * robot.drive.max_speed)
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,9 @@ class NearParts:
         return NearParts(*(getattr(self, item.name)[index] for item in fields(self)))
 
 
-def find_near(parts: Parts, rows: slice, position: np.ndarray, reach: float, dt: float) -> NearParts:
+def find_near(
+    parts: Parts, rows: slice, position: np.ndarray, reach: float, dt: float, speed: float = MAX_ROVER_SPEED
+) -> NearParts:
     """Returns the parts of movers near rovers.
 
     Args:
@@ -46,11 +57,12 @@ def find_near(parts: Parts, rows: slice, position: np.ndarray, reach: float, dt:
         position: positions of their rovers at the start of the step, ``[n, 3]``, m.
         reach: radius of a sphere around the position of a rover that contains it, m.
         dt: duration of the step, s.
+        speed: highest speed of a point of a rover, m/s.
     """
     end, velocity, half = (getattr(parts, name)[rows].double().numpy() for name in ("position", "velocity", "half"))
     start = end - velocity * dt
     gap = np.sqrt(((start - position[:, None]) ** 2).sum(-1)) - np.sqrt((half**2).sum(-1))
-    limit = reach + (np.sqrt((velocity**2).sum(-1)) + MAX_ROVER_SPEED) * dt
+    limit = reach + (np.sqrt((velocity**2).sum(-1)) + speed) * dt
     row, part = np.nonzero((parts.kind[rows].numpy() >= 0) & (gap < limit))
     order = np.lexsort((part, gap[row, part], row))
     row, part = row[order], part[order]

@@ -14,7 +14,7 @@ from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angl
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
-from rover_rl.sims.movers.near import NearParts, find_near
+from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
@@ -135,7 +135,9 @@ class MujocoSimulator:
             if self._movers is None or self._movers.parts is None or share.pushed is None:
                 self._contact[rows] = share.physics.step(local, speeds[rows], angles[rows])
                 return
-            near = find_near(self._movers.parts, share.rows, share.position, share.reach, self.control_dt)
+            near = find_near(
+                self._movers.parts, share.rows, share.position, share.reach, self.control_dt, fastest_point(self._robot)
+            )
             touched = share.step_among(near, local, speeds[rows], angles[rows])
             self._contact[rows], self._mover_contact[rows] = touched[:, :1], touched[:, 1:]
 

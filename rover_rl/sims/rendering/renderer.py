@@ -43,7 +43,7 @@ class Renderer:
         scenery = ground if obstacles is None else Surface.join([ground, obstacles])
         bodies = [scenery, robot_surface(robot), post_surface()]
         # The arrays hold no reference to the meshes.
-        self._meshes = [_mesh(body) for body in bodies]
+        self._meshes = [traced_mesh(body) for body in bodies]
         self._arrays = arrays = rays.Scene()
         arrays.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
         arrays.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
@@ -59,10 +59,10 @@ class Renderer:
         arrays.colors = array(np.column_stack((joined.colors**2, is_ground)), wp.vec4)
         arrays.normals = array(joined.normals, wp.vec3)
         reaches = [SCENERY_REACH, *(BODY_REACH for _ in bodies[1:])]
-        openness = [_openness(*each) for each in zip(self._meshes, bodies, reaches, strict=True)]
+        openness = [sky_openness(*each) for each in zip(self._meshes, bodies, reaches, strict=True)]
         arrays.openness = array(np.concatenate(openness), float)
         sunshine = np.full(len(joined.vertices), 0.5)
-        sunshine[: len(ground.vertices)] = _sunshine(self._meshes[0], ground)
+        sunshine[: len(ground.vertices)] = sunlight(self._meshes[0], ground)
         arrays.sunshine = array(sunshine, float)
         side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
         arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
@@ -110,11 +110,12 @@ def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
     return pinhole
 
 
-def _mesh(surface: Surface) -> wp.Mesh:
+def traced_mesh(surface: Surface) -> wp.Mesh:
+    """Creates the mesh that rays are traced against."""
     return wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
 
 
-def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
+def sky_openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
     """Computes the visible share of the sky for each vertex, ``[V]``."""
     # Points of a Fibonacci sphere have the same distance from one another.
     k = np.arange(OPENNESS_RAYS) + 0.5
@@ -127,7 +128,7 @@ def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
     return openness.numpy()
 
 
-def _sunshine(mesh: wp.Mesh, ground: Surface) -> np.ndarray:
+def sunlight(mesh: wp.Mesh, ground: Surface) -> np.ndarray:
     """Computes the light of the sun on each vertex of the ground: 1, 0 for shadow, or 0.5 near borders, ``[V]``."""
     sunshine = torch.empty(len(ground.vertices))
     inputs = [mesh.id, mesh.points, array(ground.normals, wp.vec3), wp.from_torch(sunshine)]

@@ -205,7 +205,7 @@ def _joint(name: str, element: ET.Element) -> Joint:
     parent, below = (_attribute(child(element, end), "link") for end in ("parent", "child"))
     axis = element.find("axis")
     # The default axis of URDF is x.
-    direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
+    direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3, "1 0 0"))
     return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction, _limits(element))
 
 

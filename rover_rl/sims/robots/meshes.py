@@ -9,6 +9,8 @@ from pathlib import Path
 import trimesh
 
 _PACKAGE = "package://"
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
+"""Name of a ROS package in its package.xml."""
 _UNIT = re.compile(rb"<unit[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)")
 """Unit that a COLLADA file states, m."""
 
@@ -20,11 +22,22 @@ def find_mesh(file: str, urdf: Path) -> Path:
     paths = [folder / name]
     if file.startswith(_PACKAGE):
         package, _, rest = file.removeprefix(_PACKAGE).partition("/")
-        paths = [parent / rest for parent in folder.parents if parent.name == package]
+        paths = [
+            parent / rest for parent in (folder, *folder.parents) if package in (parent.name, _package_name(parent))
+        ]
         paths += [parent / package / rest for parent in (folder, *folder.parents)]
     if found := next((path for path in paths if path.is_file()), None):
         return found
     raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
+
+
+def _package_name(folder: Path) -> str:
+    """Returns the name of a ROS package in a folder; of another folder, nothing."""
+    try:
+        stated = _NAME.search((folder / "package.xml").read_text(errors="replace"))
+    except OSError:
+        return ""
+    return stated[1] if stated else ""
 
 
 def load_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> list[trimesh.Trimesh]:

@@ -2,7 +2,7 @@
 
 :class:`Watchdog` runs in the driving process. It starts this module as a program, which reads heartbeats from its
 standard input. Without heartbeats, the program sends stop commands: until the next heartbeat, or for a limited time if
-the driving process is gone.
+the driving process is gone. It also stops the rover for good when it is told to.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ READY = b"ready\n"
 """Output of the watchdog process once it is ready."""
 HEARTBEAT = b"."
 """Input that reports that the driving process is alive."""
+HALT = b"h"
+"""Input after which the process sends stop commands for good, whatever the driving process does."""
 QUIT = b"q"
 """Input that ends the watchdog process."""
 STOP_INTERVAL = 0.05
@@ -67,6 +69,10 @@ class Watchdog:
         """Sends a heartbeat. Call it at every step. Raises ``ChildProcessError`` if the process is gone or hangs."""
         self._send(HEARTBEAT)
 
+    def halt(self) -> None:
+        """Stops the rover for good: the process sends stop commands until :meth:`close`. Any thread may call it."""
+        self._send(HALT)
+
     def close(self) -> None:
         """Ends the watchdog process. Idempotent."""
         if self._process.poll() is None:
@@ -100,6 +106,7 @@ def watch(topic: str, command: Command, name: TransportName, frame_id: str, time
     sys.stdout.buffer.write(READY)
     sys.stdout.buffer.flush()
     patience: float | None = None  # before the first heartbeat there is nothing to stop
+    halted = False
     while True:
         ready, _, _ = select.select([sys.stdin], [], [], patience)
         if not ready:
@@ -113,7 +120,9 @@ def watch(topic: str, command: Command, name: TransportName, frame_id: str, time
                 time.sleep(STOP_INTERVAL)
         if not received or QUIT in received:
             break
-        patience = timeout
+        if halted := halted or HALT in received:
+            commands.stop()
+        patience = STOP_INTERVAL if halted else timeout
     transport.close()
 
 

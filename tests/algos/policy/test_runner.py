@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.policy.runner import PolicyRunner, default_action_repeat
 from tests.algos.policy.memories import BOTH, CountingPolicy, observations, recurrent_checkpoint
@@ -68,6 +69,10 @@ def test_only_policies_with_memory_decide_as_often_as_in_training_by_default() -
     memoryless.trained_action_repeat = 4
     assert [default_action_repeat(policy) for policy in (actor, memoryless, None)] == [4, 1, 1]
     assert [default_action_repeat(policy, 2) for policy in (actor, memoryless, None)] == [2, 2, 2]
+
+
+def test_a_planner_decides_at_the_same_times_whatever_the_control_rate() -> None:
+    assert [default_action_repeat(GridPlanner(), dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
 
 
 def test_a_policy_may_read_the_bounds() -> None:

@@ -108,17 +108,37 @@ def test_a_car_steers_as_far_as_its_joints(tmp_path):
     assert mass_of(robot.urdf) == pytest.approx(10 + 4 * 0.6 + 2 * 0.1)
 
 
+def test_steering_joints_about_the_axle_are_told_by_their_names(tmp_path):
+    path = car().write(tmp_path)
+    wrong = '<axis xyz="0 1 0"/><limit lower="0" upper="0" effort="1" velocity="1"/>'
+    stated = '<axis xyz="0 0 -1"/><limit lower="-0.6" upper="0.6" effort="1" velocity="1"/>'
+    assert path.read_text().count(stated) == 2
+    path.write_text(path.read_text().replace(stated, wrong))
+    drive = read(path).drive
+    assert isinstance(drive, Ackermann)
+    assert drive.max_steering == pytest.approx(0.5)
+    path.write_text(path.read_text().replace("_steering", "_rocker"))
+    assert isinstance(read(path).drive, SkidSteer)
+
+
 def test_a_robot_with_two_wheels_stands_on_its_casters(tmp_path):
     machine = Machine().body().wheels((0.0,)).ball("rear_caster", -0.2).ball("front_caster", 0.2)
     robot = read(machine.write(tmp_path))
     drive = robot.drive
     assert isinstance(drive, SkidSteer)
     assert (drive.left, drive.right) == (("left_0",), ("right_0",))
-    assert drive.separation == pytest.approx(0.4)
+    # Wheels of a width turn about their outer parts.
+    assert drive.separation == pytest.approx(0.4 + 0.05 / math.sqrt(3), abs=1e-3)
     places = dict(zip(drive.wheels, robot.wheels.hubs, strict=True))
     casters = sorted(places[name] for name in drive.casters)
     np.testing.assert_allclose(casters, [(-0.2, 0, 0.1), (0.2, 0, 0.1)], atol=1e-6)
     assert mass_of(robot.urdf) == pytest.approx(10 + 2 * 0.6 + 2 * 0.05)
+
+
+def test_casters_in_the_shape_of_the_body_are_at_its_ends(tmp_path):
+    low = box("0.5 0.2 0.05", "0 0 -0.07")
+    robot = read(Machine().body(more=low).wheels((0.05,)).write(tmp_path))
+    np.testing.assert_allclose(sorted(robot.wheels.hubs[2:]), [(-0.3, 0, 0.1), (0.2, 0, 0.1)], atol=1e-6)
 
 
 def test_a_wheel_behind_a_free_swivel_is_a_caster(tmp_path):
@@ -262,12 +282,23 @@ def without_mass(text):
     return text.replace(inertial(10.0, 0.2), "")
 
 
+def omni(angle):
+    """A wheel at an angle around the middle of the base, whose axle points there."""
+    name = f"omni_{round(math.degrees(angle))}"
+    disc = shape("collision", '<cylinder radius="0.1" length="0.03"/>', rpy="0 1.5707963267948966 0")
+    place = f"{0.2 * math.cos(angle)} {0.2 * math.sin(angle)} 0"
+    return (
+        link(f"{name}_link", inertial(0.5, 0.002) + disc),
+        joint(name, "continuous", "base_link", f"{name}_link", place, '<axis xyz="1 0 0"/>', f"0 0 {angle}"),
+    )
+
+
 THREE = Machine().body().wheels((0.2,)).wheel("third", -0.2, 0.0)
 TRICYCLE = Machine().body().wheels((-0.2,)).knuckle("front", 0.2, 0.0)
 REFUSED = [
     (lambda: Machine().body(), "it has no wheels: none of its joints turns without end, they are fixed"),
     (lambda: Machine().body().wheels((0.0,)), "it has two wheels and nothing else touches the ground"),
-    (lambda: THREE, r"3 wheels, 1 on the left, 1 on the right and \['third'\] between them"),
+    (lambda: THREE, r"3 wheels on the ground, 1 on the left, 1 on the right and \['third'\] between them"),
     (lambda: TRICYCLE, "it has three wheels, of which 'front_wheel' steers"),
     (lambda: Machine(wheel_mass=0.0).body().wheels((0.2, -0.2)), "wheel link 'left_0_link' must have a positive mass"),
     (lambda: Machine().body(0.0).wheels((0.2, -0.2)), "all links besides the wheels must have a positive mass"),

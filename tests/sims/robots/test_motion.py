@@ -14,7 +14,7 @@ from rover_rl.sims.robots import ROBOTS, Robot, get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import quaternion_to_euler
 from tests.extras import needs_mujoco
-from tests.sims.driven import FLAT, placed, slope
+from tests.sims.driven import FLAT, WALLED, placed, slope
 
 NAMES = [name for name in ROBOTS if name != "rover_zero"]
 CARS = [name for name in NAMES if not get_robot(name).drive.turns_in_place]
@@ -168,6 +168,18 @@ def test_climbs_and_stands_on_slopes_up_to_the_limit_of_friction(backend: str, n
     moved = x[-1] - x[-1 - SECOND]
     assert [moved[0] > 0.1 * speed, moved[1] < 0] == [True, True], moved
     assert [moved[2].abs() < 0.01, moved[3] < -0.01] == [True, True], moved
+
+
+def test_a_fast_robot_feels_a_wall_and_stays_before_it(backend: str) -> None:
+    """At 5 m/s, the racer drives 0.25 m in a step; the wall is 1 m thick."""
+    robot = get_robot("racer")
+    simulator = placed(backend, WALLED, torch.tensor([[-6.5, 0.0, 0.0]]), robot)
+    states = [simulator.step(torch.tensor([[5.0, 0.0]])) for _ in range(4 * SECOND)]
+    simulator.close()
+    speeds = torch.stack([state.position[0, 0] for state in states]).diff() / DT
+    assert speeds.max() > 4.9
+    assert any(state.contact is not None and bool(state.contact) for state in states)
+    assert max(state.position[0, 0].item() for state in states) < 2.5
 
 
 def at_random(robot: Robot, rows: int = 16) -> Tensor:

@@ -14,6 +14,8 @@ ALIKE = 0.05
 """Largest difference of the radii of wheels that are taken for alike, by their mean."""
 TOUCHING = 0.25
 """Largest distance of a caster's lowest point from the ground, by the radius of the driven wheels."""
+LEVEL = 1e-3
+"""Height above the lowest point of a caster up to which points of it are on the ground, m."""
 CASTER_SIZE = 0.5
 """Largest size of a shape that is taken for a caster, by the distance of the left and right wheels."""
 
@@ -63,6 +65,7 @@ def decide(placed: Placed, found: FoundWheels, body: list[Piece], wanted: DriveK
         others |= {piece.link for piece in touching}
         casters = [(float(wheel.hub[0]), float(wheel.hub[1])) for wheel in found.casters]
         casters += [(float(x), float(y)) for x, y in (_lowest(piece) for piece in touching)]
+        casters = casters or _low_ends(pairs[0], body)
         if not casters:
             raise ValueError(
                 "it has two wheels and nothing else touches the ground, so that it cannot stand: a caster is a wheel "
@@ -138,8 +141,21 @@ def _touching(pair: tuple[RoundLink, RoundLink], body: list[Piece]) -> list[Piec
     return found
 
 
+def _low_ends(pair: tuple[RoundLink, RoundLink], body: list[Piece]) -> list[tuple[float, float]]:
+    """Returns the front and the back of a body that reaches the ground, as shapes do that hold their casters, too."""
+    wheel = pair[0]
+    height = wheel.bottom + TOUCHING * wheel.radius
+    points = np.concatenate([piece.points for piece in body]) if body else np.zeros((0, 3))
+    points = points[points[:, 2] <= height]
+    if not len(points):
+        return []
+    middle = float(points[:, 1].min() + points[:, 1].max()) / 2
+    ends = [float(points[:, 0].min()), float(points[:, 0].max())]
+    return [(x, middle) for x in ends if abs(x - wheel.hub[0]) > wheel.radius]
+
+
 def _lowest(piece: Piece) -> np.ndarray:
     """Returns x and y of the middle of the lowest points of a shape, ``[2]``."""
     points = piece.points
-    lowest = points[points[:, 2] <= points[:, 2].min() + 1e-6]
+    lowest = points[points[:, 2] <= points[:, 2].min() + LEVEL]
     return (lowest[:, :2].min(0) + lowest[:, :2].max(0)) / 2

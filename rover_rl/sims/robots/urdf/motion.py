@@ -81,10 +81,8 @@ def _car(
 
 
 def _separation(hubs: np.ndarray, tread: float, mass: Mass, notes: list[str]) -> float:
-    """Returns the effective distance of the sides: that of the hubs, or by Coulomb's law if wheels slip in turns."""
+    """Returns the effective distance of the sides by Coulomb's law. Wheels of some width slip in any turn."""
     width = float(hubs[0::2, 1].mean() - hubs[1::2, 1].mean())
-    if len(hubs) == 2:
-        return round(width, 4)
     track = effective_track(hubs[:, :2], [1, -1] * (len(hubs) // 2), mass.center.tolist(), tread)
     notes.append(
         f"its wheels slip in turns: separation is {track:.3g} m by Coulomb's law, {track / width:.2f} times that of "

@@ -13,7 +13,9 @@ from rover_rl.sims.robots.urdf.placed import Piece, Placed
 ALONG = 0.9
 """Least component of the axis of a joint along the direction that it is taken for."""
 ROUND = 0.12
-"""Largest difference of the extents of a wheel across its axle, and of its center from the axle, by its size."""
+"""Largest difference of the extents of a wheel across its axle, by its size."""
+OFFSET = 0.3
+"""Largest distance of the center of a wheel's shape from its axle, by its radius."""
 NEAR_GROUND = 0.25
 """Largest height of the lowest point of a wheel above that of the lowest wheel, by its radius."""
 TRAIL = 0.15
@@ -85,8 +87,16 @@ def find_wheels(placed: Placed) -> FoundWheels:
     if not wheels:
         raise ValueError(problems[0] if problems else _no_wheels(placed, rolling))
     ground = min(wheel.bottom for wheel in wheels)
-    wheels = [wheel for wheel in wheels if wheel.bottom - ground <= NEAR_GROUND * wheel.radius]
-    return _sorted_wheels(wheels)
+    above = [wheel for wheel in wheels if wheel.bottom - ground > NEAR_GROUND * wheel.radius]
+    try:
+        return _sorted_wheels([wheel for wheel in wheels if wheel not in above])
+    except ValueError as error:
+        if problems:
+            raise ValueError(problems[0]) from error
+        if not above:
+            raise
+        height = above[0].bottom - ground
+        raise ValueError(f"{error} ({above[0].joint.name} is round, too, {height:.2g} m above the ground)") from error
 
 
 def _rolling_joints(placed: Placed) -> list[Joint]:
@@ -108,14 +118,28 @@ def _no_wheels(placed: Placed, rolling: list[Joint]) -> str:
     if not free:
         kinds = sorted({joint.kind for joint in joints})
         return f"it has no wheels: none of its joints turns without end, they are {', '.join(kinds) or 'none'}"
-    if rolling and not any(abs(placed.axis(joint)[1]) >= ALONG for joint in rolling):
-        angles = [round(math.degrees(math.atan2(*placed.axis(joint)[1::-1])) % 180) for joint in rolling]
+    if len({round(each) for each in _angles(placed, rolling)}) >= 3:
+        angles = ", ".join(f"{round(each)}" for each in _angles(placed, rolling))
         return (
-            f"its {len(rolling)} wheels have axles at {', '.join(map(str, angles))} degrees to the direction of "
-            "travel, and no drive of this package has such wheels"
+            f"its {len(rolling)} wheels have axles at {angles} degrees to its direction ahead; no drive of this "
+            "package has such wheels"
         )
-    named = ", ".join(free[:3]) + (", ..." if len(free) > 3 else "")
-    return f"it has no wheels: nothing that turns on {named} is round about a level axle across the direction of travel"
+    stated = Placed(placed.path)
+    turning = [(joint.name, stated.axis(joint)) for joint in joints if joint.name in free[:3]]
+    named = ", ".join(f"{name} (about {_direction(axis)})" for name, axis in turning) + (", ..." if free[3:] else "")
+    return f"it has no wheels: nothing that turns on {named} is round about a level axle"
+
+
+def _angles(placed: Placed, rolling: list[Joint]) -> list[float]:
+    """Returns the directions of axles, from 0 to 180 degrees from +x."""
+    axes = (placed.axis(joint) for joint in rolling)
+    return [math.degrees(math.atan2(axis[1], axis[0])) % 180 for axis in axes]
+
+
+def _direction(axis: np.ndarray) -> str:
+    """Returns the components of a direction as text."""
+    # Adding 0 turns -0.0 into 0.0.
+    return " ".join(f"{round(float(each), 2) + 0.0:g}" for each in axis)
 
 
 def _round_link(placed: Placed, joint: Joint, problems: list[str]) -> RoundLink | None:
@@ -147,17 +171,22 @@ def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple
     ahead = np.cross(axis, (0.0, 0.0, 1.0))
     ahead /= np.linalg.norm(ahead)
     across = np.column_stack((arms @ ahead, arms @ np.cross(axis, ahead)))
-    radius = float(np.linalg.norm(across, axis=1).max())
     low, high = across.min(0), across.max(0)
+    middle = (low + high) / 2
+    radius = float(np.linalg.norm(across - middle, axis=1).max())
     # A box has a diagonal that is longer than its sides; a tread is nearly as wide in all directions.
-    round_enough = ((high - low) > 2 * radius * (1 - ROUND)).all() and (np.abs(low + high) < 2 * radius * ROUND).all()
-    if not round_enough or radius <= 0:
+    is_round = ((high - low) > 2 * radius * (1 - ROUND)).all() and np.linalg.norm(middle) < OFFSET * radius
+    if not is_round or radius <= 0:
         return None
     return radius, float(np.ptp(along)), float(along.max() + along.min()) / 2
 
 
 def _is_swivel(placed: Placed, joint: Joint) -> bool:
-    return joint.kind in ("continuous", "revolute") and abs(placed.axis(joint)[2]) >= ALONG
+    """Returns whether a joint turns what it carries about z. One that turns it about the axle is told by its name."""
+    if joint.kind not in ("continuous", "revolute"):
+        return False
+    axis = np.abs(placed.axis(joint))
+    return bool(axis[2] >= ALONG or (axis[1] >= ALONG and "steer" in joint.name.lower()))
 
 
 def _sorted_wheels(wheels: list[RoundLink]) -> FoundWheels:
@@ -192,19 +221,20 @@ def _is_caster(wheel: RoundLink) -> bool:
 
 
 def _check_sides(left: list[RoundLink], right: list[RoundLink], between: list[RoundLink]) -> None:
-    count = len(left) + len(right) + len(between)
     if len(left) == len(right) and left and not between:
         return
     names = [wheel.joint.name for wheel in between]
     if between and len(left) == len(right) == 1 and between[0].swivel is not None:
         raise ValueError(f"it has three wheels, of which {names[0]!r} steers; no drive of this package has such wheels")
     if between:
+        count = len(left) + len(right) + len(between)
         raise ValueError(
-            f"it has {count} wheels, {len(left)} on the left, {len(right)} on the right and {names} between them; "
-            "no drive of this package has such wheels, unless that is a caster: a swivel or ball, or a joint so named"
+            f"it has {count} wheel{'s' if count > 1 else ''} on the ground, {len(left)} on the left, {len(right)} on "
+            f"the right and {names} between them; no drive of this package has such wheels, unless that is a caster: a "
+            "swivel, a ball, or a joint so named"
         )
     raise ValueError(
-        f"it has {count} wheels, {len(left)} on the left and {len(right)} on the right; drives of this package have "
+        f"it has {len(left)} wheels on the left and {len(right)} on the right; drives of this package have "
         "as many on each side"
     )
 

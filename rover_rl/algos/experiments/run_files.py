@@ -1,0 +1,54 @@
+"""Files of a training run that may still be training: its policies so far, and its learning curves.
+
+A training replaces its files as wholes, so that reading them neither disturbs it nor fails when it is killed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS
+from rover_rl.algos.train.progress import read_progress
+
+WINDOW = 12
+"""Fraction of a run over which its curves are averaged: one in so many."""
+
+
+class RunFiles:
+    """Folder of a run, which may still be training."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def find(cls, path: Path) -> RunFiles | None:
+        """Returns the run in a folder, ``None`` if it is no folder of a run."""
+        return cls(path) if (path / SETTINGS).is_file() else None
+
+    def policies(self) -> list[Path]:
+        """Returns the files of the policies, first to last: the snapshots, then the checkpoint."""
+        last = self.folder / CHECKPOINT
+        return [*sorted((self.folder / "snapshots").glob("*.pt")), *([last] if last.is_file() else [])]
+
+    def curves(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Returns the steps, ``[rows]``, and curves over them; empty before the first row."""
+        try:
+            columns = {key: np.array(values) for key, values in read_progress(self.folder / "progress.csv").items()}
+        except (OSError, ValueError):
+            columns = {}
+        if not columns:
+            return np.zeros(0), {}
+        width = max(1, len(columns["steps"]) // WINDOW)
+        reached, tried = (_sums(columns[key], width) for key in ("attempts_reached", "attempts"))
+        goals = _sums(columns["goals_per_2000_steps"], width) / _sums(np.ones(len(reached)), width)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            success = np.nan_to_num(reached / tried)
+        return columns["steps"], {"success rate": success, "goals in 2000 steps": goals}
+
+
+def _sums(values: np.ndarray, width: int) -> np.ndarray:
+    """Returns the sums over the last ``width`` values, ``[rows]``."""
+    total = np.concatenate((np.zeros(width), np.cumsum(np.nan_to_num(values))))
+    return total[width:] - total[:-width]

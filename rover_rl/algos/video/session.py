@@ -1,0 +1,223 @@
+"""Interactive session: an environment, the policy that drives in it, and what happens inside.
+
+A person may change the policy, the world and the goals between two steps.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from rover_rl.algos.evaluation.evaluate import ENDINGS
+from rover_rl.algos.evaluation.metrics import TIME_LIMIT
+from rover_rl.algos.policy.baselines import RandomPolicy
+from rover_rl.algos.policy.runner import Policy, PolicyRunner
+from rover_rl.algos.video.recording import Moment
+from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs.config import require_match
+from rover_rl.envs.make import RewardedEnv, make_env
+from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World
+
+KEPT = 600
+"""Number of steps that are kept."""
+KEPT_EPISODES = 12
+"""Number of rows of the table of episodes."""
+_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
+"""Settings of an environment that a policy was made for."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode that has ended: its rover, number, duration (s), ending and number of goals reached."""
+
+    row: int
+    number: int
+    seconds: float
+    ending: str
+    goals: int
+
+
+def rovers_in(env: EnvBase) -> RoverEnv:
+    """Returns the :class:`RoverEnv` inside of an environment. Raises ``ValueError`` if there is no batched one."""
+    inner: Any = env
+    while not isinstance(inner, RoverEnv):
+        inner = getattr(inner, "base_env", None)
+        if inner is None:
+            raise ValueError(f"the environment must be a RoverEnv or make_env(...), got {type(env).__name__}")
+    if not inner.batch_size:
+        raise ValueError("the environment must be a batch: create it with num_envs=1, not None")
+    return inner
+
+
+class Session:
+    """Environment, policy and the records of their steps. One thread uses it.
+
+    Args:
+        env: environment, with a reward or without.
+        policy: policy that drives; ``None`` acts at random.
+    """
+
+    def __init__(self, env: EnvBase, policy: Policy | None) -> None:
+        self._set_env(env)
+        self.row, self._policy = 0, policy
+        self.set_policy(policy)
+        self.reset()
+
+    def _set_env(self, env: EnvBase) -> None:
+        self.env, self.rovers = env, rovers_in(env)
+        self._distances: tuple[World, PathDistances] | None = None
+
+    @property
+    def config(self) -> EnvConfig:
+        """Description of the environment."""
+        config: EnvConfig = getattr(self.env, "config", self.rovers.config)
+        return config
+
+    @property
+    def can_change(self) -> bool:
+        """Whether the environment can be made anew with another world or simulator."""
+        return isinstance(self.env, (RoverEnv, RewardedEnv))
+
+    def change(self, **changes: Any) -> None:
+        """Makes the environment anew with other settings of :class:`EnvConfig`, such as ``world`` and ``backend``."""
+        new = make_env(replace(self.config, **changes))
+        self.env.close()
+        self._set_env(new)
+        self.set_policy(self._policy)
+        self.reset()
+
+    def set_policy(self, policy: Policy | None) -> None:
+        """Lets another policy drive. If it was made for another environment, makes the environment anew for it.
+
+        Raises ``ValueError`` if the environment cannot be made anew.
+        """
+        if made_for := getattr(policy, "made_for", None):
+            try:
+                require_match(made_for, self.rovers.config)
+            except ValueError:
+                if not self.can_change:
+                    raise
+                self._policy = policy
+                self.change(**{name: getattr(made_for, name) for name in _OF_POLICY})
+                return
+        self._policy = policy
+        self._runner = PolicyRunner(policy or RandomPolicy(0), env=self.rovers)
+
+    def reset(self) -> None:
+        """Starts a new episode of all rovers."""
+        self._begin(self.env.reset())
+        count = self.rovers.num_envs
+        self._numbers, self._goals = torch.ones(count, dtype=torch.int64), torch.zeros(count, dtype=torch.int64)
+        self.episodes: deque[Episode] = deque(maxlen=KEPT_EPISODES)
+        self.seconds, self.event = 0.0, ("", 0.0)
+
+    def _begin(self, observation: TensorDictBase) -> None:
+        self.observation = observation
+        self._runner.reset()
+        self.history: dict[str, deque[float]] = {}
+
+    def put(self, row: int, xy: tuple[float, float]) -> None:
+        """Puts a rover elsewhere, which starts a new episode with the same goal."""
+        rovers = self.rovers
+        yaw = quaternion_to_euler(rovers.rover_state.orientation)[:, 2:]
+        start, goal = torch.cat((rovers.rover_state.position[:, :2], yaw), -1), rovers.goal
+        start[row, :2] = torch.tensor(xy)
+        mask = torch.zeros(rovers.num_envs, 1, dtype=torch.bool)
+        mask[row] = True
+        given = self.observation.clone(False).set("_reset", mask)
+        self.observation = self.env.reset(given, start=start, goal=goal)
+        self._runner.reset(mask.squeeze(-1))
+
+    def set_goal(self, row: int, xy: tuple[float, float]) -> None:
+        """Moves the goal of a rover."""
+        goal = self.rovers.goal
+        goal[row] = torch.tensor(xy)
+        self.rovers.set_goal(goal)
+
+    def decide(self) -> Tensor:
+        """Returns the actions of the policy, ``[N, 2]``."""
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self._runner(self.observation)
+
+    def advance(self, action: Tensor, by_hand: int | None = None) -> None:
+        """Takes a step. The episode of the rover that is driven ``by_hand`` goes on when it stands for long."""
+        with torch.no_grad():
+            step = self.env.step(self.observation.set("action", action))
+            self.seconds += self.rovers.control_dt
+            self._record(step["next"], action)
+            following = step_mdp(step, exclude_reward=False)
+            if by_hand is not None and following["outcome", "phase"][by_hand] in (StepEvent.STUCK, StepEvent.NONE):
+                others = torch.arange(self.rovers.num_envs, device=following["done"].device)[:, None] != by_hand
+                for key in ("done", "terminated", "truncated"):
+                    following[key] = following[key] & others
+            self._count(following)
+            done = following["done"].squeeze(-1)
+            self._runner.reset(done)
+            self.observation = self.env.maybe_reset(following)
+
+    def _count(self, after: TensorDictBase) -> None:
+        """Counts goals and episodes after a step."""
+        outcome, done = after["outcome"], after["done"].squeeze(-1).cpu()
+        reached = outcome["goal_reached"].squeeze(-1).cpu()
+        self._goals += reached
+        for row in done.nonzero().squeeze(-1).tolist():
+            ending = ENDINGS.get(StepEvent(int(outcome["phase"][row])), TIME_LIMIT)
+            seconds = outcome["steps"][row].item() * self.rovers.control_dt
+            self.episodes.appendleft(Episode(row, int(self._numbers[row]), seconds, ending, int(self._goals[row])))
+        if done[self.row] or reached[self.row]:
+            self.event = self.episodes[0].ending if done[self.row] else "goal reached", self.seconds
+        self._numbers += done
+        self._goals[done] = 0
+
+    def _record(self, after: TensorDictBase, action: Tensor) -> None:
+        """Records what happened to the followed rover."""
+        row = self.row
+        values = {
+            "distance": after["target"][row, 0].item(),
+            "speed": self.rovers.rover_state.linear_velocity[row].item(),
+            "speed command": action[row, 0].item(),
+            "turn command": action[row, 1].item(),
+        }
+        components = after.get("reward_components", None)
+        if components is not None:
+            values |= {f"reward {name}": components[name][row].item() for name in sorted(components.keys())}
+        for name, value in values.items():
+            self.history.setdefault(name, deque(maxlen=KEPT)).append(value)
+
+    def moment(self) -> Moment:
+        """Returns the state of all rovers."""
+        rovers = self.rovers
+        movers = parts_of(rovers.movers, self.row)
+        state = rovers.rover_state, rovers.scan, rovers.goal
+        return Moment(self.seconds, *state, self._goals, self._numbers, (), self.event, movers)
+
+    def neighbors(self) -> Tensor:
+        """Returns the rovers in the world of the followed one, int64."""
+        worlds = self.rovers.worlds
+        return torch.tensor([row for row, world in enumerate(worlds) if world is worlds[self.row]])
+
+    def route(self) -> Tensor:
+        """Returns the shortest path from the followed rover to its goal, ``[points, 2]``, m."""
+        row, world = self.row, self.rovers.worlds[self.row]
+        if self._distances is None or self._distances[0] is not world:
+            self._distances = world, PathDistances([world], self.rovers.robot)
+        position, goal = self.rovers.rover_state.position[row, :2].cpu(), self.rovers.goal[row].cpu()
+        return self._distances[1].path(0, position, goal)
+
+    def inside(self) -> dict[str, float]:
+        """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""
+        return {f"norm of {key}": value[self.row].norm().item() for key, value in self._runner.state.items()}
+
+    def close(self) -> None:
+        """Closes the environment."""
+        self.env.close()

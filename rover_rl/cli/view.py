@@ -1,0 +1,91 @@
+"""The command ``rover-rl view``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
+from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, RANDOM, EnvOptions, resolve_policy
+
+if TYPE_CHECKING:
+    from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.view.viewer import Viewer
+
+_POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} A run may still be training.")
+
+
+@dataclass(frozen=True)
+class View:
+    """Show rovers in a page of the browser: watch a policy, take the wheel, look inside, watch a run learn.
+
+    The page is at the printed address, on this machine alone unless --host says otherwise. Over SSH, forward the port:
+    ssh -L 8080:localhost:8080 MACHINE.
+    """
+
+    policy: Annotated[tyro.conf.Positional[str], _POLICY] = "pretrained:anywhere"
+    world: str | None = None
+    """World to drive in. Default: the one that the policy was trained in, or moon."""
+    rovers: int = 1
+    """Number of rovers."""
+    agents: int = 1
+    """Number of rovers that share a world, in which they meet."""
+    seed: int = 0
+    """Seed of starts and goals."""
+    host: str = "127.0.0.1"
+    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
+    port: int = 8080
+    """Port of the page; 0 takes a free one."""
+    environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
+    backend: Annotated[str | None, tyro.conf.arg(help=BACKEND.replace("bullet.", "warp."))] = None
+
+    def __call__(self) -> int:
+        """Runs the command until Ctrl-C."""
+        check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
+        check_seed(self.seed)
+        viewer = self._open()
+        print(f"Page: {viewer.address} (Ctrl-C ends it)", flush=True)
+        try:
+            viewer.wait()
+        except KeyboardInterrupt:
+            print("The viewer has ended.")
+        finally:
+            viewer.close()
+        return 0
+
+    def _open(self) -> Viewer:
+        """Opens the page."""
+        # Says first if the extra is missing.
+        from rover_rl.view.page import check_address
+        from rover_rl.view.viewer import Viewer
+
+        check_address(self.host, self.port)
+        from rover_rl.algos.experiments.run_files import RunFiles
+        from rover_rl.envs.make import make_env
+
+        if self.policy.endswith(LOG):
+            raise ValueError(f"a log is shown by rover-rl film {self.policy} --out drive.html")
+        run = RunFiles.find(Path(self.policy))
+        word = RANDOM if run is not None and not run.policies() else self.policy
+        if run is not None and run.policies():
+            word = str(run.policies()[-1])
+        policy = resolve_policy(word, () if self.world is None else (self.world,), self.environment.robot)
+        backend = self.backend or ("warp" if self.environment.env is None else None)
+        described = self.environment.description(policy.module, backend)
+        world = policy.worlds[0] if policy.worlds else "moon"
+        config = replace(described, world=world, num_envs=self.rovers, agents=self.agents, seed=self.seed)
+        return Viewer(
+            make_env(replace(config, end_on_goal=False)),
+            policy.module,
+            name=self.policy,
+            host=self.host,
+            port=self.port,
+            find_policy=self._find,
+            run=run,
+        )
+
+    def _find(self, name: str) -> Policy | None:
+        return resolve_policy(name, (), self.environment.robot).module

@@ -1,0 +1,121 @@
+"""Meshes of a world and its sky in daylight, for viewers without a ray tracer.
+
+The colors of the vertices hold the shadows and the shade of corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+from scipy.ndimage import map_coordinates
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from rover_rl.sims.rendering.renderer import SCENERY_REACH, sky_openness, sunlight, traced_mesh
+from rover_rl.sims.rendering.scenery import GROUND, HORIZON, ZENITH
+from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
+from rover_rl.sims.worlds import World
+
+SHADOW = 0.55
+"""Brightness of the ground in the shadow of obstacles and hills."""
+CORNER = 0.4
+"""Brightness of a point that sees none of the sky."""
+ROCK = (0.47, 0.44, 0.42)
+"""Color of obstacles, which the tint of each varies."""
+SKY_RADIUS = 400.0
+"""Radius of the dome of the sky, m."""
+_REACH = 300.0
+"""Distance up to which the land goes on around the terrain, m."""
+
+
+def solid(surface: Surface, brightness: np.ndarray | None = None) -> trimesh.Trimesh:
+    """Converts a surface, with the brightness of each vertex, ``[V]``, to a mesh as a page shows it."""
+    colors = np.empty((len(surface.vertices), 3))
+    colors[surface.faces.flatten()] = np.repeat(surface.colors, 3, axis=0)
+    if brightness is not None:
+        colors *= brightness[:, None]
+    return painted_mesh(surface.vertices, surface.faces, surface.normals, colors)
+
+
+def painted_mesh(vertices: np.ndarray, faces: Any, normals: np.ndarray, colors: np.ndarray) -> trimesh.Trimesh:
+    """Creates a dull mesh with a color per vertex, ``[V, 3]``, 0 to 1, as a screen shows it."""
+    visual = TextureVisuals(material=PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0))
+    # Colors of vertices are intensities.
+    rgba = np.column_stack((np.clip(colors, 0, 1) ** 2.2, np.ones(len(colors))))
+    visual.vertex_attributes["color"] = np.uint8(np.round(255 * rgba))
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
+
+
+def world_meshes(world: World) -> dict[str, trimesh.Trimesh]:
+    """Creates the meshes of a world: its ``ground``, the ``land`` around and, if there are any, its ``obstacles``."""
+    ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)
+    scenery = ground if obstacles is None else Surface.join([ground, obstacles])
+    mesh = traced_mesh(scenery)
+    shade = CORNER + (1 - CORNER) * sky_openness(mesh, scenery, SCENERY_REACH)
+    count = len(ground.vertices)
+    lit = SHADOW + (1 - SHADOW) * sunlight(mesh, ground)
+    meshes = {"ground": solid(ground, shade[:count] * lit * _mottle(ground.vertices)), "land": _land(world)}
+    if obstacles is not None:
+        rock = replace(obstacles, colors=_rock(obstacles.colors))
+        grain = _mottle(obstacles.vertices[:, :2] + 1.7 * obstacles.vertices[:, 2:], fine=1.6)
+        meshes["obstacles"] = solid(rock, shade[count:] * grain)
+    return meshes
+
+
+def _rock(tints: np.ndarray) -> np.ndarray:
+    """Returns colors of rock in the brightness of the colors ``tints [F, 3]``."""
+    brightness = tints.mean(-1, keepdims=True)
+    return np.array(ROCK) * brightness / brightness.mean()
+
+
+def _mottle(points: np.ndarray, fine: float = 1.0) -> np.ndarray:
+    """Returns the brightness of soil at points ``[V, 2 or 3]`` (m): smooth noise of several sizes around 1."""
+    noise = np.random.default_rng(0).uniform(-1, 1, (64, 64))
+    total = np.ones(len(points))
+    for size, strength in ((6.0, 0.05), (1.7, 0.05), (0.45, 0.04)):
+        at = points[:, :2].T * fine / size
+        total += strength * map_coordinates(noise, at % 64, order=1, mode="grid-wrap")
+    return total
+
+
+def _land(world: World) -> trimesh.Trimesh:
+    """Creates the flat land around a terrain, which fades into the haze."""
+    (left, right), (bottom, top) = world.terrain.extent
+    heights = world.terrain.heights
+    level = float(np.concatenate([np.asarray(heights[i]) for i in (0, -1)] + [np.asarray(heights[:, -1])]).mean())
+    center = np.array(((left + right) / 2, (bottom + top) / 2))
+    half = np.array(((right - left) / 2, (top - bottom) / 2))
+    corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    rings = [half * 0.999, half + 10, half + 40, half + _REACH]
+    vertices = np.concatenate([np.column_stack((center + corners * ring, np.full(4, level - 0.02))) for ring in rings])
+    faces = [
+        face
+        for ring in range(len(rings) - 1)
+        for side in range(4)
+        for a, b in [(4 * ring + side, 4 * ring + (side + 1) % 4)]
+        for face in ((a, a + 4, b + 4), (a, b + 4, b))
+    ]
+    share = np.repeat((0.0, 0.15, 0.6, 1.0), 4)[:, None]
+    colors = (1 - share) * np.array(GROUND) + share * np.array(HORIZON)
+    normals = np.tile((0.0, 0.0, 1.0), (len(vertices), 1))
+    return painted_mesh(vertices, faces, normals, colors)
+
+
+def sky_dome() -> trimesh.Trimesh:
+    """Creates a sphere around everything that glows in the colors of the sky, seen from within."""
+    dome = trimesh.creation.uv_sphere(SKY_RADIUS, count=(32, 32))
+    dome.invert()
+    height = dome.vertices[:, 2] / SKY_RADIUS
+    share = np.linspace(0, 1, 256)[:, None] ** 0.6
+    # The upper half of the picture is the sky, from the zenith down; the lower half is haze.
+    above = np.array(HORIZON) + share[::-1] * (np.array(ZENITH) - np.array(HORIZON))
+    column = np.concatenate((above, np.tile(HORIZON, (256, 1))))
+    picture = Image.fromarray(np.uint8(255 * np.tile(column[:, None], (1, 4, 1))))
+    glow = PBRMaterial(emissiveTexture=picture, emissiveFactor=[1.0, 1.0, 1.0], baseColorFactor=[0, 0, 0, 255])
+    uv = np.column_stack((np.full(len(height), 0.5), 0.5 + 0.5 * height))
+    dome.visual = TextureVisuals(uv=uv, material=glow)
+    return dome

@@ -1,0 +1,122 @@
+"""The page of a live rover: scan, pose, goal, command and latency, a stop button, and driving by hand."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.algos.deploy.driving import Moment as Status
+from rover_rl.algos.policy.runner import Policy, PolicyRunner
+from rover_rl.algos.video.recording import Moment
+from rover_rl.envs import RoverEnv
+from rover_rl.envs.specs import action_bounds
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.view.cameras import Cameras
+from rover_rl.view.page import HOST, PORT, address, close_page, open_page
+from rover_rl.view.pilot import Pilot
+from rover_rl.view.stage import Pose, Stage
+
+FRAMES = 15
+"""Number of updates of the page, 1/s."""
+
+
+class LivePage:
+    """Page of a live rover. A context manager.
+
+    The stop button calls :attr:`on_stop` in the loop of the server, which waits for nothing else: neither for the
+    policy nor for the thread that drives. From then on, :meth:`check` raises an error, and no action gets through.
+
+    Args:
+        host, port: as for :class:`~rover_rl.view.Viewer`.
+
+    Attributes:
+        address: address of the page.
+        on_stop: function that stops the rover at once, such as
+            :meth:`Watchdog.halt <rover_rl.sims.ros2.watchdog.Watchdog.halt>`.
+    """
+
+    def __init__(self, host: str = HOST, port: int = PORT) -> None:
+        self.server = open_page(host, port)
+        self.address, self.stopped = address(self.server), False
+        self.on_stop: Callable[[], Any] = lambda: None
+        gui = self.server.gui
+        stop = gui.add_button("STOP", color="red", hint="Escape. The drive ends, and the rover stands.")
+        stop.on_hold(self._stop)  # as the button goes down
+        stop.on_click(self._stop)
+        gui.add_command("Stop the rover", hotkey="escape").on_trigger(self._stop)
+        self._status = gui.add_markdown("Waiting for the rover.")
+        self.pilot = Pilot(gui)
+        self._stage, self._cameras = Stage(self.server), Cameras(self.server)
+        self._cameras.add_choice()
+        self._stage.add_checkboxes()
+        self._latest: tuple[RoverEnv, Moment, Status] | None = None
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
+
+    def __enter__(self) -> LivePage:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closed.set()
+        self._thread.join(2.0)
+        close_page(self.server)
+
+    async def _stop(self, _: object) -> None:
+        if self.stopped:
+            return
+        self.stopped = True
+        self.on_stop()
+        self._status.content = "**Stopped.** The drive has ended."
+
+    def check(self) -> None:
+        """Raises ``InterruptedError`` if the stop button was pressed. Call it before each command and after each."""
+        if self.stopped:
+            raise InterruptedError("the stop button was pressed, and the rover stands")
+
+    def runner(self, policy: Policy, env: RoverEnv) -> PolicyRunner:
+        """Returns a runner of a policy whose actions a person may replace."""
+        return _StoppableRunner(policy, env, self)
+
+    def show(self, env: RoverEnv, status: Status) -> None:
+        """Lets the page show the state after a step. It takes no time of the drive."""
+        none = torch.zeros(1, dtype=torch.int64)
+        moment = Moment(status.seconds, env.rover_state, env.scan, env.goal, none, none)
+        self._latest = env, moment, status
+
+    def _run(self) -> None:
+        while not self._closed.wait(1 / FRAMES):
+            if (latest := self._latest) is not None and not self.stopped:
+                self._latest = None
+                self._show(*latest)
+
+    def _show(self, env: RoverEnv, moment: Moment, status: Status) -> None:
+        self._stage.enter(env.worlds[0], env.robot, env.scanner.angles)
+        self._cameras.enter(env.worlds[0])
+        pose = Pose.of(moment.rover)
+        self._stage.show(moment, 0, torch.zeros(1, dtype=torch.int64), pose)
+        self._cameras.follow(pose.position[0].numpy(), quaternion_to_euler(pose.orientation)[0, 2].item())
+        speed, turn = status.command
+        self._status.content = (
+            f"goal {status.distance:.2f} m · {status.speed:.2f} m/s · nearest {status.nearest:.2f} m · command "
+            f"{speed:.2f} m/s {turn:.2f} rad/s · latency {1000 * status.latency:.0f} ms · "
+            f"{'by hand' if self.pilot.active else 'policy'}"
+        )
+
+
+class _StoppableRunner(PolicyRunner):
+    """Runner of a policy that hands out no action after a stop, and those of a person who has taken over."""
+
+    def __init__(self, policy: Policy, env: RoverEnv, page: LivePage) -> None:
+        super().__init__(policy, env=env)
+        self._page, self._max_speed = page, action_bounds(env.config.action, env.config.robot).high[0]
+
+    def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
+        action = super().__call__(observation, due)
+        self._page.check()
+        return self._page.pilot.steered(action, 0, self._max_speed)

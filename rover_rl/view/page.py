@@ -1,0 +1,82 @@
+"""The page: a viser server on a free port of this machine, with light and sky."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import socket
+
+import numpy as np
+import viser
+
+from rover_rl.sims.rendering.daylight import sky_dome
+from rover_rl.sims.rendering.scenery import SUN
+
+HOST, PORT = "127.0.0.1", 8080
+"""Default address of the page: only this machine reaches it."""
+_PORTS = 65535
+
+
+def open_page(host: str = HOST, port: int = PORT) -> viser.ViserServer:
+    """Starts the server of a page with light and sky.
+
+    Args:
+        host: address that the server listens on. ``"0.0.0.0"`` lets other machines reach the page.
+        port: port; 0 takes a free one.
+
+    Raises:
+        OSError: if the port is taken or the host is not an address of this machine.
+    """
+    port = check_address(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):
+        # viser prints messages of its own.
+        server = viser.ViserServer(host=host, port=port, label="rover_rl", verbose=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    server.gui.set_panel_label("rover_rl")
+    light(server)
+    return server
+
+
+def close_page(server: viser.ViserServer) -> None:
+    """Stops the server of a page."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def address(server: viser.ViserServer) -> str:
+    """Returns the address of a page, for a browser on this machine."""
+    host = "localhost" if server.get_host() in ("0.0.0.0", HOST) else server.get_host()
+    return f"http://{host}:{server.get_port()}"
+
+
+def light(server: viser.ViserServer) -> None:
+    """Adds a sun, the light of the sky and the dome of the sky."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(None)
+    sky, soil = (231, 238, 255), (150, 128, 106)
+    scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
+    position = tuple(60 * np.array(SUN))
+    scene.add_light_directional("/light/sun", color=(255, 243, 222), intensity=2.6, position=position)
+    scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
+    scene.world_axes.visible = False
+
+
+_Z_UP = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+"""Turns the light of the sky, which comes from above along y."""
+
+
+def check_address(host: str, port: int) -> int:
+    """Returns a port that is free. Raises ``OSError`` with one sentence if the given one is not."""
+    if not 0 <= port <= _PORTS:
+        raise ValueError(f"port must be between 0 and {_PORTS}, got {port}")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise OSError(f"cannot open a page on {host}:{port} ({error.strerror}); choose another --port") from error
+        return int(probe.getsockname()[1])

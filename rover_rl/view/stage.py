@@ -1,0 +1,251 @@
+"""The stage of a page: rovers and all that is around them, as layers that checkboxes show and hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+import viser
+from torch import Tensor
+
+from rover_rl.algos.video.recording import Moment
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.rendering.daylight import solid, world_meshes
+from rover_rl.sims.rendering.looks import looks_of
+from rover_rl.sims.rendering.mover_surfaces import Form, part_surface
+from rover_rl.sims.rendering.robot_surface import robot_surface
+from rover_rl.sims.rendering.surfaces import Surface, post_surface
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.rotations import rotate
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.movers.shapes import KINDS
+
+ROOT = "/world"
+"""Scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`."""
+RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
+"""Colors of lidar rays, hits, the driven path and the shortest path."""
+MAX_HITS = 20_000
+"""Number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown."""
+FEW = 128
+"""Number of copies up to which distant ones are drawn as finely as near ones."""
+OTHERS = 0.4
+"""Size of the goals of rovers that are not followed."""
+MAX_PATH = 4_000
+"""Number of points of the driven path that are kept."""
+LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers")
+"""What checkboxes show and hide."""
+_LIFT = 0.04
+"""Height of paths above the ground, m."""
+_SPACING = 0.05
+"""Distance between two points of the driven path, m."""
+_JUMP = 1.0
+"""Distance of a rover from the last point of its path from which it was put elsewhere, m."""
+_SEGMENTS = 128
+"""Numbers of line segments of a node are multiples of this, so that nodes are seldom made anew."""
+_NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Positions ``[N, 3]`` (m) and orientations ``[N, 4]`` (x, y, z, w) of rovers, on the CPU."""
+
+    position: Tensor
+    orientation: Tensor
+
+    @classmethod
+    def of(cls, rover: RoverState) -> Pose:
+        """Returns the poses of a state."""
+        return cls(rover.position.cpu(), rover.orientation.cpu())
+
+    def toward(self, other: Pose, share: float) -> Pose:
+        """Returns poses between these and others. A rover that has been put elsewhere is there at once."""
+        near = (self.position - other.position).norm(dim=-1, keepdim=True) < 1.0
+        share_of = torch.where(near, share, 1.0)
+        sign = torch.where((self.orientation * other.orientation).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+        turned = torch.lerp(self.orientation * sign, other.orientation, share_of)
+        return Pose(torch.lerp(self.position, other.position, share_of), turned / turned.norm(dim=-1, keepdim=True))
+
+
+class Stage:
+    """Shows moments of rovers in a world, on a page."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self.world: World | None = None
+        self._robot: Robot | None = None
+        self._shown = dict.fromkeys(LAYERS, True)
+        self._nodes: dict[str, viser.SceneNodeHandle] = {}
+        self._forms: dict[Form, int] = {}
+        self._path: list[np.ndarray] = []
+        server.scene.add_frame(ROOT, show_axes=False)
+        for layer in LAYERS:
+            server.scene.add_frame(self._name(layer), show_axes=False)
+
+    def enter(self, world: World, robot: Robot, ray_angles: Tensor) -> None:
+        """Shows a world for a robot, with the direction of each lidar beam in its frame, ``[beams]``, rad."""
+        self._angles = ray_angles
+        if robot is not self._robot:
+            self._robot = robot
+            self._forget("rovers/")
+        if world is self.world:
+            return
+        self.world = world
+        meshes = world_meshes(world)
+        for name in ("ground", "land", "obstacles"):
+            if name in meshes:
+                self._server.scene.add_mesh_trimesh(f"{ROOT}/{name}", meshes[name])
+            else:
+                self._server.scene.remove_by_name(f"{ROOT}/{name}")
+        self._forget("movers/")
+        self._forms.clear()
+        self.forget_path()
+
+    def _forget(self, prefix: str) -> None:
+        for key in [key for key in self._nodes if key.startswith(prefix)]:
+            self._nodes.pop(key).remove()
+
+    def forget_path(self) -> None:
+        """Starts a new driven path."""
+        self._path.clear()
+        self.show_route(torch.zeros(0, 2))
+        self._lines("driven path", np.zeros((0, 2, 3)), DRIVEN, 0.05)
+
+    def add_checkboxes(self) -> None:
+        """Adds a checkbox for each layer to the page."""
+        for layer in LAYERS:
+            box = self._server.gui.add_checkbox(layer, True)
+            box.on_update(lambda _, layer=layer, box=box: self.show_layer(layer, box.value))
+
+    def show_layer(self, layer: str, shown: bool) -> None:
+        """Shows or hides a layer."""
+        self._shown[layer] = shown
+        self._server.scene.add_frame(self._name(layer), show_axes=False, visible=shown)
+
+    def show(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
+        """Shows a moment.
+
+        Args:
+            moment: moment of all rovers.
+            row: rover that is followed, whose rays, path and movers are shown.
+            rows: rovers that are shown, int64.
+            pose: poses at which rovers are drawn, which may be between those of two moments.
+        """
+        assert self._robot is not None
+        assert self.world is not None
+        position, orientation = pose.position[rows].numpy(), pose.orientation[rows].numpy()
+        self._many("rovers", "rover", partial(robot_surface, self._robot), position, orientation[:, [3, 0, 1, 2]])
+        if self._shown["lidar rays"] or self._shown["lidar hits"]:
+            self._show_lidar(moment, row, rows)
+        if self._shown["goals"]:
+            goal = moment.goal[rows].cpu()
+            height = self.world.height_at(goal.double()).float()
+            places = torch.cat((goal, height.reshape(-1, 1)), -1).numpy()
+            scales = np.where(rows.numpy() == row, 1.0, OTHERS)
+            self._many("goals", "post", post_surface, places, np.tile(_NO_ROTATION, (len(places), 1)), scales)
+        if moment.movers is not None and self._shown["movers"]:
+            self._show_movers(moment.movers)
+        self._extend_path(pose.position[row].numpy())
+
+    def show_route(self, points: Tensor) -> None:
+        """Shows the shortest path, ``[points, 2]``, m."""
+        assert self.world is not None
+        line = torch.cat((points, self.world.height_at(points.double()).float()[:, None] + _LIFT), -1)
+        self._lines("shortest path", torch.stack((line[:-1], line[1:]), 1).numpy(), SHORTEST, 0.05)
+
+    def _name(self, layer: str) -> str:
+        return f"{ROOT}/{layer.replace(' ', '_')}"
+
+    def _extend_path(self, position: np.ndarray) -> None:
+        """Adds a point to the driven path, if the rover has moved."""
+        assert self.world is not None
+        step = np.linalg.norm(position[:2] - self._path[-1][:2]) if self._path else np.inf
+        if step < _SPACING:
+            return
+        if step > _JUMP:
+            self._path.clear()
+        ground = self.world.height_at(torch.from_numpy(position[None, :2]).double()).item()
+        self._path = [*self._path[-MAX_PATH:], np.array((*position[:2], ground + _LIFT))]
+        points = np.array(self._path)
+        self._lines("driven path", np.stack((points[:-1], points[1:]), 1), DRIVEN, 0.05)
+
+    def _show_lidar(self, moment: Moment, row: int, rows: Tensor) -> None:
+        """Shows where the beams of all rovers hit something, and the beams of the followed one."""
+        assert self._robot is not None
+        stride = max(1, -(-len(rows) * len(self._angles) // MAX_HITS))
+        starts, ends = _beams(moment.rover[rows], moment.scan[rows, ::stride], self._robot, self._angles[::stride])
+        points = ends[ends.isfinite().all(-1)].numpy()
+        if isinstance(cloud := self._nodes.get("lidar hits"), viser.PointCloudHandle):
+            cloud.points = points
+        else:
+            name = f"{self._name('lidar hits')}/points"
+            style: dict[str, Any] = {"point_size": 0.05, "point_shape": "circle", "precision": "float32"}
+            cloud = self._server.scene.add_point_cloud(name, points, HIT, point_shading="flat", **style)
+            self._nodes["lidar hits"] = cloud
+        own = rows.tolist().index(row)
+        hit = ends[own].isfinite().all(-1)
+        rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit]
+        self._lines("lidar rays", rays.numpy(), RAY, 0.006)
+
+    def _show_movers(self, parts: Parts) -> None:
+        """Shows the movers of a row: those of the same form in one node. Other rovers of a group are shown already."""
+        assert self.world is not None
+        count = parts.mover.shape[1]
+        looks, shown = looks_of(self.world, count), (parts.mover[0] < len(self.world.movers)).nonzero().squeeze(-1)
+        groups: dict[Form, list[int]] = {}
+        for part in shown.tolist():
+            length, width, height = (round(2 * half, 4) for half in parts.half[0, part].tolist())
+            form = Form(KINDS[parts.kind[0, part]], (length, width, height), looks[part])
+            groups.setdefault(form, []).append(part)
+        for form, members in groups.items():
+            position, turn = parts.position[0, members].numpy(), parts.orientation[0, members].numpy()
+            key = f"form{self._forms.setdefault(form, len(self._forms))}"
+            self._many("movers", key, partial(part_surface, form), position, turn[:, [3, 0, 1, 2]])
+
+    def _lines(self, layer: str, points: np.ndarray, color: tuple[int, int, int], thickness: float) -> None:
+        """Shows line segments ``[n, 2, 3]``, m. Segments without a length fill them up, so that few numbers occur."""
+        filled = np.zeros((-(-(len(points) + 1) // _SEGMENTS) * _SEGMENTS, 2, 3), dtype=np.float32)
+        filled[: len(points)] = points
+        if len(points):
+            filled[len(points) :] = points[-1, 1]
+        node = self._nodes.get(layer)
+        if isinstance(node, viser.LineSegmentsHandle) and len(node.points) == len(filled):
+            node.points = filled
+            return
+        name = f"{self._name(layer)}/lines"
+        self._nodes[layer] = self._server.scene.add_line_segments(name, filled, color, thickness=thickness)
+
+    def _many(
+        self,
+        layer: str,
+        key: str,
+        surface: Callable[[], Surface],
+        position: np.ndarray,
+        wxyz: np.ndarray,
+        scales: np.ndarray | None = None,
+    ) -> None:
+        """Shows copies of a surface. A change of their number makes a new node."""
+        node = self._nodes.get(f"{layer}/{key}")
+        if isinstance(node, viser.BatchedGlbHandle) and len(node.batched_positions) == len(position):
+            node.batched_positions, node.batched_wxyzs, node.batched_scales = position, wxyz, scales
+            return
+        lod: Any = "off" if len(position) <= FEW else "auto"
+        options: dict[str, Any] = {"batched_scales": scales, "lod": lod}
+        mesh, name = solid(surface()), f"{self._name(layer)}/{key}"
+        self._nodes[f"{layer}/{key}"] = self._server.scene.add_batched_meshes_trimesh(
+            name, mesh, wxyz, position, **options
+        )
+
+
+def _beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
+    ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
+    directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1).float()
+    mount = torch.tensor(robot.lidar_position)
+    position, orientation = rover.position.cpu()[:, None], rover.orientation.cpu()[:, None]
+    start = position + rotate(orientation, mount.expand(len(position), 1, 3))
+    return start, position + rotate(orientation, mount + directions * ranges)

@@ -1,0 +1,333 @@
+"""``Viewer``: a page that shows an environment and the policy that drives in it, and takes the wheel.
+
+Example:
+    >>> from rover_rl import make_env
+    >>> from rover_rl.view import Viewer
+    >>> viewer = Viewer(make_env(world="moon", num_envs=4, seed=0), port=0)  # open viewer.address in a browser
+    >>> viewer.close()
+"""
+
+from __future__ import annotations
+
+import io
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+import viser
+from torchrl.envs import EnvBase
+
+from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
+from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import Policy
+from rover_rl.algos.pretrained import pretrained_names
+from rover_rl.algos.video.session import Session
+from rover_rl.envs.specs import action_bounds
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import world_names
+from rover_rl.view.cameras import Cameras
+from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
+from rover_rl.view.panels import Panels
+from rover_rl.view.pilot import Pilot
+from rover_rl.view.runs import TrainingPanel
+from rover_rl.view.stage import Pose, Stage
+
+FRAMES = 30
+"""Number of updates of the page, 1/s."""
+PANELS_EVERY = 6
+"""Number of frames after which the panels change."""
+TRAINING_EVERY = 60
+"""Number of frames after which the files of a training are read again."""
+MAX_LAG = 0.25
+"""Time that a simulation slower than its speed setting catches up on at most, s."""
+RANDOM = "random"
+"""Name of the policy that acts at random."""
+BACKENDS = ("bullet", "warp", "mujoco")
+"""Simulators that the page offers."""
+
+
+def named_policy(name: str) -> Policy | None:
+    """Returns a policy by name: ``random``, a baseline, ``pretrained:NAME``, the folder of a run or a checkpoint."""
+    if name == RANDOM:
+        return None
+    return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
+
+
+class Viewer:
+    """Page in the browser with the rovers of an environment. It runs in the background until :meth:`close`.
+
+    The page shows terrain, rovers, lidar, goals and paths, pauses and steps the simulation, sets goals by clicks on the
+    ground, changes policy and world, and lets a person drive. ``print(viewer.address)`` says where it is.
+
+    Args:
+        env: :class:`~rover_rl.RoverEnv` or :func:`~rover_rl.make_env`, with ``num_envs``.
+        policy: policy that drives, or its name; ``None`` acts at random.
+        name: name of the policy on the page.
+        host: address that the page is served on. ``"0.0.0.0"`` lets other machines reach it.
+        port: port of the page; 0 takes a free one.
+        find_policy: function that returns the policy of a name.
+        run: run whose learning curve and snapshots the page shows.
+
+    Attributes:
+        address: address of the page.
+        error: what went wrong last, such as an error in the policy; empty if nothing has.
+
+    Raises:
+        ImportError: if the extra ``view`` is not installed.
+        OSError: if the port is taken.
+        ValueError: if the environment is not a batch, or the policy was made for another one.
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        policy: Policy | str | None = None,
+        *,
+        name: str | None = None,
+        host: str = HOST,
+        port: int = PORT,
+        find_policy: Callable[[str], Policy | None] = named_policy,
+        run: RunFiles | None = None,
+    ) -> None:
+        check_address(host, port)
+        self._find, self._run_folder = find_policy, run
+        self._given: dict[str, Policy] = {}
+        if isinstance(policy, str):
+            name, policy = policy, find_policy(policy)
+        name = name or (RANDOM if policy is None else "given")
+        if policy is not None:
+            self._given[name] = policy
+        self.session = Session(env, policy)
+        self.server = open_page(host, port)
+        self.address, self.error = address(self.server), ""
+        self.playing, self.speed, self.frames = True, 1.0, 0
+        self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
+        self._closed = threading.Event()
+        self._training: TrainingPanel | None = None
+        self.stage = Stage(self.server)
+        self.cameras = Cameras(self.server)
+        self._make_page(name)
+        self._show_world()
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Blocks until the viewer is closed or the program is interrupted."""
+        while not self._closed.wait(0.2):
+            pass
+
+    def close(self) -> None:
+        """Closes the page and the environment. Idempotent."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._thread.join(10.0)
+            close_page(self.server)
+            self.session.close()
+
+    def request(self, *acts: Callable[[], Any]) -> None:
+        """Lets the thread of the simulation call functions between two steps. An error in one pauses the simulation."""
+        for act in acts:
+            self._requests.put(act)
+
+    def play(self, playing: bool) -> None:
+        """Runs or pauses the simulation."""
+        self.playing = playing
+        self._play.label = "Pause" if playing else "Run"
+
+    def _make_page(self, policy: str) -> None:
+        gui = self.server.gui
+        self._status = gui.add_markdown("")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Drive"):
+            self._make_drive_tab(policy)
+        with tabs.add_tab("Show"):
+            self._make_show_tab()
+        with tabs.add_tab("Inside"):
+            self.panels = Panels(self.server, gui.add_folder(None))
+        with tabs.add_tab("Episodes"):
+            self._episodes = gui.add_markdown("No episode has ended yet.")
+        if self._run_folder is not None:
+            with tabs.add_tab("Training"):
+                self._training = TrainingPanel(self.server, self._run_folder, self._drive_with)
+        self.server.scene.on_click()(self._on_click)
+        self.server.scene.on_click(modifier="shift")(self._on_click)
+
+    def _make_drive_tab(self, policy: str) -> None:
+        gui, session = self.server.gui, self.session
+        self._play = gui.add_button("Pause", hint="Space")
+        self._play.on_click(lambda _: self.play(not self.playing))
+        gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
+        gui.add_button("Reset").on_click(lambda _: self.request(self._reset))
+        gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
+        speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
+        speed.on_update(lambda _: setattr(self, "speed", speed.value))
+        names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
+        chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
+        chosen.on_update(lambda _: self.request(lambda: self.set_policy(chosen.value)))
+        world, backend = session.rovers.worlds[0].name, session.config.backend
+        if session.can_change:
+            worlds = gui.add_dropdown("World", list(dict.fromkeys((world, *world_names()))), initial_value=world)
+            worlds.on_update(lambda _: self.request(lambda: self._change(world=worlds.value)))
+        if session.can_change and isinstance(backend, str):
+            backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
+            backends.on_update(lambda _: self.request(lambda: self._change(backend=backends.value)))
+        if session.rovers.num_envs > 1:
+            row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
+            row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
+        gui.add_markdown("Click on the ground: goal. Shift-click: rover.")
+        self.pilot = Pilot(gui)
+
+    def _make_show_tab(self) -> None:
+        self.cameras.add_choice()
+        self.stage.add_checkboxes()
+        self.server.gui.add_button("Picture (PNG)").on_click(self._save_picture)
+
+    def _on_click(self, event: viser.SceneClickEvent) -> None:
+        """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
+        session, row = self.session, self.session.row
+        place = self.cameras.ground_at(session.rovers.worlds[row], event)
+        if place is None:
+            return
+        if event.modifier == "shift":
+            self.request(lambda: session.put(row, place), self._moved)
+        else:
+            self.request(lambda: session.set_goal(row, place), self._show_route)
+
+    def _save_picture(self, event: viser.GuiEvent) -> None:
+        """Sends the picture of a client as a PNG file."""
+        assert event.client is not None
+        picture = event.client.get_render(height=1080, width=1920, transport_format="png")
+        file = io.BytesIO()
+        imageio.imwrite(file, picture[..., :3], extension=".png")
+        event.client.send_file_download("rover.png", file.getvalue())
+
+    def set_policy(self, name: str) -> None:
+        """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
+        self.session.set_policy(self._given.get(name) or self._find(name))
+        self._moved()
+
+    def _drive_with(self, load: Callable[[], Policy]) -> None:
+        self.request(lambda: self.session.set_policy(load()), self._moved)
+
+    def _change(self, **changes: Any) -> None:
+        self._status.content = "Loading …"
+        self.session.change(**changes)
+        self._reset()
+
+    def _follow(self, row: int) -> None:
+        self.session.row = row
+        self.session.history = {}
+        self._moved()
+
+    def _reset(self) -> None:
+        self.session.reset()
+        self._moved()
+
+    def _moved(self) -> None:
+        """Shows a rover that is elsewhere than before."""
+        self._before = self._now = Pose.of(self.session.rovers.rover_state)
+        self.stage.forget_path()
+        self._show_world()
+
+    def _show_world(self) -> None:
+        """Shows the world of the followed rover and its shortest path."""
+        rovers = self.session.rovers
+        world = rovers.worlds[self.session.row]
+        self.stage.enter(world, rovers.robot, rovers.scanner.angles.cpu())
+        self.cameras.enter(world)
+        self._before = self._now = Pose.of(self.session.rovers.rover_state)
+        self._show_route()
+
+    def _show_route(self) -> None:
+        self._goal = self.session.rovers.goal[self.session.row]
+        self.stage.show_route(self.session.route())
+
+    @single_threaded()
+    def _run(self) -> None:
+        """Steps the simulation in real time and updates the page. An error pauses it."""
+        due, last = 0.0, time.monotonic()
+        while not self._closed.is_set():
+            began = time.monotonic()
+            try:
+                while not self._requests.empty():
+                    self._requests.get()()
+                    self.error = ""
+                due = min(due + (began - last) * self.speed, MAX_LAG * max(1.0, self.speed)) if self.playing else 0.0
+                last, dt = began, self.session.rovers.control_dt
+                while due >= dt and self.playing and not self._closed.is_set():
+                    self._step()
+                    due -= dt
+                    if time.monotonic() - began > MAX_LAG:
+                        due = 0.0
+                self._show(due / dt if self.playing else 1.0)
+            except Exception as error:
+                # Whatever happens in a policy, the page stays, so that one can look and choose another.
+                self.error, last, due = f"{type(error).__name__}: {error}", time.monotonic(), 0.0
+                self.play(False)
+                self._show_status()
+            self._closed.wait(max(0.002, 1 / FRAMES - (time.monotonic() - began)))
+
+    def _step_once(self) -> None:
+        self.play(False)
+        self._step()
+
+    def _step(self) -> None:
+        session, row = self.session, self.session.row
+        by_hand = row if self.pilot.active else None
+        action = self.pilot.steered(
+            session.decide(), row, action_bounds(session.config.action, session.config.robot).high[0]
+        )
+        self._before = self._now
+        session.advance(action, by_hand)
+        self._now = Pose.of(session.rovers.rover_state)
+        if not session.rovers.goal[row].equal(self._goal):
+            self._show_world()
+
+    def _show(self, share: float) -> None:
+        """Shows the state, ``share`` of the way from the last step but one to the last."""
+        session, self.frames = self.session, self.frames + 1
+        pose = self._before.toward(self._now, min(1.0, share))
+        row = session.row
+        with self.server.atomic():
+            self.stage.show(session.moment(), row, session.neighbors(), pose)
+            yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
+            self.cameras.follow(pose.position[row].numpy(), yaw)
+        if self.frames % PANELS_EVERY == 0:
+            self._show_status()
+            self._show_panels()
+        if self._training is not None and self.frames % TRAINING_EVERY == 0:
+            self._training.refresh()
+
+    def _show_status(self) -> None:
+        session = self.session
+        if self.error:
+            self._status.content = f"**Paused.** {self.error}"
+            return
+        distance, speed = (session.history.get(name, [0.0])[-1] for name in ("distance", "speed"))
+        event, since = session.event
+        recent = f" · **{event}**" if event and session.seconds < since + 3 else ""
+        driver = "by hand" if self.pilot.active else "policy"
+        world = session.rovers.worlds[session.row].name
+        self._status.content = (
+            f"{world} · {session.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · {driver}{recent}"
+        )
+
+    def _show_panels(self) -> None:
+        session, row = self.session, self.session.row
+        lidar = session.observation.get("lidar", None)
+        readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
+        rovers = session.rovers
+        max_range = rovers.config.lidar.max_range
+        self.panels.show(session.history, rovers.control_dt, readings, max_range, session.inside())
+        if session.episodes:
+            rows = [
+                f"| {each.row} | {each.number} | {each.seconds:.1f} | {each.goals} | {each.ending} |"
+                for each in session.episodes
+            ]
+            head = "| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|\n"
+            self._episodes.content = head + "\n".join(rows)

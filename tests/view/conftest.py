@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rover_rl import make_env
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+    from rover_rl.view import Viewer
+
+# The tests need rover_rl[view].
+collect_ignore_glob = [] if find_spec("viser") else ["test_*.py"]
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Options of a browser that draws without a GPU."""
+
+
+def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    """Waits until a condition holds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def open_viewer() -> Iterator[Callable[..., Viewer]]:
+    """Opens a viewer of a small environment on a free port, and closes it at the end."""
+    from rover_rl.view import Viewer
+
+    opened: list[Viewer] = []
+
+    def start(policy: object = "scripted", world: str = "moon", num_envs: int = 1, **options: object) -> Viewer:
+        env = make_env(world=world, num_envs=num_envs, seed=0, backend="warp")
+        opened.append(Viewer(env, policy, port=0, **options))
+        return opened[-1]
+
+    yield start
+    for viewer in opened:
+        viewer.close()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None or find_spec("playwright") is None:
+        pytest.skip("needs Chromium and playwright")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[Callable[[str], Page]]:
+    """Opens pages of a small window, which software draws fast enough."""
+    pages: list[Page] = []
+
+    def start(address: str) -> Page:
+        page = browser.new_page(viewport={"width": 640, "height": 420})
+        pages.append(page)
+        page.goto(address)
+        page.get_by_role("button", name="▲").wait_for(timeout=60_000)
+        return page
+
+    yield start
+    for page in pages:
+        page.close()

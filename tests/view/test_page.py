@@ -1,0 +1,105 @@
+"""The page in a real browser."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl.view.live import LivePage
+from tests.view.conftest import until
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_person_watches_and_pauses(open_viewer, open_page):
+    viewer = open_viewer()
+    page = open_page(viewer.address)
+    page.get_by_text("m/s · goal").wait_for()
+    page.get_by_role("button", name="Pause").click()
+    until(lambda: not viewer.playing)
+    seconds = viewer.session.seconds
+    page.get_by_role("button", name="Step", exact=True).click()
+    until(lambda: viewer.session.seconds > seconds)
+    assert viewer.session.seconds == pytest.approx(seconds + viewer.session.rovers.control_dt)
+    page.keyboard.press("Space")
+    until(lambda: viewer.playing)
+
+
+def test_a_click_on_the_ground_sets_the_goal(open_viewer, open_page):
+    viewer = open_viewer()
+    viewer.play(False)
+    page = open_page(viewer.address)
+    before = viewer.session.rovers.goal.clone()
+    until(lambda: page.locator("canvas").count() > 0)
+    page.wait_for_timeout(3000)
+    page.mouse.click(160, 300)
+    until(lambda: not viewer.session.rovers.goal.equal(before))
+    # The click is in front of the camera, which is behind the rover.
+    assert torch.dist(viewer.session.rovers.goal[0], viewer.session.rovers.rover_state.position[0, :2]) < 5
+
+
+def test_keys_take_over_and_the_rover_stops_when_they_are_released_or_the_page_is_lost(open_viewer, open_page):
+    viewer = open_viewer()
+    page = open_page(viewer.address)
+    page.locator("canvas").first.wait_for()
+    page.keyboard.down("w")
+    page.keyboard.down("ArrowLeft")
+    until(lambda: viewer.pilot.command() == (1.0, 1.0))
+    assert viewer.pilot.active
+    page.keyboard.up("ArrowLeft")
+    until(lambda: viewer.pilot.command() == (1.0, 0.0))
+    until(lambda: viewer.session.rovers.rover_state.linear_velocity.item() > 0.3)
+    page.close()
+    until(lambda: viewer.pilot.command() == (0.0, 0.0), seconds=2)
+    until(lambda: abs(viewer.session.rovers.rover_state.linear_velocity.item()) < 0.1)
+
+
+def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
+    viewer = open_viewer()
+    page = open_page(viewer.address)
+    page.get_by_role("button", name="Take over").click()
+    until(lambda: viewer.pilot.active)
+    page.get_by_role("button", name="Give back to the policy").click()
+    until(lambda: not viewer.pilot.active)
+    page.get_by_role("textbox", name="Policy").or_(page.locator("input[value='scripted']")).first.click()
+    page.get_by_role("option", name="pretrained:anywhere").click()
+    # This one was trained with other lidar readings.
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
+    assert not viewer.error
+
+
+def test_two_pages_and_one_that_comes_back(open_viewer, open_page):
+    viewer = open_viewer()
+    first, second = open_page(viewer.address), open_page(viewer.address)
+    first.close()
+    second.get_by_role("button", name="Pause").click()
+    until(lambda: not viewer.playing)
+    open_page(viewer.address).get_by_role("button", name="Run").wait_for()
+
+
+def test_the_stop_button_of_a_live_rover_works_as_it_goes_down(open_page):
+    stopped: list[bool] = []
+    with LivePage(port=0) as live:
+        live.on_stop = lambda: stopped.append(True)
+        page = open_page(live.address)
+        button = page.get_by_role("button", name="STOP")
+        button.wait_for()
+        button.dispatch_event("pointerdown", {"button": 0})
+        until(lambda: stopped, seconds=5)
+        with pytest.raises(InterruptedError, match="the stop button was pressed"):
+            live.check()
+
+
+def test_a_replay_opens_without_a_server(browser, tmp_path):
+    from rover_rl.algos.policy.baselines import ScriptedPolicy
+    from rover_rl.algos.video.recording import record_endless
+    from rover_rl.view.replay import write_replay
+
+    write_replay(record_endless(ScriptedPolicy(), "moon", seconds=1, rows=2, seed=0, env=None), tmp_path / "drive.html")
+    page = browser.new_page()
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto((tmp_path / "drive.html").as_uri())
+    page.locator("canvas").first.wait_for(timeout=60_000)
+    assert not [url for url in requests if url.startswith("http")]
+    page.close()

@@ -1,0 +1,212 @@
+"""The viewer without a browser."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from rover_rl import RoverEnv
+from rover_rl.algos.config import default_config
+from rover_rl.algos.config_files import write_config
+from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.pretrained import FOLDER
+from rover_rl.cli import main
+from rover_rl.view import Viewer
+from rover_rl.view.live import LivePage
+from rover_rl.view.page import check_address
+from rover_rl.view.panels import bars, lidar_picture
+from rover_rl.view.pilot import TURN
+from rover_rl.view.stage import Pose
+from tests.view.conftest import until
+
+
+def paused(viewer: Viewer) -> Viewer:
+    viewer.play(False)
+    until(lambda: not viewer.playing)
+    return viewer
+
+
+def test_the_rovers_drive_in_real_time_until_the_viewer_is_closed(open_viewer):
+    viewer = open_viewer(num_envs=3)
+    until(lambda: viewer.session.seconds > 1)
+    assert viewer.address == f"http://localhost:{viewer.server.get_port()}"
+    viewer.close()
+    seconds = viewer.session.seconds
+    viewer.close()
+    assert viewer.session.seconds == seconds
+
+
+def test_an_error_in_the_policy_pauses_the_page(open_viewer):
+    def fail(observation: TensorDictBase) -> TensorDictBase:
+        raise ArithmeticError("no idea")
+
+    viewer = open_viewer(fail)
+    until(lambda: viewer.error)
+    assert viewer.error == "ArithmeticError: no idea"
+    assert not viewer.playing
+    viewer.request(lambda: viewer.set_policy("scripted"))
+    until(lambda: not viewer.error)
+    viewer.play(True)
+    until(lambda: viewer.session.seconds > 0.5)
+
+
+def test_an_unknown_policy_or_world_is_one_sentence_and_the_old_one_stays(open_viewer):
+    viewer = open_viewer()
+    viewer.request(lambda: viewer.set_policy("pretrained:anywere"))
+    until(lambda: viewer.error)
+    assert "perhaps 'anywhere'" in viewer.error
+    viewer.request(lambda: viewer._change(world="mooon"))
+    until(lambda: "mooon" in viewer.error)
+    viewer.play(True)
+    seconds = viewer.session.seconds
+    until(lambda: viewer.session.seconds > seconds)
+
+
+def test_a_policy_brings_the_environment_that_it_was_made_for(open_viewer):
+    viewer = open_viewer("scripted", num_envs=2)
+    viewer.request(lambda: viewer.set_policy("pretrained:anywhere"))
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
+    assert not viewer.error
+    assert viewer.session.rovers.num_envs == 2
+
+
+def test_another_world_is_shown_and_driven_in(open_viewer):
+    viewer = open_viewer()
+    viewer.request(lambda: viewer._change(world="maze"))
+    until(lambda: viewer.stage.world is not None and viewer.stage.world.name == "maze")
+    until(lambda: viewer.session.seconds > 0.2)
+
+
+def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(open_viewer):
+    viewer = paused(open_viewer(num_envs=2))
+    session = viewer.session
+    other = session.rovers.goal[1].clone()
+    viewer.request(lambda: session.set_goal(0, (1.0, 2.0)))
+    viewer.request(viewer._step_once)
+    until(lambda: session.seconds > 0)
+    assert session.rovers.goal[0].tolist() == [1.0, 2.0]
+    assert session.rovers.goal[1].equal(other)
+    distance = torch.dist(session.rovers.rover_state.position[0, :2], torch.tensor([1.0, 2.0]))
+    assert session.history["distance"][-1] == pytest.approx(distance.item(), abs=1e-4)
+    viewer.request(lambda: session.put(0, (-1.0, 0.5)))
+    until(lambda: session.rovers.rover_state.position[0, 0] == -1.0)
+    assert session.rovers.goal[0].tolist() == [1.0, 2.0]
+
+
+def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):
+    viewer = paused(open_viewer(num_envs=2))
+    action = torch.ones(2, 2)
+    assert viewer.pilot.steered(action, 1, 1.0).equal(action)
+    viewer.pilot.take_over()
+    assert viewer.pilot.steered(action, 1, 1.0).tolist() == [[1, 1], [0, 0]]
+    viewer.pilot._pressed |= {"▲": float("inf"), "▶": float("inf")}
+    assert viewer.pilot.steered(action, 1, 0.5)[1].tolist() == pytest.approx([0.5, -TURN])
+    viewer.pilot.give_back()
+    assert viewer.pilot.steered(action, 1, 1.0).equal(action)
+
+
+def test_an_environment_without_a_batch_is_rejected():
+    with pytest.raises(ValueError, match="num_envs=1, not None"):
+        Viewer(RoverEnv(world="maze", num_envs=None, backend="warp"), port=0)
+
+
+def test_a_taken_port_is_one_sentence(capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"cannot open a page on 127.0.0.1:{port}"):
+            check_address("127.0.0.1", port)
+        assert main(["view", "scripted", "--port", str(port)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_without_the_extra_there_is_a_sentence_and_nothing_imports_viser(tmp_path):
+    (tmp_path / "viser.py").write_text("raise ImportError('no viser')\n")
+    program = "import sys; from rover_rl.cli import main; sys.exit(main(sys.argv[1:]))"
+    for command, code in ((["view"], 2), (["worlds"], 0), (["view", "--help"], 0)):
+        run = subprocess.run(
+            [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {program}", *command],
+            capture_output=True,
+            text=True,
+        )
+        assert run.returncode == code, run.stderr
+        assert run.stderr == ('rover-rl: the viewer needs viser, an extra: pip install "rover_rl[view]"\n' * (code > 0))
+
+
+def test_poses_between_two_steps():
+    start = Pose(torch.zeros(2, 3), torch.tensor([[0.0, 0, 0, 1]] * 2))
+    end = Pose(torch.tensor([[0.1, 0, 0], [5, 0, 0]]), torch.tensor([[0.0, 0, 1, 0], [0, 0, 1, 0]]))
+    middle = start.toward(end, 0.5)
+    # The second rover was put elsewhere.
+    assert middle.position[:, 0].tolist() == pytest.approx([0.05, 5])
+    assert middle.orientation[0].tolist() == pytest.approx([0, 0, 0.5**0.5, 0.5**0.5])
+    assert middle.orientation[1].tolist() == [0, 0, 1, 0]
+
+
+def test_pictures_of_lidar_and_rewards():
+    picture = lidar_picture(np.array([0.2, 30.0, 1.0]), 12.0)
+    assert picture.count("<path") == 4
+    assert "3 readings up to 12 m" in picture
+    text = bars({"goal": 100.0, "idle": 0.0, "turn": -1.0}, {"norm of state": 2.0})
+    assert "goal" in text
+    assert "idle" not in text
+    assert "norm of state: 2" in text
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFiles:
+    """A run that was killed while it wrote its table."""
+    folder = tmp_path / "ppo-moon"
+    folder.mkdir()
+    write_config(folder / "config.yaml", default_config("ppo", "warp"))
+    header = "steps,minutes,attempts,attempts_reached,goals_per_2000_steps\n"
+    (folder / "progress.csv").write_text(header + "1000,0.1,4,1,2.0\n2000,0.2,4,3,6.0\n3000,0.3,")
+    found = RunFiles.find(folder)
+    assert found is not None
+    return found
+
+
+def test_a_killed_run_shows_what_it_has_written(run):
+    steps, curves = run.curves()
+    assert steps.tolist() == [1000, 2000]
+    assert curves["success rate"].tolist() == [0.25, 0.75]
+    assert curves["goals in 2000 steps"].tolist() == [2, 6]
+    assert run.policies() == []
+    assert RunFiles.find(run.folder / "nothing") is None
+
+
+def test_a_run_without_rows_has_no_curve(run):
+    (run.folder / "progress.csv").unlink()
+    steps, curves = run.curves()
+    assert not len(steps)
+    assert not curves
+
+
+def test_the_newest_policy_of_a_run_drives(run, open_viewer):
+    viewer = open_viewer(None, run=run)
+    (run.folder / "snapshots").mkdir()
+    shutil.copy(FOLDER / "anywhere.pt", run.folder / "snapshots" / "000001000.pt")
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
+    assert not viewer.error
+    Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
+    until(lambda: viewer.error)
+    assert "checkpoint" in viewer.error
+
+
+def test_after_a_stop_no_action_reaches_a_live_rover(open_viewer):
+    session = paused(open_viewer()).session
+    with LivePage(port=0) as page:
+        runner = page.runner(session._policy, session.rovers)
+        assert runner(session.observation).shape == (1, 2)
+        page.stopped = True
+        with pytest.raises(InterruptedError, match="the rover stands"):
+            runner(session.observation)
