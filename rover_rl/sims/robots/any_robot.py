@@ -40,7 +40,7 @@ def any_robot(seed: int = 0) -> Robot:
     """Returns the robot of a seed: half of them are skid-steer, half are cars.
 
     The wheelbase is 0.22 to 0.62 m, the mass 20 to 90 kg per square meter of its outline. Skid-steer robots drive up to
-    0.4 to 2 m/s, cars up to 0.6 to 3 m/s.
+    0.3 to 2 m/s, cars up to 0.6 to 3 m/s. Half of the lidars see a full turn, half 240 to 315 degrees.
 
     Example:
         >>> robot = any_robot(0)
@@ -71,8 +71,10 @@ def any_robot(seed: int = 0) -> Robot:
     body = Mass(mass - 4 * wheel, center, (mass - 4 * wheel) / 12 * np.diag((size**2).sum() - size**2))
     hubs = tuple((x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2))
     derived = _derived(f"any_{seed}", boxes, body, Wheels(hubs, radius, width), wheel, lidar, is_car)
-    lidar_range = round(_log_uniform(draw, 8.0, 30.0), 2)
-    return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, lidar_range=lidar_range)
+    ranges = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
+    if draw.random() < 0.5:
+        ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
+    return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, **ranges)
 
 
 def _box(x: float, bottom: float, size: np.ndarray) -> Box:
@@ -101,7 +103,7 @@ def _skid_steer(draw: np.random.Generator, base: float, track: float, radius: fl
         torque=draw.uniform(1.2, 2.5) * FRICTION * mass * GRAVITY / 4 * radius,
         max_linear_acceleration=draw.uniform(2.0, 5.0),
         max_angular_acceleration=draw.uniform(3.0, 6.0),
-        max_speed=_log_uniform(draw, 0.4, 2.0),
+        max_speed=_log_uniform(draw, 0.3, 2.0),
         max_yaw_rate=_log_uniform(draw, 1.0, 5.0),
     )
 
