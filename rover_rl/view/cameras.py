@@ -18,16 +18,11 @@ Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
 BEHIND, OVER_WALLS = (2.8, 1.5), (2.0, 3.4)
 """Distances of the follow camera behind and above the rover at first, m, in the open and among walls."""
-WALL = 0.5
-"""Height from which on obstacles are walls, m: the median of their corners."""
-LOOK_AT = (0.0, 0.0, 0.2)
-"""Point that the cameras look at, relative to the rover, m."""
-SIGHT = 150.0
-"""Distance up to which a click finds the ground, m."""
-_STEP = 0.05
-"""Distance between two points of the line of sight that are compared with the ground, m."""
-_SMOOTHING = 0.2
-"""Share of the way to the rover's height that the camera goes in a frame."""
+WALL = 0.5  # height from which on obstacles are walls, m: the median of their corners
+LOOK_AT = (0.0, 0.0, 0.2)  # point that the cameras look at, relative to the rover, m
+SIGHT = 150.0  # distance up to which a click finds the ground, m
+_STEP = 0.05  # distance between two points of the line of sight that are compared with the ground, m
+_SMOOTHING = 0.2  # share of the way to the rover's height that the camera goes in a frame
 
 
 class Cameras:
