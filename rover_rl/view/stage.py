@@ -27,6 +27,7 @@ from rover_rl.sims.worlds.movers.shapes import KINDS
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
 RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
 """Colors of lidar rays, hits, the driven path and the shortest path."""
+MAX_RAYS = 64  # number of lidar rays that are shown at most
 MAX_HITS = 20_000  # number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown
 FEW = 128  # number of copies up to which distant ones are drawn as finely as near ones
 OTHERS = 0.4  # size of the goals of rovers that are not followed
@@ -152,12 +153,12 @@ class Stage:
             cloud.points = points
         else:
             name = f"{self._name('lidar hits')}/points"
-            style: dict[str, Any] = {"point_size": 0.05, "point_shape": "circle", "precision": "float32"}
+            style: dict[str, Any] = {"point_size": 0.04, "point_shape": "circle", "precision": "float32"}
             cloud = self._server.scene.add_point_cloud(name, points, HIT, point_shading="flat", **style)
             self._nodes["lidar hits"] = cloud
         own = rows.tolist().index(row)
         hit = ends[own].isfinite().all(-1)
-        rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit]
+        rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit][:: -(-len(self._angles) // MAX_RAYS)]
         self._lines("lidar rays", rays.numpy(), RAY, 0.006)
 
     def _show_movers(self, parts: Parts) -> None:

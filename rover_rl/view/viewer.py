@@ -37,6 +37,7 @@ from rover_rl.view.stage import Stage
 FRAMES = 30  # number of updates of the page, 1/s
 PANELS_EVERY = 6  # number of frames after which the panels change
 TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
+MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
 MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches up on at most, s
 RANDOM = "random"  # name of the policy that acts at random
 BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
@@ -154,7 +155,7 @@ class Viewer:
         self._play = gui.add_button("Pause", hint="Space")
         self._play.on_click(lambda _: self.play(not self.playing))
         gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
-        gui.add_button("Reset").on_click(lambda _: self.request(self._reset))
+        gui.add_button("Reset").on_click(lambda _: self.request(session.reset, self._moved))
         gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
         speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
@@ -196,15 +197,11 @@ class Viewer:
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
         self.session.change(**changes)
-        self._reset()
+        self._moved()
 
     def _follow(self, row: int) -> None:
         self.session.row = row
         self.session.history = {}
-        self._moved()
-
-    def _reset(self) -> None:
-        self.session.reset()
         self._moved()
 
     def _moved(self) -> None:
@@ -229,6 +226,7 @@ class Viewer:
     def _run(self) -> None:
         """Steps the simulation in real time and updates the page. An error pauses it."""
         due, last = 0.0, time.monotonic()
+        frame = last
         while not self._closed.is_set():
             began = time.monotonic()
             try:
@@ -240,7 +238,7 @@ class Viewer:
                 while due >= dt and self.playing and not self._closed.is_set():
                     self._step()
                     due -= dt
-                    if time.monotonic() - began > MAX_LAG:
+                    if time.monotonic() - began > MAX_STEPPING:
                         due = 0.0
                 self._show(due / dt if self.playing else 1.0)
             except Exception as error:
@@ -248,7 +246,9 @@ class Viewer:
                 self.error, last, due = f"{type(error).__name__}: {error}", time.monotonic(), 0.0
                 self.play(False)
                 self._show_status()
-            self._closed.wait(max(0.002, 1 / FRAMES - (time.monotonic() - began)))
+            # A frame that comes late does not delay those after it.
+            frame = max(frame + 1 / FRAMES, time.monotonic() - 1 / FRAMES)
+            self._closed.wait(max(0.002, frame - time.monotonic()))
 
     def _step_once(self) -> None:
         self.play(False)
@@ -297,8 +297,7 @@ class Viewer:
         session, row = self.session, self.session.row
         lidar = session.observation.get("lidar", None)
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
-        rovers = session.rovers
-        max_range = rovers.config.lidar.max_range
-        self.panels.show(session.history, rovers.control_dt, readings, max_range, session.inside())
+        dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
+        self.panels.show(session.history, dt, readings, max_range, session.inside())
         if session.episodes:
             self._episodes.content = episode_table(session.episodes)
