@@ -82,7 +82,7 @@ class Robots:
         """Runs the command."""
         if self.action is not None:
             return self.action()
-        from rover_rl.sims.robots import ROBOTS, get_robot, robot_names
+        from rover_rl.sims.robots import FAMILIES, ROBOTS, get_robot, robot_names
         from rover_rl.sims.robots.footprint import footprint
 
         print(f"{'name':12} {'mass':>9} {'size':>13} {'drive':12} {'speed':>9} {'turn':>12}  source")
@@ -97,6 +97,8 @@ class Robots:
             radius = drive.min_radius(robot.wheels)
             turn = "in place" if drive.turns_in_place else f"{radius:.2f} m"
             source = "built in" if name in ROBOTS else str(robot.urdf)
+            if name in FAMILIES:
+                source = f"one of a family: {name}:0, {name}:1, ..."
             kind, speed = type(drive).__name__, f"{drive.max_speed:.3g} m/s"
             print(f"{name:12} {robot.mass:6.1f} kg {size:>13} {kind:12} {speed:>9} {turn:>12}  {source}")
         print("also: a URDF file, as --robot FILE.urdf; look at one with: rover-rl robots show FILE.urdf")

@@ -549,8 +549,6 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     if not several:
         yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
-    rates = made_for.control_rate or 1 / CONTROL_DT, env.control_rate or 1 / CONTROL_DT
-    yield "a control rate of (Hz)", *rates
     # A robot whose limits are tighter bounds what the policy does.
     expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual

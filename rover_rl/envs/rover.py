@@ -166,7 +166,7 @@ class RoverEnv(EnvBase):
         self._robot_groups = RobotGroups(get_robots(config.robot))
         config = config.fitted()
         worlds, choices = self._robot_groups.spread(config.world)
-        is_drawn = draws_worlds(config.world) or len(choices) > len(config.worlds)
+        is_drawn = (draws_worlds(config.world) or len(choices) > len(config.worlds)) if choices else None
         world_keys = first_of_group(first_keys, config.agents)
         self._row_worlds = RowWorlds(worlds, world_keys, config.agents, is_drawn)
         self._choices = torch.tensor(choices or [(0, 1)], device=self._tensor_device)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -113,9 +115,9 @@ def test_the_sensor_tells_size_and_limits_of_each_robot():
             outline, drive = footprint(robot), robot.drive
             size = (-outline.back, outline.front, outline.half_width)
             limits = (drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels))
-            assert told[row].tolist() == pytest.approx((*size, *limits, *robot.lidar_position))
+            assert told[row].tolist() == pytest.approx((*size, *limits, *robot.lidar_position, robot.lidar_view))
     alone = RoverEnv(sensors=["robot"], seed=0).reset()["robot"][0]
-    assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, *get_robot("rover_zero").lidar_position))
+    assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, *get_robot("rover_zero").lidar_position, 2 * math.pi))
     sensor = RobotBody()
     aside = alone.clone()
     aside[7] = 0.1

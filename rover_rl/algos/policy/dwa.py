@@ -37,7 +37,6 @@ Example:
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -46,18 +45,13 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
+from rover_rl.algos.policy.slip import YAW_GAIN as YAW_GAIN
+from rover_rl.algos.policy.slip import estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
-from rover_rl.sims.drives import SkidSteer
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
-# Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
-# in Warp and at 0.39 to 0.47 in Bullet, up to 2 rad/s, as its wheels slip.
-YAW_GAIN = 0.41
-# Distance of the wheels in the kinematics of a skid-steer that turns as commanded, relative to that of its wheels: that
-# of Rover Zero with this gain, 0.24 m / 0.41 / 0.36 m.
-SLIP = 1.626
 
 HORIZON = 1.5  # duration of a trajectory, s
 # Number of poses of a trajectory that are examined. At 1 m/s they are 0.25 m apart, less than the body is long.
@@ -281,19 +275,6 @@ class DynamicWindowPolicy(TensorDictModuleBase):
             away = torch.hypot(x[:, None] - later[:, :, None, :, 0], y[:, None] - later[:, :, None, :, 1])
             nearest = torch.minimum(nearest, (away - radius[:, :, None, None]).amin(1))
         return nearest - self._radius
-
-
-def estimated_yaw_gain(robot: Robot) -> float:
-    """Returns the yaw rate of a robot's body relative to that of its wheel odometry, from the places of its wheels.
-
-    The wheels of a skid-steer with several a side slip sideways in turns, as those of Rover Zero do: the same share of
-    the distance between left and right wheels is taken to be lost.
-    """
-    drive = robot.drive
-    if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
-        return 1.0
-    separation = drive.track(robot.wheels)
-    return round(separation / (SLIP * replace(drive, separation=None).track(robot.wheels)), 2)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

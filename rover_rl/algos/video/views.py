@@ -160,6 +160,16 @@ def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) 
     return points[0], points[1:]
 
 
+def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
+    ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
+    directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1).float()
+    mount = torch.tensor(robot.lidar_position)
+    position, orientation = rover.position.cpu()[:, None], rover.orientation.cpu()[:, None]
+    start = position + rotate(orientation, mount.expand(len(position), 1, 3))
+    return start, position + rotate(orientation, mount + directions * ranges)
+
+
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
     """Computes points along the beams from ``start [3]`` to ``hits [n, 3]``: ``[n, count, 3]``, m."""
     beams = hits - start

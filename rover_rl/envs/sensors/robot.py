@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,16 +15,17 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import footprint
 
-TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 0.2, 0.4)
+TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 0.2, 0.4, 2 * math.pi)
 """Values that networks read as 1, or -1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBody(Sensor):
-    """Size and limits of the robot, ``[N, 9]``, so that one policy can drive different robots.
+    """Size and limits of the robot, ``[N, 10]``, so that one policy can drive different robots.
 
     Reach of the footprint behind and ahead of the origin and half its width (m), largest speed (m/s) and yaw rate
-    (rad/s), smallest radius of a turn (m; 0 for a robot that turns in place), and position of the lidar (m).
+    (rad/s), smallest radius of a turn (m; 0 for a robot that turns in place), position of the lidar (m), and the angle
+    that it sees (rad).
 
     Example:
         >>> env = RoverEnv(num_envs=2, seed=0, sensors=["robot"])
@@ -32,8 +34,10 @@ class RobotBody(Sensor):
     """
 
     name: str = "robot"
-    mirror_signs = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
-    bounds = Bounds((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, -5.0, 0.0), (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 5.0, 5.0))
+    mirror_signs = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0)
+    bounds = Bounds(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, -5.0, 0.0, 0.0), (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 5.0, 5.0, 7.0)
+    )
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader of the robots of the rows."""
@@ -54,4 +58,5 @@ def body_of(robot: Robot) -> list[float]:
     """Returns the numbers of a robot: see :class:`RobotBody`."""
     outline, drive = footprint(robot), robot.drive
     size = [-outline.back, outline.front, outline.half_width]
-    return [*size, drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels), *robot.lidar_position]
+    limits = [drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels)]
+    return [*size, *limits, *robot.lidar_position, robot.lidar_view]

@@ -27,9 +27,10 @@ ROBOTS = {
     "husky": "rover_rl.sims.robots.husky:HUSKY",
     "racer": "rover_rl.sims.robots.racer:RACER",
     "hunter": "rover_rl.sims.robots.hunter:HUNTER",
-    "any": "rover_rl.sims.robots.any_robot:any_robot",
 }
 """Built-in robots, by name."""
+FAMILIES = {"any": "rover_rl.sims.robots.any_robot:any_robot"}
+"""Built-in families of robots, functions of a seed, by name."""
 
 
 TRAINING_SEEDS = 10_000
@@ -37,7 +38,7 @@ TRAINING_SEEDS = 10_000
 
 _MEMBER = re.compile(r"(.+):([0-9]+)", re.ASCII)
 _RANGE = re.compile(r"([^,]+):([0-9]+)-([0-9]+)(,.*)?", re.ASCII)
-_REGISTRY = Registry("robot", ROBOTS, also=", a URDF file, a Robot, or 'module:attribute' of your own")
+_REGISTRY = Registry("robot", ROBOTS | FAMILIES, also=", a URDF file, a Robot, or 'module:attribute' of your own")
 
 
 def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
@@ -54,7 +55,7 @@ def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
 
 
 def robot_names() -> list[str]:
-    """Returns the names of all robots: built-in, registered, and from installed packages."""
+    """Returns the names of all robots and families: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
@@ -194,6 +195,7 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
+    "FAMILIES",
     "ROBOTS",
     "Robot",
     "RobotOptions",

@@ -76,9 +76,9 @@ class Derived(NamedTuple):
         _add_joint(root, wheel.joint, "continuous", parent, f"{wheel.joint}_wheel", place, axis="0 1 0")
 
 
-def store(derived: Derived, source: Path) -> Path:
-    """Writes the URDF to the cache, under a name of its content, and returns its path."""
-    text = derived.text(str(source.resolve()))
+def store(derived: Derived, source: Path | str) -> Path:
+    """Writes the URDF to the cache, under a name of its content, and returns its path. It names its ``source``."""
+    text = derived.text(source if isinstance(source, str) else str(source.resolve()))
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
     folders = cache_folder(), Path(tempfile.gettempdir()) / f"rover_rl-{os.getuid() if hasattr(os, 'getuid') else ''}"
     for folder in folders:
