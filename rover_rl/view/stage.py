@@ -14,7 +14,7 @@ from torch import Tensor
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.algos.video.views import lidar_beams
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.rendering.daylight import solid, world_meshes
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.mover_surfaces import Form, part_surface

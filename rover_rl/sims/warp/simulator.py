@@ -14,7 +14,8 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space.rest_pose import Stances, rest_on_ground
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
