@@ -26,7 +26,7 @@ LAYERS = (
         "sims.timing",
         "sims.worlds",
     ),
-    ("sims.free_space", "sims.movers", "sims.ray_kernels", "sims.rays", "sims.rendering"),
+    ("sims.field_of_view", "sims.free_space", "sims.movers", "sims.ray_kernels", "sims.rays", "sims.rendering"),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
     ("sims.backends", "sims.spin"),
     ("sims.__init__",),

@@ -69,7 +69,7 @@ class RobotCommand:
         if self.lidar_view is not None:
             check_positive(360, lidar_view=self.lidar_view)
         check_seed(self.seed)
-        described = self._environment().fitted()
+        described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_scanner, make_simulator
         from rover_rl.sims.robots import get_robot
@@ -77,6 +77,9 @@ class RobotCommand:
         from rover_rl.sims.ros2.transport import make_transport
         from rover_rl.sims.worlds import get_world
 
+        # An unknown world is told before an unknown robot.
+        get_world(described.worlds[0])
+        described = described.fitted()
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())

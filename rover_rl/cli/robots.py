@@ -87,7 +87,11 @@ class Robots:
 
         print(f"{'name':12} {'mass':>9} {'size':>13} {'drive':12} {'speed':>9} {'turn':>12}  source")
         for name in robot_names():
-            robot = get_robot(name)
+            try:
+                robot = get_robot(name)
+            except (ValueError, OSError) as error:
+                print(f"{name:12} cannot be loaded: {error}")
+                continue
             outline, drive = footprint(robot), robot.drive
             size = f"{outline.front - outline.back:.2f} x {outline.left - outline.right:.2f} m"
             radius = drive.min_radius(robot.wheels)
@@ -95,7 +99,7 @@ class Robots:
             source = "built in" if name in ROBOTS else str(robot.urdf)
             if name in FAMILIES:
                 source = f"one of a family: {name}:0, {name}:1, ..."
-            kind, speed = type(drive).__name__, f"{drive.max_speed:g} m/s"
+            kind, speed = type(drive).__name__, f"{drive.max_speed:.3g} m/s"
             print(f"{name:12} {robot.mass:6.1f} kg {size:>13} {kind:12} {speed:>9} {turn:>12}  {source}")
         print("also: a URDF file, as --robot FILE.urdf; look at one with: rover-rl robots show FILE.urdf")
         return 0

@@ -424,9 +424,7 @@ class EnvConfig:
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
         if self.robot_options != RobotOptions():
-            if not isinstance(self.robot, str):
-                raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
-            object.__setattr__(self, "robot", with_options(self.robot, self.robot_options))
+            object.__setattr__(self, "robot", _with_options(self.robot, self.robot_options))
             object.__setattr__(self, "robot_options", RobotOptions())
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
@@ -501,6 +499,15 @@ class EnvConfig:
         return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 
+def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
+    """Returns the names of robots with options."""
+    if isinstance(robots, str):
+        return with_options(robots, options)
+    if not isinstance(robots, (list, tuple)) or not all(isinstance(robot, str) for robot in robots):
+        raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
+    return tuple(with_options(robot, options) for robot in robots)
+
+
 _PARTS: dict[str, type] = {
     "robot_options": RobotOptions,
     "lidar": LidarConfig,
@@ -542,8 +549,6 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     if not several:
         yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
-    rates = made_for.control_rate or 1 / CONTROL_DT, env.control_rate or 1 / CONTROL_DT
-    yield "a control rate of (Hz)", *rates
     # A robot whose limits are tighter bounds what the policy does.
     expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual

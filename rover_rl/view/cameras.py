@@ -12,22 +12,19 @@ import torch
 import viser
 
 from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.region import union
 from rover_rl.view.stage import ROOT
 
 Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
 BEHIND, OVER_WALLS = (2.8, 1.5), (2.0, 3.4)
 """Distances of the follow camera behind and above the rover at first, m, in the open and among walls."""
-WALL = 0.5
-"""Height from which on obstacles are walls, m: the median of their corners."""
-LOOK_AT = (0.0, 0.0, 0.2)
-"""Point that the cameras look at, relative to the rover, m."""
-SIGHT = 150.0
-"""Distance up to which a click finds the ground, m."""
-_STEP = 0.05
-"""Distance between two points of the line of sight that are compared with the ground, m."""
-_SMOOTHING = 0.2
-"""Share of the way to the rover's height that the camera goes in a frame."""
+WALL = 0.8  # height from which on obstacles are walls, m: the median of their tops
+MARGIN = 6.0  # width of what the camera sees from above around starts and goals, m
+LOOK_AT = (0.0, 0.0, 0.2)  # point that the cameras look at, relative to the rover, m
+SIGHT = 150.0  # distance up to which a click finds the ground, m
+_STEP = 0.05  # distance between two points of the line of sight that are compared with the ground, m
+_SMOOTHING = 0.2  # share of the way to the rover's height that the camera goes in a frame
 
 
 class Cameras:
@@ -50,10 +47,10 @@ class Cameras:
         if world is self._world:
             return
         self._world = world
-        tops = [obstacle.vertices[:, 2] - world.height_at(obstacle.vertices[:, :2]) for obstacle in world.obstacles]
-        self._steep = bool(tops) and torch.cat(tops).median().item() > WALL
-        (left, right), (bottom, top) = world.bounds
-        self._span = max(right - left, top - bottom)
+        tops = [(one.vertices[:, 2] - world.height_at(one.vertices[:, :2])).max() for one in world.obstacles]
+        self._steep = bool(tops) and torch.stack(tops).median().item() > WALL
+        (left, right), (bottom, top) = union(world.spawn_range, world.goal_range)
+        self._span = max(right - left, top - bottom) + MARGIN
         self._center = np.array(((left + right) / 2, (bottom + top) / 2, 0.0))
         self.select(self.mode)
 

@@ -13,16 +13,16 @@ from torch import Tensor
 from rover_rl.algos.deploy.driving import Moment as Status
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.algos.video.recording import Moment
+from rover_rl.algos.video.session import Pose
 from rover_rl.envs import RoverEnv
 from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, close_page, open_page
 from rover_rl.view.pilot import Pilot
-from rover_rl.view.stage import Pose, Stage
+from rover_rl.view.stage import Stage
 
-FRAMES = 15
-"""Number of updates of the page, 1/s."""
+FRAMES = 15  # number of updates of the page, 1/s
 
 
 class LivePage:

@@ -13,8 +13,7 @@ import viser
 from rover_rl.sims.rendering.daylight import sky_dome
 from rover_rl.sims.rendering.scenery import SUN
 
-HOST, PORT = "127.0.0.1", 8080
-"""Default address of the page: only this machine reaches it."""
+HOST, PORT = "127.0.0.1", 8080  # default address of the page: only this machine reaches it
 _PORTS = 65535
 
 
@@ -65,8 +64,7 @@ def light(server: viser.ViserServer) -> None:
     scene.world_axes.visible = False
 
 
-_Z_UP = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
-"""Turns the light of the sky, which comes from above along y."""
+_Z_UP = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)  # turns the light of the sky, which comes from above along y
 
 
 def check_address(host: str, port: int) -> int:

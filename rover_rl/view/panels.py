@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import viser
 from viser import uplot
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from rover_rl.algos.video.session import Episode
 
 COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, GREY, "#8b5e3c", "#4b5563")
 """Colors of the lines of a plot."""
-REWARD = "reward "
-"""Prefix of the records of reward components."""
+REWARD = "reward "  # prefix of the records of reward components
 
 
 class Plot:
@@ -116,3 +116,10 @@ def bars(rewards: Mapping[str, float], inside: Mapping[str, float]) -> str:
     rows += [f"<div>{name}: {value:.3g}</div>" for name, value in inside.items()]
     title = "<b>Reward in the last 30 s</b>" if rewards else ""
     return f'<div style="font-size:12px;padding:4px 12px">{title}{"".join(rows)}</div>'
+
+
+def episode_table(episodes: Iterable[Episode]) -> str:
+    """Returns a table of episodes in Markdown."""
+    head = "| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|"
+    rows = (f"| {one.row} | {one.number} | {one.seconds:.1f} | {one.goals} | {one.ending} |" for one in episodes)
+    return "\n".join([head, *rows])

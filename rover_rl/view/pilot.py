@@ -13,14 +13,11 @@ from collections.abc import Callable
 import viser
 from torch import Tensor
 
-HOLD_RATE = 20.0
-"""Messages of a held button, 1/s."""
-TIMEOUT = 0.2
-"""Time after the last message of a button from which on it counts as released, s."""
+HOLD_RATE = 20.0  # messages of a held button, 1/s
+TIMEOUT = 0.2  # time after the last message of a button from which on it counts as released, s
 DIRECTIONS = {"▲": (1.0, 0.0), "◀": (0.0, 1.0), "▼": (-1.0, 0.0), "▶": (0.0, -1.0)}
 """Buttons, and the shares of the top speed forward and of the largest turn to the left that they command."""
-TURN = math.radians(60)
-"""Offset of the heading that a turn commands, rad."""
+TURN = math.radians(60)  # offset of the heading that a turn commands, rad
 
 _KEYS = """
 (() => {

@@ -10,17 +10,16 @@ from pathlib import Path
 import torch
 
 from rover_rl.algos.video.recording import Moment, Recording
+from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import LOOK_AT, Cameras
 from rover_rl.view.page import close_page, open_page
-from rover_rl.view.stage import Pose, Stage
+from rover_rl.view.stage import Stage
 
-RATE = 10.0
-"""Largest number of moments in a replay, 1/s. Between two, the rovers go on in small steps."""
-CAPTION_EVERY = 5
-"""Number of moments after which the caption changes."""
+RATE = 10.0  # largest number of moments in a replay, 1/s. Between two, the rovers go on in small steps
+CAPTION_EVERY = 5  # number of moments after which the caption changes
 
 
 def write_replay(recording: Recording, path: Path, seconds: float | None = None) -> None:
@@ -35,7 +34,8 @@ def write_replay(recording: Recording, path: Path, seconds: float | None = None)
     try:
         stage, cameras = Stage(server), Cameras(server)
         stage.enter(recording.world, recording.robot, recording.ray_angles)
-        _first(cameras, shown.moments[0])
+        first = Pose.of(shown.moments[0].rover)
+        cameras.follow(first.position[0].numpy(), quaternion_to_euler(first.orientation[:1])[0, 2].item())
         label = server.scene.add_label("/caption", "", position=(0.0, 0.0, 1.0))
         server.initial_camera.position, server.initial_camera.look_at = cameras.place(), LOOK_AT
         stride = max(1, round(1 / (RATE * recording.dt)))
@@ -57,11 +57,6 @@ def write_replay(recording: Recording, path: Path, seconds: float | None = None)
         close_page(server)
     with written_whole(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
-
-
-def _first(cameras: Cameras, moment: Moment) -> None:
-    yaw = quaternion_to_euler(moment.rover.orientation[:1].cpu())[0, 2].item()
-    cameras.follow(moment.rover.position[0].cpu().numpy(), yaw)
 
 
 def _show_route(stage: Stage, recording: Recording, position: torch.Tensor, goal: torch.Tensor) -> None:

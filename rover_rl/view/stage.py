@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,62 +12,33 @@ import viser
 from torch import Tensor
 
 from rover_rl.algos.video.recording import Moment
-from rover_rl.sims.base import RoverState
-from rover_rl.sims.movers.field import Parts
+from rover_rl.algos.video.session import Pose
+from rover_rl.algos.video.views import lidar_beams
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.rendering.daylight import solid, world_meshes
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.mover_surfaces import Form, part_surface
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, post_surface
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers.shapes import KINDS
 
-ROOT = "/world"
-"""Scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`."""
+ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
 RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
 """Colors of lidar rays, hits, the driven path and the shortest path."""
-MAX_HITS = 20_000
-"""Number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown."""
-FEW = 128
-"""Number of copies up to which distant ones are drawn as finely as near ones."""
-OTHERS = 0.4
-"""Size of the goals of rovers that are not followed."""
-MAX_PATH = 4_000
-"""Number of points of the driven path that are kept."""
+MAX_RAYS = 64  # number of lidar rays that are shown at most
+MAX_HITS = 20_000  # number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown
+FEW = 128  # number of copies up to which distant ones are drawn as finely as near ones
+OTHERS = 0.4  # size of the goals of rovers that are not followed
+MAX_PATH = 4_000  # number of points of the driven path that are kept
 LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers")
 """What checkboxes show and hide."""
-_LIFT = 0.04
-"""Height of paths above the ground, m."""
-_SPACING = 0.05
-"""Distance between two points of the driven path, m."""
-_JUMP = 1.0
-"""Distance of a rover from the last point of its path from which it was put elsewhere, m."""
-_SEGMENTS = 128
-"""Numbers of line segments of a node are multiples of this, so that nodes are seldom made anew."""
+_LIFT = 0.04  # height of paths above the ground, m
+_SPACING = 0.05  # distance between two points of the driven path, m
+_JUMP = 1.0  # distance of a rover from the last point of its path from which it was put elsewhere, m
+_SEGMENTS = 128  # numbers of line segments of a node are multiples of this, so that nodes are seldom made anew
 _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Positions ``[N, 3]`` (m) and orientations ``[N, 4]`` (x, y, z, w) of rovers, on the CPU."""
-
-    position: Tensor
-    orientation: Tensor
-
-    @classmethod
-    def of(cls, rover: RoverState) -> Pose:
-        """Returns the poses of a state."""
-        return cls(rover.position.cpu(), rover.orientation.cpu())
-
-    def toward(self, other: Pose, share: float) -> Pose:
-        """Returns poses between these and others. A rover that has been put elsewhere is there at once."""
-        near = (self.position - other.position).norm(dim=-1, keepdim=True) < 1.0
-        share_of = torch.where(near, share, 1.0)
-        sign = torch.where((self.orientation * other.orientation).sum(-1, keepdim=True) < 0, -1.0, 1.0)
-        turned = torch.lerp(self.orientation * sign, other.orientation, share_of)
-        return Pose(torch.lerp(self.position, other.position, share_of), turned / turned.norm(dim=-1, keepdim=True))
 
 
 class Stage:
@@ -177,18 +147,18 @@ class Stage:
         """Shows where the beams of all rovers hit something, and the beams of the followed one."""
         assert self._robot is not None
         stride = max(1, -(-len(rows) * len(self._angles) // MAX_HITS))
-        starts, ends = _beams(moment.rover[rows], moment.scan[rows, ::stride], self._robot, self._angles[::stride])
+        starts, ends = lidar_beams(moment.rover[rows], moment.scan[rows, ::stride], self._robot, self._angles[::stride])
         points = ends[ends.isfinite().all(-1)].numpy()
         if isinstance(cloud := self._nodes.get("lidar hits"), viser.PointCloudHandle):
             cloud.points = points
         else:
             name = f"{self._name('lidar hits')}/points"
-            style: dict[str, Any] = {"point_size": 0.05, "point_shape": "circle", "precision": "float32"}
+            style: dict[str, Any] = {"point_size": 0.04, "point_shape": "circle", "precision": "float32"}
             cloud = self._server.scene.add_point_cloud(name, points, HIT, point_shading="flat", **style)
             self._nodes["lidar hits"] = cloud
         own = rows.tolist().index(row)
         hit = ends[own].isfinite().all(-1)
-        rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit]
+        rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit][:: -(-len(self._angles) // MAX_RAYS)]
         self._lines("lidar rays", rays.numpy(), RAY, 0.006)
 
     def _show_movers(self, parts: Parts) -> None:
@@ -239,13 +209,3 @@ class Stage:
         self._nodes[f"{layer}/{key}"] = self._server.scene.add_batched_meshes_trimesh(
             name, mesh, wxyz, position, **options
         )
-
-
-def _beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
-    ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
-    directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1).float()
-    mount = torch.tensor(robot.lidar_position)
-    position, orientation = rover.position.cpu()[:, None], rover.orientation.cpu()[:, None]
-    start = position + rotate(orientation, mount.expand(len(position), 1, 3))
-    return start, position + rotate(orientation, mount + directions * ranges)

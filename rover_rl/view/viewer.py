@@ -9,14 +9,12 @@ Example:
 
 from __future__ import annotations
 
-import io
 import queue
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import viser
 from torchrl.envs import EnvBase
@@ -26,29 +24,24 @@ from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
-from rover_rl.algos.video.session import Session
+from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import world_names
 from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
-from rover_rl.view.panels import Panels
+from rover_rl.view.panels import Panels, episode_table
 from rover_rl.view.pilot import Pilot
 from rover_rl.view.runs import TrainingPanel
-from rover_rl.view.stage import Pose, Stage
+from rover_rl.view.stage import Stage
 
-FRAMES = 30
-"""Number of updates of the page, 1/s."""
-PANELS_EVERY = 6
-"""Number of frames after which the panels change."""
-TRAINING_EVERY = 60
-"""Number of frames after which the files of a training are read again."""
-MAX_LAG = 0.25
-"""Time that a simulation slower than its speed setting catches up on at most, s."""
-RANDOM = "random"
-"""Name of the policy that acts at random."""
-BACKENDS = ("bullet", "warp", "mujoco")
-"""Simulators that the page offers."""
+FRAMES = 30  # number of updates of the page, 1/s
+PANELS_EVERY = 6  # number of frames after which the panels change
+TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
+MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
+MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches up on at most, s
+RANDOM = "random"  # name of the policy that acts at random
+BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
 
 
 def named_policy(name: str) -> Policy | None:
@@ -136,7 +129,7 @@ class Viewer:
 
     def play(self, playing: bool) -> None:
         """Runs or pauses the simulation."""
-        self.playing = playing
+        self.playing, self.error = playing, "" if playing else self.error
         self._play.label = "Pause" if playing else "Run"
 
     def _make_page(self, policy: str) -> None:
@@ -146,7 +139,8 @@ class Viewer:
         with tabs.add_tab("Drive"):
             self._make_drive_tab(policy)
         with tabs.add_tab("Show"):
-            self._make_show_tab()
+            self.cameras.add_choice()
+            self.stage.add_checkboxes()
         with tabs.add_tab("Inside"):
             self.panels = Panels(self.server, gui.add_folder(None))
         with tabs.add_tab("Episodes"):
@@ -162,7 +156,7 @@ class Viewer:
         self._play = gui.add_button("Pause", hint="Space")
         self._play.on_click(lambda _: self.play(not self.playing))
         gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
-        gui.add_button("Reset").on_click(lambda _: self.request(self._reset))
+        gui.add_button("Reset").on_click(lambda _: self.request(session.reset, self._moved))
         gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
         speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
@@ -182,11 +176,6 @@ class Viewer:
         gui.add_markdown("Click on the ground: goal. Shift-click: rover.")
         self.pilot = Pilot(gui)
 
-    def _make_show_tab(self) -> None:
-        self.cameras.add_choice()
-        self.stage.add_checkboxes()
-        self.server.gui.add_button("Picture (PNG)").on_click(self._save_picture)
-
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
         session, row = self.session, self.session.row
@@ -197,14 +186,6 @@ class Viewer:
             self.request(lambda: session.put(row, place), self._moved)
         else:
             self.request(lambda: session.set_goal(row, place), self._show_route)
-
-    def _save_picture(self, event: viser.GuiEvent) -> None:
-        """Sends the picture of a client as a PNG file."""
-        assert event.client is not None
-        picture = event.client.get_render(height=1080, width=1920, transport_format="png")
-        file = io.BytesIO()
-        imageio.imwrite(file, picture[..., :3], extension=".png")
-        event.client.send_file_download("rover.png", file.getvalue())
 
     def set_policy(self, name: str) -> None:
         """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
@@ -217,20 +198,15 @@ class Viewer:
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
         self.session.change(**changes)
-        self._reset()
+        self._moved()
 
     def _follow(self, row: int) -> None:
         self.session.row = row
         self.session.history = {}
         self._moved()
 
-    def _reset(self) -> None:
-        self.session.reset()
-        self._moved()
-
     def _moved(self) -> None:
         """Shows a rover that is elsewhere than before."""
-        self._before = self._now = Pose.of(self.session.rovers.rover_state)
         self.stage.forget_path()
         self._show_world()
 
@@ -251,6 +227,7 @@ class Viewer:
     def _run(self) -> None:
         """Steps the simulation in real time and updates the page. An error pauses it."""
         due, last = 0.0, time.monotonic()
+        frame = last
         while not self._closed.is_set():
             began = time.monotonic()
             try:
@@ -262,7 +239,7 @@ class Viewer:
                 while due >= dt and self.playing and not self._closed.is_set():
                     self._step()
                     due -= dt
-                    if time.monotonic() - began > MAX_LAG:
+                    if time.monotonic() - began > MAX_STEPPING:
                         due = 0.0
                 self._show(due / dt if self.playing else 1.0)
             except Exception as error:
@@ -270,7 +247,9 @@ class Viewer:
                 self.error, last, due = f"{type(error).__name__}: {error}", time.monotonic(), 0.0
                 self.play(False)
                 self._show_status()
-            self._closed.wait(max(0.002, 1 / FRAMES - (time.monotonic() - began)))
+            # A frame that comes late does not delay those after it.
+            frame = max(frame + 1 / FRAMES, time.monotonic() - 1 / FRAMES)
+            self._closed.wait(max(0.002, frame - time.monotonic()))
 
     def _step_once(self) -> None:
         self.play(False)
@@ -321,13 +300,7 @@ class Viewer:
         session, row = self.session, self.session.row
         lidar = session.observation.get("lidar", None)
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
-        rovers = session.rovers
-        max_range = rovers.config.lidar.max_range
-        self.panels.show(session.history, rovers.control_dt, readings, max_range, session.inside())
+        dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
+        self.panels.show(session.history, dt, readings, max_range, session.inside())
         if session.episodes:
-            rows = [
-                f"| {each.row} | {each.number} | {each.seconds:.1f} | {each.goals} | {each.ending} |"
-                for each in session.episodes
-            ]
-            head = "| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|\n"
-            self._episodes.content = head + "\n".join(rows)
+            self._episodes.content = episode_table(session.episodes)

@@ -261,6 +261,8 @@ def test_options_of_the_robot_become_part_of_its_name() -> None:
     assert config.robot_options == RobotOptions()
     assert env_from_plain(yaml.safe_load(yaml.safe_dump(plain_env(config))), "text") == config
     assert replace(config, robot_options=RobotOptions(max_speed=2.0)).robot.endswith(",max_speed=2.0")
+    both = EnvConfig(robot=("a.urdf", "b.urdf"), robot_options=RobotOptions(torque=2.0))
+    assert both.robot == ("a.urdf,torque=2.0", "b.urdf,torque=2.0")
     nested = {"robot": "scout.urdf", "robot_options": {"torque": 3.0}}
     assert env_from_plain(nested, "text").robot == "scout.urdf,torque=3.0"
     with pytest.raises(ValueError, match="robot_options are for robots by name and URDF files"):

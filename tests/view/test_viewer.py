@@ -18,13 +18,13 @@ from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.pretrained import FOLDER
+from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.panels import bars, lidar_picture
 from rover_rl.view.pilot import TURN
-from rover_rl.view.stage import Pose
 from tests.view.conftest import until
 
 

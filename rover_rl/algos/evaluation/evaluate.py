@@ -35,7 +35,7 @@ from rover_rl.envs.groups import first_of_group
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.robots import get_robots
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT

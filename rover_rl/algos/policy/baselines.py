@@ -17,6 +17,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.maneuvers import Maneuvers
+from rover_rl.algos.policy.slip import turn_gain
 from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.sims.free_space.fitting import passage_scale
@@ -88,6 +89,7 @@ class Lane(NamedTuple):
         back_off: lidar reading in front below which it backs off. A reading below 0.3 m is a collision of Rover Zero.
         behind: lidar reading behind that is required for backing off. The rear end of Rover Zero is 0.44 m from it.
         look_ahead: distance up to which a direction is examined.
+        turn: heading offset for each radian to turn.
     """
 
     half_width: float = 0.36
@@ -95,6 +97,7 @@ class Lane(NamedTuple):
     back_off: float = 0.36
     behind: float = 0.75
     look_ahead: float = LOOK_AHEAD
+    turn: float = 2.0
 
 
 def lane_of(robot: Robot) -> Lane:
@@ -103,7 +106,7 @@ def lane_of(robot: Robot) -> Lane:
     lane = Lane()
     back_off = lane.back_off + max(side, ahead)
     look_ahead = LOOK_AHEAD * passage_scale(robot)
-    return Lane(lane.half_width + side, lane.stop + front, back_off, lane.behind + behind, look_ahead)
+    return Lane(lane.half_width + side, lane.stop + front, back_off, lane.behind + behind, look_ahead, turn_gain(robot))
 
 
 def _reach(robot: Robot) -> tuple[float, float, float, float]:
@@ -151,8 +154,8 @@ def drive_towards(
 ) -> Tensor:
     """Computes the action of a careful driver that follows a direction.
 
-    The heading offset is twice the angle to the direction. The speed decreases as the angle grows, and as
-    obstacles in the lane ahead get closer. Directly in front of an obstacle, the rover backs off while it turns.
+    The heading offset is twice the angle to the direction for Rover Zero. The speed decreases as the angle grows, and
+    as obstacles in the lane ahead get closer. Directly in front of an obstacle, the rover backs off while it turns.
 
     Args:
         direction: direction relative to the rover's heading, ``[N, 1]``, rad.
@@ -170,7 +173,7 @@ def drive_towards(
     front = torch.cat((lidar[:, :quarter], lidar[:, -quarter:]), -1).amin(-1, keepdim=True)
     behind = lidar[:, quarter + quarter // 2 : -quarter - quarter // 2].amin(-1, keepdim=True)
     speed = torch.where((front < lane.back_off) & (behind > lane.behind), -0.4, speed)
-    return torch.cat((speed, (2 * angle).clamp(-math.pi, math.pi)), -1)
+    return torch.cat((speed, (lane.turn * angle).clamp(-math.pi, math.pi)), -1)
 
 
 def hit_points(lidar: Tensor, lidar_offset: float, middle: float = 0.5) -> tuple[Tensor, Tensor]:

@@ -37,7 +37,6 @@ Example:
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -46,18 +45,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
+from rover_rl.algos.policy.slip import YAW_GAIN as YAW_GAIN
+from rover_rl.algos.policy.slip import estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
-from rover_rl.sims.drives import SkidSteer
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.free_space.fitting import passage_scale
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
-# Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
-# in Warp and at 0.39 to 0.47 in Bullet, up to 2 rad/s, as its wheels slip.
-YAW_GAIN = 0.41
-# Distance of the wheels in the kinematics of a skid-steer that turns as commanded, relative to that of its wheels: that
-# of Rover Zero with this gain, 0.24 m / 0.41 / 0.36 m.
-SLIP = 1.626
 
 HORIZON = 1.5  # duration of a trajectory, s
 # Number of poses of a trajectory that are examined. At 1 m/s they are 0.25 m apart, less than the body is long.
@@ -70,6 +65,7 @@ YAW_RATES = 15  # number of yaw rates in the window, besides the one closest to 
 # Largest distance by which the discs that cover the footprint exceed its sides, m. With two discs, it is 0.037 m.
 EXCESS = 0.04
 SAFETY = 0.008  # distance of the discs below which a trajectory is rejected, m
+ROOM = 0.04  # how much more that is for a robot that needs worlds twice as wide, m
 LOOK_AHEAD = 1.6  # free distance beyond which more is no better, m. On slopes, the lidar sees the ground beyond it.
 LANE_MARGIN = 0.075  # width of the lane beyond the end of a trajectory on each side of the footprint, m
 ARRIVAL = 0.25  # distance from the goal at which a trajectory ends there, m
@@ -136,7 +132,8 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         self.made_for = EnvConfig(robot=robot, lidar=lidar)
         self._robot, self._gain = get_robot(robot), yaw_gain
         centers, radius = covering_discs(self._robot, EXCESS)
-        self._discs, self._radius = tuple(centers.tolist()), radius + SAFETY
+        self._scale = passage_scale(self._robot)
+        self._discs, self._radius = tuple(centers.tolist()), radius + SAFETY + ROOM * (self._scale - 1)
         # In micrometers, so that sums do not round differently.
         self._half_lane = round(footprint(self._robot).half_width + LANE_MARGIN, 6)
 
@@ -252,10 +249,10 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         What is beyond the pose in which a trajectory has ``arrived [N, S, K]`` at the goal does not count.
         """
         x, y, heading, arrives = sampled.x[..., -1], sampled.y[..., -1], sampled.heading[..., -1], arrived[..., -1]
-        look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD)
+        look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD * self._scale)
         free = ((sampled.path[..., -1] + _free_lane(x, y, heading, points, self._half_lane)) / look_ahead).clamp(0, 1)
         alignment = (torch.atan2(goal[:, 1:] - y, goal[:, :1] - x) - heading).cos()
-        near = 1 - clearance.masked_fill(arrived, math.inf).amin(-1) / CLEARANCE_MARGIN
+        near = 1 - clearance.masked_fill(arrived, math.inf).amin(-1) / (CLEARANCE_MARGIN * self._scale)
         colliding = ((self._robot.collision_range or 0.0) + LIDAR_MARGIN - readings) / LIDAR_MARGIN
         stands = (sampled.speed == 0) & (sampled.yaw_rate.abs() < STANDSTILL)
         return (
@@ -281,19 +278,6 @@ class DynamicWindowPolicy(TensorDictModuleBase):
             away = torch.hypot(x[:, None] - later[:, :, None, :, 0], y[:, None] - later[:, :, None, :, 1])
             nearest = torch.minimum(nearest, (away - radius[:, :, None, None]).amin(1))
         return nearest - self._radius
-
-
-def estimated_yaw_gain(robot: Robot) -> float:
-    """Returns the yaw rate of a robot's body relative to that of its wheel odometry, from the places of its wheels.
-
-    The wheels of a skid-steer with several a side slip sideways in turns, as those of Rover Zero do: the same share of
-    the distance between left and right wheels is taken to be lost.
-    """
-    drive = robot.drive
-    if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
-        return 1.0
-    separation = drive.track(robot.wheels)
-    return round(separation / (SLIP * replace(drive, separation=None).track(robot.wheels)), 2)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

@@ -11,8 +11,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
-from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
-from rover_rl.algos.policy.maneuvers import Maneuvers, cost_of_turn
+from rover_rl.algos.policy.grid_planner import AHEAD, SHARP, SLOPE, SLOPE_SPEED
+from rover_rl.algos.policy.maneuvers import Maneuvers
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
@@ -36,8 +36,7 @@ OVERSHOOT = 0.05
 BACKWARD = math.radians(120)
 BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
 MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
-TIGHT = 0.5  # cost of a pose in which the body fits, and not in all headings, m
-AHEAD = 0.3  # distance ahead of a pose at which the alignment of its heading with the path is evaluated, m
+STRIDE = 0.4  # length of the steps along the path to the place that maneuvers lead to, m
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
 
@@ -76,23 +75,24 @@ class PrivilegedExpert:
         sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
         on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"], self._lidar, self._lane)
         careful = torch.where(sloped, on_slope, careful)
-        through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped)
+        through = _pass_through(
+            wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped, self._lane.turn
+        )
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
     def _maneuver(self, maneuvers: Maneuvers, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
-        """Returns the actions of robots that do not turn in place, ``[M, 2]``: to poses with short ways to the goal."""
-        poses, yaw = maneuvers.poses, rows["imu"][:, 2:]
+        """Returns the actions of robots that do not turn in place, ``[M, 2]``: to a place on the path ahead."""
+        place, yaw = position, rows["imu"][:, 2:]
+        for _ in range(math.ceil(AHEAD * maneuvers.radius / STRIDE)):
+            heading = self._best_heading(fields, place, LOOK_AHEAD)
+            place = place + STRIDE * torch.cat((heading.cos(), heading.sin()), -1)
+        # Near the goal, the place is the goal.
+        place = torch.where(rows["target"][:, :1] < AHEAD * maneuvers.radius, goal_of(rows), place)
+        away = place - position
         cos, sin = yaw.cos(), yaw.sin()
-        at = position[:, None] + torch.stack((poses.x * cos - poses.y * sin, poses.x * sin + poses.y * cos), -1)
-        heading = yaw + poses.heading
-        ahead = at + AHEAD * torch.stack((heading.cos(), heading.sin()), -1)
-        path, is_free = self._distances.along(fields, at)
-        beyond, is_open = self._distances.along(fields, ahead)
-        # The way gets shorter by as much as the heading is along it.
-        along = torch.where(is_open, ((path - beyond) / AHEAD).clamp(-1, 1), -1.0)
-        cost = path + cost_of_turn(torch.acos(along), poses.gear, maneuvers.radius, path) + TIGHT * ~is_free
-        clearances = maneuvers.clearances(maneuvers.hits(rows["lidar"], math.inf))
-        return maneuvers.choose(cost, maneuvers.free(clearances), clearances, rows["velocities"][:, :1])
+        ahead = torch.cat((away[:, :1] * cos + away[:, 1:] * sin, away[:, 1:] * cos - away[:, :1] * sin), -1)
+        length = self._distances.along(fields, position)[0][:, None]
+        return maneuvers.towards(ahead, length, rows["lidar"], math.inf, rows["velocities"][:, :1])
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""
@@ -141,13 +141,13 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor, lidar_offset: flo
     tail = wrap_angle(turn + math.pi)
     speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed.clamp(min=SLOPE_SPEED))
     speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)
-    offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
+    offset = torch.where(turn.abs() > BACKWARD, lane.turn * (tail - overshoot), offset)
     return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
 
 
-def _pass_through(turn: Tensor, sloped: Tensor) -> Tensor:
+def _pass_through(turn: Tensor, sloped: Tensor, gain: float) -> Tensor:
     """Returns the actions ``[M, 2]`` in a narrow passage whose direction is at the angle ``turn [M, 1]`` (rad)."""
     speed = CREEP * (1 - turn.abs() / ALIGNED).clamp(min=0)
     # Slower, it would stand still while it turns.
     speed = torch.where(sloped & (turn.abs() < SHARP), speed.clamp(min=SLOPE_SPEED), speed)
-    return torch.cat((speed, (2 * turn).clamp(-math.pi, math.pi)), -1)
+    return torch.cat((speed, (gain * turn).clamp(-math.pi, math.pi)), -1)

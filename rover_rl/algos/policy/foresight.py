@@ -29,7 +29,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE, estimated_yaw_gain
+from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
+from rover_rl.algos.policy.slip import estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds

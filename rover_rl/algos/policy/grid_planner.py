@@ -19,6 +19,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
 from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
+from rover_rl.algos.policy.slip import turn_gain
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -106,9 +107,10 @@ def maneuver(
 def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     """Computes the action of a rover that follows its route.
 
-    The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
-    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. On a slope,
-    it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
+    The heading offset is twice the angle to the first corner of the route for Rover Zero, and less for a robot that
+    turns faster. The speed decreases as the angle grows and as obstacles in the lane ahead get closer. In front of an
+    obstacle, the rover backs off while it turns. On a slope, it does not turn on the spot, but in a slow curve. From a
+    slope that is too steep, it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
@@ -133,5 +135,5 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     # A positive pitch is nose down.
     steep = imu[..., :1] < -STEEP
     speed = torch.where(steep, BACK_DOWN, speed)
-    turn = torch.where(steep, 0.0, 2 * angle)
+    turn = torch.where(steep, 0.0, turn_gain(robot) * angle)
     return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)

@@ -242,20 +242,6 @@ def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) ->
     return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
 
 
-def cost_of_turn(angle: Tensor, gear: Tensor, radius: float, length: Tensor) -> Tensor:
-    """Returns the cost of turning into the direction of a way, forward or backward: ``[N, M]``, m.
-
-    Args:
-        angle: angle between the heading of a pose and the way, without sign, ``[N, M]``, rad.
-        gear: direction in which the robot gets to the pose, ``[M]``.
-        radius: smallest radius, m.
-        length: length of the way, ``[N, M]``, m.
-    """
-    forward = ARC * radius * angle + SWITCH * (gear < 0)
-    backward = REVERSE * ARC * radius * (math.pi - angle) + SWITCH * (gear > 0)
-    return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
-
-
 def _arc_and_tangent(ahead: Tensor, aside: Tensor, radius: float) -> Tensor:
     """Returns the cost of the way to places, ``ahead`` and ``aside`` of a pose."""
     across = aside - radius

@@ -40,15 +40,14 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
     A policy with a memory or a map, which change with each decision, decides as often as in training, others at each
-    step. ``dt`` is the duration of a step, s: a planner, which no environment has trained, decides at the same times
-    whatever that is.
+    step. ``dt`` is the duration of a step, s, which may be another one than in training.
     """
     if given is not None:
         return given
     if not (state_keys(policy) or reads_route(policy)):
         return 1
-    repeat = getattr(policy, "trained_action_repeat", 1)
-    return repeat if getattr(policy, "made_for", None) else max(1, round(repeat * CONTROL_DT / dt))
+    trained_dt = getattr(getattr(policy, "made_for", None), "control_dt", CONTROL_DT)
+    return max(1, round(getattr(policy, "trained_action_repeat", 1) * trained_dt / dt))
 
 
 def reads_route(policy: object) -> bool:

@@ -26,7 +26,7 @@ from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import RoverState
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import euler_to_matrix, matrix_to_quaternion

@@ -23,6 +23,7 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.envs.make import RewardedEnv, make_env
+from rover_rl.sims.base import RoverState
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rotations import quaternion_to_euler
@@ -45,6 +46,27 @@ class Episode:
     seconds: float
     ending: str
     goals: int
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Positions ``[N, 3]`` (m) and orientations ``[N, 4]`` (x, y, z, w) of rovers, on the CPU."""
+
+    position: Tensor
+    orientation: Tensor
+
+    @classmethod
+    def of(cls, rover: RoverState) -> Pose:
+        """Returns the poses of a state."""
+        return cls(rover.position.cpu(), rover.orientation.cpu())
+
+    def toward(self, other: Pose, share: float) -> Pose:
+        """Returns poses between these and others. A rover that has been put elsewhere is there at once."""
+        near = (self.position - other.position).norm(dim=-1, keepdim=True) < 1.0
+        share_of = torch.where(near, share, 1.0)
+        sign = torch.where((self.orientation * other.orientation).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+        turned = torch.lerp(self.orientation * sign, other.orientation, share_of)
+        return Pose(torch.lerp(self.position, other.position, share_of), turned / turned.norm(dim=-1, keepdim=True))
 
 
 def rovers_in(env: EnvBase) -> RoverEnv:

@@ -23,7 +23,7 @@ from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SK
 from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.draw import parts_from_above
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
@@ -158,6 +158,16 @@ def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) 
     mount = torch.tensor(robot.lidar_position)
     points = rover.position + rotate(rover.orientation, torch.cat((mount[None], mount + rays)))
     return points[0], points[1:]
+
+
+def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
+    ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
+    directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1).float()
+    mount = torch.tensor(robot.lidar_position)
+    position, orientation = rover.position.cpu()[:, None], rover.orientation.cpu()[:, None]
+    start = position + rotate(orientation, mount.expand(len(position), 1, 3))
+    return start, position + rotate(orientation, mount + directions * ranges)
 
 
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:

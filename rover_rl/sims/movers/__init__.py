@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.parts import Parts
 
 __all__ = ["MoverField", "Parts"]

@@ -22,7 +22,7 @@ MAX_SPEED = 20.0
 
 
 class Solids(NamedTuple):
-    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.sims.movers.field.Parts`."""
+    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.sims.movers.parts.Parts`."""
 
     position: Tensor
     orientation: Tensor

@@ -14,8 +14,9 @@ from matplotlib.patches import Rectangle
 from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.outlines import outlines
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.timing import CONTROL_DT

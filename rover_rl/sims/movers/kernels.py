@@ -18,7 +18,7 @@ TWO_PI = wp.constant(6.2831853)
 
 @wp.struct
 class PartArrays:
-    """Parts of the movers of all rows: see :class:`~rover_rl.sims.movers.field.Parts`."""
+    """Parts of the movers of all rows: see :class:`~rover_rl.sims.movers.parts.Parts`."""
 
     kind: wp.array2d[int]
     half: wp.array2d[wp.vec3]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.robots import Robot
 
 MAX_ROVER_SPEED = 2.0

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.placing_kernels import Grounds, Placed, Solid, place_parts
-from rover_rl.sims.movers.rays import stream_of
-from rover_rl.sims.native.warp import wp
+from rover_rl.sims.native.warp import stream_of, wp
 from rover_rl.sims.worlds.movers.motions.base import Courses
 from rover_rl.sims.worlds.table import TerrainRows
 

@@ -11,7 +11,7 @@ MAX_SPEED = wp.constant(20.0)
 
 @wp.struct
 class Placed:
-    """Parts of the movers of all rows, which change: see :class:`~rover_rl.sims.movers.field.Parts`."""
+    """Parts of the movers of all rows, which change: see :class:`~rover_rl.sims.movers.parts.Parts`."""
 
     position: wp.array2d[wp.vec3]
     orientation: wp.array2d[wp.quat]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Scanner, Simulator
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 
@@ -27,7 +28,7 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.sims.movers.kernels import cast_at_parts
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.native.warp import stream_of, wp
 
     ranges = ranges.clone()
     with wp.ScopedStream(stream_of(ranges.device)):
@@ -86,7 +87,7 @@ class MoverScanner:
     def _shorten(self, parts: Parts, ranges: Tensor, rows: Tensor) -> None:
         """Shortens the beams that meet a mover, in place."""
         from rover_rl.sims.movers.kernels import scan_parts
-        from rover_rl.sims.native.warp import wp
+        from rover_rl.sims.native.warp import stream_of, wp
 
         state = self._simulator.state()
         poses = torch.cat((state.position, state.orientation), -1).contiguous()
@@ -100,10 +101,3 @@ class MoverScanner:
                 wp.from_torch(ranges),
             ]
             wp.launch(scan_parts, len(ranges), inputs, device=wp.device_from_torch(ranges.device))
-
-
-def stream_of(device: torch.device) -> Any:
-    """Returns Torch's current stream, which orders kernels and tensor operations; ``None`` on the CPU."""
-    from rover_rl.sims.native.warp import wp
-
-    return wp.stream_from_torch(device) if device.type == "cuda" else None

@@ -7,7 +7,8 @@ from dataclasses import fields
 import numpy as np
 from torch import Tensor
 
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.parts import Parts
 
 CLOSE = 1.0
 """Distance from a camera up to which a mover is left out, m: it would hide the rover, 2.55 m away, and all else."""

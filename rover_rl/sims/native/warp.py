@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from rover_rl.sims.native.output import native_output_silenced
+
+if TYPE_CHECKING:
+    import torch
 
 try:
     import warp as wp
@@ -16,4 +21,9 @@ wp.config.enable_backward = False
 with native_output_silenced():
     wp.init()
 
-__all__ = ["wp"]
+__all__ = ["stream_of", "wp"]
+
+
+def stream_of(device: torch.device) -> Any:
+    """Returns Torch's current stream, which orders kernels and tensor operations; ``None`` on the CPU."""
+    return wp.stream_from_torch(device) if device.type == "cuda" else None

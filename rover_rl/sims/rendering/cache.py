@@ -12,7 +12,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 if TYPE_CHECKING:
-    from rover_rl.sims.movers.field import Parts
+    from rover_rl.sims.movers.parts import Parts
     from rover_rl.sims.rendering.renderer import Renderer
 
 

@@ -28,6 +28,8 @@ ROCK = (0.47, 0.44, 0.42)
 """Color of obstacles, which the tint of each varies."""
 SKY_RADIUS = 400.0
 """Radius of the dome of the sky, m."""
+_DEPTH = 3.0
+"""Depth below the edge at which the land around begins under the terrain, m."""
 _REACH = 300.0
 """Distance up to which the land goes on around the terrain, m."""
 
@@ -90,8 +92,10 @@ def _land(world: World) -> trimesh.Trimesh:
     center = np.array(((left + right) / 2, (bottom + top) / 2))
     half = np.array(((right - left) / 2, (top - bottom) / 2))
     corners = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
-    rings = [half * 0.999, half + 10, half + 40, half + _REACH]
-    vertices = np.concatenate([np.column_stack((center + corners * ring, np.full(4, level - 0.02))) for ring in rings])
+    # It begins far below the terrain, so that there is no gap at the edge.
+    rings = [(half * 0.99, _DEPTH), (half, 0.02), (half + 40, 0.02), (half + _REACH, 0.02)]
+    parts = [np.column_stack((center + corners * ring, np.full(4, level - depth))) for ring, depth in rings]
+    vertices = np.concatenate(parts)
     faces = [
         face
         for ring in range(len(rings) - 1)
@@ -99,7 +103,7 @@ def _land(world: World) -> trimesh.Trimesh:
         for a, b in [(4 * ring + side, 4 * ring + (side + 1) % 4)]
         for face in ((a, a + 4, b + 4), (a, b + 4, b))
     ]
-    share = np.repeat((0.0, 0.15, 0.6, 1.0), 4)[:, None]
+    share = np.repeat((0.0, 0.0, 0.5, 1.0), 4)[:, None]
     colors = (1 - share) * np.array(GROUND) + share * np.array(HORIZON)
     normals = np.tile((0.0, 0.0, 1.0), (len(vertices), 1))
     return painted_mesh(vertices, faces, normals, colors)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import in_view
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels import rays

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
 from rover_rl.sims.rendering.kernels import light, pictures, rays

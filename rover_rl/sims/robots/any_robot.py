@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -71,7 +71,7 @@ def any_robot(seed: int = 0) -> Robot:
     body = Mass(mass - 4 * wheel, center, (mass - 4 * wheel) / 12 * np.diag((size**2).sum() - size**2))
     hubs = tuple((x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2))
     derived = _derived(f"any_{seed}", boxes, body, Wheels(hubs, radius, width), wheel, lidar, is_car)
-    ranges = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
+    ranges: dict[str, Any] = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
     if draw.random() < 0.5:
         ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
     return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, **ranges)

@@ -14,7 +14,8 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space.rest_pose import Stances, rest_on_ground
-from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
@@ -34,6 +35,8 @@ from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
+HEAVY = 100.0
+"""Mass of a robot above which stiffness and damping of its contacts are in proportion to the mass, kg."""
 GPU_BLOCK_SIZE = 32
 """Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
 GPU_LIDAR_LANES = 8
@@ -132,7 +135,12 @@ class WarpSimulator:
             dtype = vars(MoverArrays)["vars"][name].type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
-        inputs = [_solver(self.settings), self._buffers.rovers, self._forms.scenes, arrays]
+        inputs = [
+            _solver(self.settings, max(robot.mass for robot in self.fleet.robots)),
+            self._buffers.rovers,
+            self._forms.scenes,
+            arrays,
+        ]
         return self._record(step_dynamics, *inputs)
 
     def meet(self, movers: MoverField) -> None:
@@ -294,16 +302,16 @@ class WarpScanner:
         self._simulator.run(self.launches)
 
 
-def _solver(settings: WarpSettings) -> Solver:
-    """Converts settings to the solver parameters of the kernels."""
-    solver = Solver()
+def _solver(settings: WarpSettings, mass: float) -> Solver:
+    """Converts settings to the solver parameters of the kernels, for robots of a mass (kg) at most."""
+    solver, share = Solver(), max(1.0, mass / HEAVY)
     solver.dt = settings.substep
     solver.substeps = settings.substeps
     solver.iterations = settings.solver_iterations
     # A wheel has two contacts, each with half of its stiffness k and damping d. Implicit spring-damper with the time
     # step h: ERP = h k / (h k + d), and CFM = 1 / (h k + d) for forces, divided by h for impulses (R. Smith, Open
     # Dynamics Engine user guide, 3.8).
-    spring, damper = settings.stiffness / 2 * settings.substep, settings.damping / 2
+    spring, damper = share * settings.stiffness / 2 * settings.substep, share * settings.damping / 2
     solver.error_reduction = spring / (spring + damper)
     solver.softness = 1 / (settings.substep * (spring + damper))
     solver.max_correction = settings.max_correction

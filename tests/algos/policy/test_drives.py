@@ -40,9 +40,9 @@ def test_a_car_drives_while_it_turns_and_a_rover_turns_in_place(kind, tmp_path):
     assert offset > 1
     car = make_car(tmp_path)
     speed, offset = first_action(kind(car), car)
-    # It turns around on its way, or backs towards the goal, whichever is shorter.
+    # It turns around on its way, or backs towards the goal, whichever is shorter, and not sharper than it can.
     assert abs(speed) > 0.1
-    assert abs(offset) > 0.02
+    assert abs(offset * HeadingGains.kp) * car.drive.min_radius(car.wheels) <= abs(speed) + 1e-4
 
 
 def test_the_dynamic_window_of_a_car_has_no_turn_sharper_than_it_takes(tmp_path):

@@ -14,6 +14,7 @@ from rover_rl.algos.policy.grid_planner import GridPlanner, follow
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.config import TaskConfig
 from rover_rl.sims.robots import get_robot
+from tests.fleet import racer
 
 ROBOT = get_robot("rover_zero")
 OPEN = torch.full((64,), 12.0)
@@ -64,10 +65,13 @@ def test_in_front_of_a_wall_it_slows_down() -> None:
     assert speeds == sorted(speeds, reverse=True)
 
 
-def test_it_reaches_goals_in_mazes_without_a_contact() -> None:
-    task = TaskConfig(collision_from="contact", collision_window=0)
-    env = RoverEnv(world_n="maze:9000-9015", num_envs=16, seed=0, backend="warp", end_on_goal=True, task=task)
-    runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
+@pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(racer, marks=pytest.mark.slow)])
+def test_it_reaches_goals_in_mazes_without_a_contact(make) -> None:
+    robot, task = make(), TaskConfig(collision_from="contact", collision_window=0)
+    env = RoverEnv(
+        world_n="maze:9000-9015", robot=robot, num_envs=16, seed=0, backend="warp", end_on_goal=True, task=task
+    )
+    runner, observation = PolicyRunner(GridPlanner(robot), env=env), env.reset()
     ended, reached = (torch.zeros(16, dtype=torch.bool) for _ in range(2))
     with torch.no_grad():
         for _ in range(800):

@@ -71,8 +71,10 @@ def test_only_policies_with_memory_decide_as_often_as_in_training_by_default() -
     assert [default_action_repeat(policy, 2) for policy in (actor, memoryless, None)] == [2, 2, 2]
 
 
-def test_a_planner_decides_at_the_same_times_whatever_the_control_rate() -> None:
+def test_a_policy_decides_at_the_same_times_whatever_the_control_rate() -> None:
     assert [default_action_repeat(GridPlanner(), dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
+    actor = recurrent_checkpoint("gru").make_actor()
+    assert [default_action_repeat(actor, dt=dt) for dt in (0.1, 0.025)] == [2, 8]
 
 
 def test_a_policy_may_read_the_bounds() -> None:
@@ -86,7 +88,7 @@ def test_a_policy_may_read_the_bounds() -> None:
     assert torch.equal(PolicyRunner(Bounded())(seen), torch.full((2, 2), 1e6))
     given = seen.clone().set("bounds", torch.tensor([[-1.0, -2.0, 3.0, 4.0]]).expand(2, 4))
     assert torch.equal(PolicyRunner(Bounded())(given), given["bounds"][:, 2:])
-    env = SimpleNamespace(placement=SimpleNamespace(bounds=2 * given["bounds"]))
+    env = SimpleNamespace(control_dt=0.05, placement=SimpleNamespace(bounds=2 * given["bounds"]))
     assert torch.equal(PolicyRunner(Bounded(), env=env)(given), 2 * given["bounds"][:, 2:])
 
 

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from rover_rl.sims.robots.description import Description
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.robots.skidding import effective_track
+from tests.sims.driven import FLAT, drive, placed
 from tests.sims.robots.public_urdfs import Machine, box, car, inertial, joint, link, shape
 
 
@@ -222,6 +224,18 @@ def test_a_robot_by_its_file_is_the_same_robot(tmp_path):
     assert robot.drive.max_speed == 2.0
 
 
+def test_robots_of_a_kilogram_and_of_a_ton_stand_and_drive(backend, tmp_path):
+    light = Machine(0.03, 0.03, 0.01, 0.03).body(0.9, "0.15 0.1 0.03").wheels((0.05, -0.05), 0.07)
+    heavy = Machine(0.4, 0.4, 0.2, 30.0).body(1000.0, "2 1 0.4").wheels((0.8, -0.8), 0.7)
+    for machine in (light, heavy):
+        robot = read(machine.write(tmp_path))
+        simulator = placed(backend, FLAT, torch.zeros(1, 3), robot)
+        states = drive(simulator, [[0.4, 0.0]], 40)
+        simulator.close()
+        assert -0.01 < states[-1].position[0, 2] < 0.001
+        assert states[-1].position[0, 0] - states[19].position[0, 0] == pytest.approx(0.4, abs=0.01)
+
+
 def test_a_file_that_changes_is_read_again(tmp_path):
     path = Machine().body(5.0).wheels((0.2, -0.2)).write(tmp_path)
     before = read(path)
@@ -314,7 +328,7 @@ REFUSED = [
     ),
     (
         lambda: Machine().body(more=shape("collision", '<mesh filename="package://my/body.stl"/>')).wheels((0.2, -0.2)),
-        "the mesh 'package://my/body.stl' does not exist.*missing=skip",
+        "the mesh 'package://my/body.stl' does not exist.*--robot.missing skip",
     ),
     (
         lambda: Machine().body().wheels((0.2,)).wheel("a", -0.2, 0.2, content="").wheel("b", -0.2, -0.2, content=""),

@@ -18,7 +18,7 @@ DRIVE = ROVER.drive
 
 
 def test_a_robot_is_read_from_its_urdf():
-    robot = Robot.from_urdf(ROVER.urdf, drive=DRIVE)
+    robot = Robot.from_urdf(ROVER.urdf, drive=DRIVE, collision_range=0.3)
     assert robot == ROVER
     assert robot.name == "rover_zero"
     assert (robot.wheels.radius, robot.wheels.width) == (0.122, 0.09)

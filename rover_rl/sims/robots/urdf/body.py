@@ -18,6 +18,8 @@ WHEELS_SHARE = 0.6
 """Largest share of the mass of a robot that its wheels and casters get."""
 SPINS = 0.1, 2.2
 """Least and largest moment of inertia of a wheel about its axle, by that of a disc of its mass."""
+GYRATION = 0.08, 1.0
+"""Least and largest radius of gyration of a body, by the diagonal of its boxes; that of an even box is about 0.3."""
 MASSES = 0.02, 20_000.0
 """Smallest and largest mass of a robot, kg."""
 SIZES = 0.03, 20.0
@@ -68,7 +70,8 @@ def box_mass(mass: float, center: np.ndarray, size: np.ndarray) -> Mass:
 def wheel_mass(mass: float, center: np.ndarray, radius: float, width: float, spin: float | None = None) -> Mass:
     """Returns a wheel about y: of even density, or with a moment of inertia about its axle, ``spin``."""
     spin = mass * radius**2 / 2 if spin is None else spin
-    turn = spin / 2 + mass * width**2 / 12
+    # A wheel of no width is a ball.
+    turn = spin / 2 + mass * width**2 / 12 if width else spin
     return Mass(mass, center, np.diag((turn, spin, turn)))
 
 
@@ -176,7 +179,7 @@ def split_mass(
     low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
     size = high - low
     gyration = np.sqrt(max(np.linalg.eigvalsh(rest.inertia)[-1], 0.0) / rest.mass)
-    if not rest.is_rigid or gyration > np.linalg.norm(size):
+    if not (rest.is_rigid and GYRATION[0] < gyration / np.linalg.norm(size) < GYRATION[1]):
         notes.append("the inertia of its body is not that of a rigid body of its size: that of a box is taken")
         rest = box_mass(rest.mass, rest.center, size)
     return rest, parts[0]._replace(center=np.zeros(3))

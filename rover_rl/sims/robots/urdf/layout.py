@@ -79,12 +79,12 @@ def _kind(placed: Placed, found: FoundWheels) -> DriveKind:
     if steered and not fixed:
         raise ValueError(
             f"all of its {2 * steered} wheels steer; no drive of this package has such wheels, unless they are held: "
-            "drive=skid_steer"
+            "--robot.drive skid_steer"
         )
     if steered > 1 or (steered and fixed > 1):
         raise ValueError(
             f"it has {2 * (fixed + steered)} wheels, of which {2 * steered} steer; the Ackermann drive has two that "
-            "steer and two that do not (drive=skid_steer holds them straight)"
+            "steer and two that do not (--robot.drive skid_steer holds them straight)"
         )
     if steered:
         return "ackermann"

@@ -119,7 +119,7 @@ def _body(placed: Placed, found: FoundWheels, missing: str, notes: list[str]) ->
         pieces = placed.pieces(others, visual, problems)
         if problems and missing == "error":
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-            raise ValueError(f"{problems[0]}{more}; missing=skip leaves such shapes of the body out")
+            raise ValueError(f"{problems[0]}{more}; --robot.missing skip leaves such shapes of the body out")
         if problems and (pieces or visual):
             notes.append(f"shapes of its body are left out, since they cannot be read ({len(problems)}): {problems[0]}")
         if pieces:

@@ -7,6 +7,7 @@ import json
 import logging
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -40,7 +41,8 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
     pieces = []
     scene = _load(path, data)
     for node in sorted(scene.graph.nodes_geometry):
-        transform, name = scene.graph[node]
+        frame: Any = scene.graph[node]
+        transform, name = frame
         mesh = scene.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             vertices = trimesh.transform_points(mesh.vertices, transform) @ turn.T
