@@ -94,3 +94,14 @@ def test_a_killed_driving_process_stops_the_rover(commands):
         driver.kill()
         driver.communicate()
     until(lambda: len(commands) > 10)
+
+
+def test_a_halt_stops_the_rover_for_good_whatever_the_driving_process_does(commands):
+    with Watchdog("/cmd_vel", LIVE, timeout=100.0) as watchdog:
+        watchdog.alive()
+        watchdog.halt()
+        until(lambda: len(commands) > 3)
+        watchdog.alive()
+        count = len(commands)
+        until(lambda: len(commands) > count + 10)
+    assert all(twist == Twist() for twist in commands)
