@@ -36,8 +36,8 @@ def measured_track(robot: Robot, backend: str = "warp") -> float:
 
     Example:
         >>> from rover_rl.sims.robots import get_robot
-        >>> round(measured_track(get_robot("jackal")), 2)
-        0.56
+        >>> round(measured_track(get_robot("husky")), 2)
+        1.04
     """
     drive = robot.drive
     if not isinstance(drive, SkidSteer):

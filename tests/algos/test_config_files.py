@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_rl.algos.config import ALGORITHMS, PARTS, TrainingConfig, training_config
@@ -69,6 +69,7 @@ def test_the_error_names_a_missing_file(tmp_path: Path) -> None:
         read_config(tmp_path / "none.yaml")
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_plain_data_is_the_inverse_of_reading(data: st.DataObject) -> None:
     algo = data.draw(st.sampled_from(list(ALGORITHMS)))

@@ -40,6 +40,10 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
     turn = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
     pieces = []
     scene = _load(path, data)
+    base = scene.graph.base_frame
+    if scene.graph.transforms.parents.get(base, base) != base:
+        # trimesh 4 takes the node for its base frame, and loses the transforms above it.
+        raise ValueError(f"{path} has a node {base!r} below another one; give it another name")
     for node in sorted(scene.graph.nodes_geometry):
         frame: Any = scene.graph[node]
         transform, name = frame

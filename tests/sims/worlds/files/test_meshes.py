@@ -91,7 +91,7 @@ def test_up_and_scale_are_options(tmp_path):
 
 def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
     path = saved(house(), tmp_path / "mirrored.gltf")
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text().replace('"world"', '"house"'))
     roots = data["scenes"][0]["nodes"]
     data["nodes"].append({"name": "mirror", "children": roots, "scale": [-2.0, 2.0, 2.0]})
     data["scenes"][0]["nodes"] = [len(data["nodes"]) - 1]
