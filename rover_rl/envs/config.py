@@ -485,7 +485,7 @@ class EnvConfig:
 
     @property
     def bounded_action(self) -> ActionConfig:
-        """Bounds of the action for :attr:`robot`: see :meth:`ActionConfig.for_robot`."""
+        """Bounds of the action for :attr:`robot`: see ``ActionConfig.for_robot``."""
         return self.action.for_robot(self.robot)
 
     @property

@@ -131,18 +131,18 @@ def make_simulator(
     """Builds a simulator.
 
     Args:
-            backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
-                example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
-            worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-            robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
-                simulate.
-            physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
-            connection: topics of a real rover. ``None`` uses those of the contract.
-            device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
-            control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
+        backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
+            example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
+        worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
+        robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
+            simulate.
+        physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
+        connection: topics of a real rover. ``None`` uses those of the contract.
+        device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
+        control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
 
     Raises:
-            ValueError: if the backend or the preset is unknown, it cannot simulate several robots, its settings have no
+        ValueError: if the backend or the preset is unknown, it cannot simulate several robots, its settings have no
             ``control_dt`` to change, or the ``make`` of a :class:`Backend` does not take these arguments or returns
             something else than a simulator.
     """

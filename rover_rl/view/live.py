@@ -28,7 +28,7 @@ FRAMES = 15  # number of updates of the page, 1/s
 class LivePage:
     """Page of a live rover. A context manager.
 
-    The stop button calls :attr:`on_stop` in the loop of the server, which waits for nothing else: neither for the
+    The stop button calls ``on_stop`` in the loop of the server, which waits for nothing else: neither for the
     policy nor for the thread that drives. From then on, :meth:`check` raises an error, and no action gets through.
 
     Args:
@@ -37,7 +37,7 @@ class LivePage:
     Attributes:
         address: address of the page.
         on_stop: function that stops the rover at once, such as
-            :meth:`Watchdog.halt <rover_rl.sims.ros2.watchdog.Watchdog.halt>`.
+            ``Watchdog.halt``.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:

@@ -56,7 +56,7 @@ class RandomPolicy(TensorDictModuleBase):
 class ScriptedPolicy(TensorDictModule):
     """Drives towards the goal and around obstacles that the lidar detects: see :func:`steer`.
 
-    Its distances are tuned for ``rover_zero`` and follow the outline of other robots: see :func:`lane_of`. A robot that
+    Its distances are tuned for ``rover_zero`` and follow the outline of other robots: see ``lane_of``. A robot that
     does not turn in place drives in arcs, forward and backward.
     """
 

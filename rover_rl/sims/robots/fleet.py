@@ -22,7 +22,7 @@ def largest_of(robots: Iterable[Robot]) -> Robot:
 class Fleet:
     """Robots of the rows of a batch.
 
-    Those who hold data of robots keep them by index, ``[K, ...]``, and look them up by :attr:`index`.
+    Those who hold data of robots keep them by index, ``[K, ...]``, and look them up by ``index``.
 
     Args:
         robots: the K robots that there are.
@@ -61,7 +61,7 @@ class Fleet:
 
     @property
     def largest(self) -> Robot:
-        """The robot that needs the most space: see :func:`largest_of`."""
+        """The robot that needs the most space: see ``largest_of``."""
         return largest_of(self.robots)
 
     def __len__(self) -> int:

@@ -79,7 +79,7 @@ def footprint(robot: Robot) -> Footprint:
 def collision_ranges(robot: Robot, beams: int, margin: float = COLLISION_MARGIN) -> np.ndarray:
     """Returns the lidar reading of each beam below which a robot is in collision: ``[beams]``, m.
 
-    It is :attr:`~rover_rl.sims.robots.Robot.collision_range` for all beams, if the robot states one. Otherwise, it is
+    It is ``robot.collision_range`` for all beams, if the robot states one. Otherwise, it is
     the distance along the beam from the lidar to where it leaves the footprint, and the ``margin``.
 
     Args:
