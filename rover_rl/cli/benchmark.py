@@ -160,17 +160,15 @@ class RoboTerrainBenchmark(_Benchmark):
 class Benchmark:
     """Run policies in the worlds of others, as their benchmarks do."""
 
-    benchmark: tyro.conf.OmitArgPrefixes[
-        Annotated[
-            Union[  # noqa: UP007
-                Annotated[BarnBenchmark, tyro.conf.subcommand("barn", prefix_name=False)],
-                Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
-                Annotated[DynaBarnBenchmark, tyro.conf.subcommand("dynabarn", prefix_name=False)],
-                Annotated[RosJackalBenchmark, tyro.conf.subcommand("ros-jackal", prefix_name=False)],
-                Annotated[RoboTerrainBenchmark, tyro.conf.subcommand("roboterrain", prefix_name=False)],
-            ],
-            tyro.conf.arg(name=""),
-        ]
+    benchmark: Annotated[
+        Union[  # noqa: UP007
+            Annotated[BarnBenchmark, tyro.conf.subcommand("barn", prefix_name=False)],
+            Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
+            Annotated[DynaBarnBenchmark, tyro.conf.subcommand("dynabarn", prefix_name=False)],
+            Annotated[RosJackalBenchmark, tyro.conf.subcommand("ros-jackal", prefix_name=False)],
+            Annotated[RoboTerrainBenchmark, tyro.conf.subcommand("roboterrain", prefix_name=False)],
+        ],
+        tyro.conf.arg(name=""),
     ]
     """Benchmark to run."""
 
