@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -26,19 +25,9 @@ FLAT = World("flat", Terrain.flat((24.0, 24.0)))
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", ("outcome", "mover_contact"))
 
 
-SIMULATORS = {"warp": "WarpSimulator", "bullet": "BulletSimulator", "mujoco": "MujocoSimulator"}
-
-
-def lets_push(backend: str) -> bool:
-    module = importlib.import_module(f"rover_rl.sims.{backend}.simulator")
-    return hasattr(getattr(module, SIMULATORS[backend]), "meet")
-
-
 @pytest.fixture(params=["warp", "bullet", pytest.param("mujoco", marks=needs_mujoco)])
 def backend(request: pytest.FixtureRequest) -> str:
     """Name of a simulator in which rovers push one another."""
-    if not lets_push(request.param):
-        pytest.skip(f"movers do not push rovers in {request.param} yet")
     return request.param
 
 

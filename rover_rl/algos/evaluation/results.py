@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +35,7 @@ from rover_rl.sims.worlds import World
 WORST = 6  # number of worlds with the lowest success rates that are named and drawn
 
 
-class _Results:
+class _Results(ABC):
     """What the results of both modes have in common."""
 
     name: str
@@ -48,14 +49,14 @@ class _Results:
         return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
 
     @property
+    @abstractmethod
     def _places(self) -> World | list[World]:
         """World of all episodes, or of each."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def _first_seed(self) -> int:
         """Seed of the first episode."""
-        raise NotImplementedError
 
     @cached_property
     def robots(self) -> list[Robot]:

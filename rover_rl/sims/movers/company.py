@@ -11,14 +11,12 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.movers.parts import MAX_SPEED
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.description import Description, Frame, Shape
 from rover_rl.sims.robots.footprint import half_sizes
 from rover_rl.sims.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
 from rover_rl.sims.worlds.movers.shapes import Part
-
-MAX_SPEED = 20.0
-"""Speed above which a rover is put from one place to another, and pushes nothing in between, m/s."""
 
 
 class Solids(NamedTuple):

@@ -27,8 +27,6 @@ STRIDE = 1.3
 """Length of a stride of a walking mover, in which each leg swings forward and back, m: two steps of 0.65 m."""
 FULL_SWING = 1.2
 """Speed from which on legs swing with their whole amplitude, m/s."""
-MAX_SPEED = 20.0
-"""Speed above which a mover is put from one place to another, and pushes nothing in between, m/s."""
 _MOVERS, _DRAWS = 32, 33
 """Streams of random numbers."""
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+MAX_SPEED = 20.0
+"""Speed above which a solid is put from one place to another, and pushes nothing in between, m/s."""
+
 
 @dataclass
 class Parts:

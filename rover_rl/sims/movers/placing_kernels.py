@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from rover_rl.sims.movers.parts import MAX_SPEED
 from rover_rl.sims.native.warp import wp
 
 PI = wp.constant(3.14159265358979)
-MAX_SPEED = wp.constant(20.0)
-"""Speed above which a part is put from one place to another, and pushes nothing in between, m/s."""
+FASTEST = wp.constant(MAX_SPEED)
 
 
 @wp.struct
@@ -99,7 +99,7 @@ def place_parts(
     velocity = (position - placed.position[row, part]) / dt
     change = yaw - placed.yaw[row, part]
     change = change - 2.0 * PI * wp.round(change / (2.0 * PI))
-    if begins or not wp.length(velocity) <= MAX_SPEED:
+    if begins or not wp.length(velocity) <= FASTEST:
         velocity = wp.vec3(0.0, 0.0, 0.0)
         change = 0.0
     placed.position[row, part] = position

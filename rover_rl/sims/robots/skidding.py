@@ -55,7 +55,6 @@ def effective_track(points: np.ndarray, sides: Sequence[int], center: Sequence[f
         slip = ahead - turn * y + signs, left + turn * x
         return float(loads @ np.sqrt(slip[0] ** 2 + slip[1] ** 2 + _ROUNDING**2))
 
-    turn = minimize(power, np.array((0.0, 0.0, 0.5)), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12}).x[
-        2
-    ]
-    return float(2 * scale / turn)
+    tolerances = {"xatol": 1e-6, "fatol": 1e-12}
+    least = minimize(power, np.array((0.0, 0.0, 0.5)), method="Nelder-Mead", options=tolerances)
+    return float(2 * scale / least.x[2])
