@@ -265,9 +265,10 @@ class TrainingConfig:
         network, entries = self.network, {*self.network.observation}
         if not network.hidden or not all(1 <= units <= MAX_COUNT for units in network.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {network.hidden}")
-        if network.prior == "route" and (network.memory != "none" or not {"lidar", "imu", "route"} <= entries):
+        needed = _entries_of_prior(self.env) if network.prior == "route" else []
+        if needed and (network.memory != "none" or not {*needed} <= entries):
             raise ValueError(
-                "prior='route' needs lidar, imu and route in observation and memory='none', got "
+                f"prior='route' needs {', '.join(needed[:-1])} and {needed[-1]} in observation and memory='none', got "
                 f"{network.observation} and {network.memory!r}"
             )
         if network.north_up and not {"lidar", "imu", "target"} <= entries:
@@ -339,6 +340,17 @@ _POSITIVE = (
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
 _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
+
+
+def _entries_of_prior(env: EnvConfig) -> list[str]:
+    """Returns what the driver who follows the route reads: of cars also the speed, of different robots their size."""
+    from rover_rl.sims.robots import get_robots
+
+    robots = get_robots(env.robot)
+    turning = [] if all(robot.drive.turns_in_place for robot in robots) and len(robots) == 1 else ["velocities"]
+    return ["lidar", "imu", *turning, *(["robot"] if len(robots) > 1 else []), "route"]
+
+
 _CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
 
 

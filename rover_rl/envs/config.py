@@ -128,7 +128,7 @@ class ActionConfig:
     Args:
         min_speed: Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive.
         max_speed: Maximum forward speed, m/s. Default: that of the robot's drive.
-        max_turn: Maximum absolute heading offset, rad.
+        max_turn: Maximum absolute heading offset, rad. It is at most that at which the robot turns as fast as it can.
         max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has
             no such component.
 
@@ -151,10 +151,15 @@ class ActionConfig:
             raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
         check_at_least(0, MAX_NUMBER, max_sideways=self.max_sideways)
 
-    def for_robot(self, robot: RobotLike) -> ActionConfig:
+    def for_robot(self, robot: RobotLike, gain: float = 2.0) -> ActionConfig:
         """Returns the bounds for a robot: where no speed is stated, that of its drive, in both directions.
 
-        Those of several robots are those of the fastest one. The others drive at most as fast as they can.
+        Those of several robots are those of the fastest one, and of the one that turns fastest. The others drive and
+        turn at most as fast as they can.
+
+        Args:
+            robot: robot, or several.
+            gain: yaw rate for each radian of the heading offset, 1/s.
 
         Raises:
             ValueError: if the robot is unknown, or the stated speed leaves no range with that of the drive.
@@ -163,15 +168,16 @@ class ActionConfig:
             >>> ActionConfig(min_speed=0.0).for_robot("rover_zero").max_speed
             1.0
         """
-        if self.min_speed is not None and self.max_speed is not None:
-            return self
         from rover_rl.sims.robots import get_robots
 
-        most = max(robot.drive.max_speed for robot in get_robots(robot))
+        robots = get_robots(robot)
+        most = max(robot.drive.max_speed for robot in robots)
+        turn = max(robot.drive.fastest_turn(robot.wheels) for robot in robots)
         return replace(
             self,
             min_speed=-most if self.min_speed is None else self.min_speed,
             max_speed=most if self.max_speed is None else self.max_speed,
+            max_turn=min(self.max_turn, turn / gain) if gain > 0 else self.max_turn,
         )
 
 
@@ -486,7 +492,7 @@ class EnvConfig:
     @property
     def bounded_action(self) -> ActionConfig:
         """Bounds of the action for :attr:`robot`: see ``ActionConfig.for_robot``."""
-        return self.action.for_robot(self.robot)
+        return self.action.for_robot(self.robot, self.heading_gains.kp)
 
     @property
     def control_dt(self) -> float:

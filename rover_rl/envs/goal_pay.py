@@ -75,7 +75,7 @@ def _step(env: EnvConfig, goal: bool) -> tuple[TensorDictBase, TensorDictBase]:
             outcome[count] = torch.randint(1, env.length + 1, (_STEPS, 1), generator=generator)
         return made
 
-    action = bounded_spec(action_bounds(env.action, env.robot), (_STEPS,), None).zero()
+    action = bounded_spec(action_bounds(env.bounded_action), (_STEPS,), None).zero()
     before: TensorDictBase = drawn().set("action", action)
     nothing = TensorDict({"reward": torch.zeros(_STEPS, 1), "done": torch.zeros(_STEPS, 1, dtype=torch.bool)}, [_STEPS])
     return before, drawn().update(nothing)

@@ -207,7 +207,7 @@ class RoverEnv(EnvBase):
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = HeadingController(self.num_envs, gains, device)
         self._localization = Localization(config.pose)
-        size = len(specs.action_bounds(config.action, config.robot).low)
+        size = len(specs.action_bounds(config.bounded_action).low)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
@@ -380,7 +380,7 @@ class RoverEnv(EnvBase):
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
-        action = specs.action_bounds(self.config.action, self.config.robot)
+        action = specs.action_bounds(self.config.bounded_action)
         bounds = {key: sensor.bounds for key, sensor in self.sensors.items()}
         several, moving = len(self.pool) > 1, self._has_movers
         self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, several, moving)

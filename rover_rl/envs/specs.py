@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
-from rover_rl.envs.config import ActionConfig, EnvConfig, RobotLike
+from rover_rl.envs.config import ActionConfig, EnvConfig
 from rover_rl.envs.privileged import FEATURES as PRIVILEGED
 from rover_rl.envs.task import EVENTS, StepEvent
 
@@ -31,12 +31,13 @@ class Bounds:
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
-def action_bounds(action: ActionConfig, robot: RobotLike = EnvConfig.robot) -> Bounds:
+def action_bounds(action: ActionConfig) -> Bounds:
     """Returns the bounds of forward speed (m/s), heading offset (rad) and, if there is one, speed to the left (m/s).
 
-    ``robot`` is that whose drive bounds the speed where ``action`` does not.
+    Where ``action`` states no speed, it is that of the default robot: see ``EnvConfig.bounded_action`` for others.
     """
-    action = action.for_robot(robot)
+    if action.min_speed is None or action.max_speed is None:
+        action = action.for_robot(EnvConfig.robot)
     assert action.min_speed is not None
     assert action.max_speed is not None
     sideways = (action.max_sideways,) if action.max_sideways else ()

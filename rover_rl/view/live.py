@@ -114,7 +114,7 @@ class _StoppableRunner(PolicyRunner):
 
     def __init__(self, policy: Policy, env: RoverEnv, page: LivePage) -> None:
         super().__init__(policy, env=env)
-        self._page, self._max_speed = page, action_bounds(env.config.action, env.config.robot).high[0]
+        self._page, self._max_speed = page, action_bounds(env.config.bounded_action).high[0]
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         action = super().__call__(observation, due)

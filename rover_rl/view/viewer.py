@@ -258,9 +258,7 @@ class Viewer:
     def _step(self) -> None:
         session, row = self.session, self.session.row
         by_hand = row if self.pilot.active else None
-        action = self.pilot.steered(
-            session.decide(), row, action_bounds(session.config.action, session.config.robot).high[0]
-        )
+        action = self.pilot.steered(session.decide(), row, action_bounds(session.config.bounded_action).high[0])
         self._before = self._now
         session.advance(action, by_hand)
         self._now = Pose.of(session.rovers.rover_state)

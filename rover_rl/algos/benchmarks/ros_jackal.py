@@ -97,7 +97,7 @@ class RosJackal(MovingSuite):
     def differences(self, env: EnvConfig) -> list[str]:
         """Returns how runs in an environment differ from the original benchmark."""
         told = super().differences(env)
-        if action_bounds(env.action, env.robot).high[0] <= 1.0:
+        if action_bounds(env.bounded_action).high[0] <= 1.0:
             told.append(
                 "Sliding walls of 1.0 to 1.5 m/s cannot be passed at 1 m/s: those worlds are for a faster robot."
             )

@@ -172,7 +172,7 @@ def describe_robot(env: EnvConfig) -> tuple[str, str]:
     """Returns what a robot is, and what its lidar is."""
     robot, lidar = get_robot(env.robot), env.lidar
     back, front, right, left = footprint(robot)
-    speed = action_bounds(env.action, robot).high[0]
+    speed = action_bounds(env.bounded_action).high[0]
     body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {speed:g} m/s"
     view = math.degrees(robot.lidar_view)
     seen = "" if robot.lidar_view == 2 * math.pi else f", of which {view:.0f} are seen"

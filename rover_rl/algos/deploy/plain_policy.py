@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from rover_rl.algos.config import NetworkConfig
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import action_spec, middle_and_half
+from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.suite import ROUTE
@@ -38,8 +38,8 @@ class PlainPolicy(nn.Module):
     the state of the memory. ``inputs`` and ``outputs`` are the names of arguments and results.
     """
 
-    _middle: Tensor
-    _half: Tensor
+    _low: Tensor
+    _high: Tensor
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
@@ -59,9 +59,9 @@ class PlainPolicy(nn.Module):
         self.state_size = self._map_size + self._memory_size
         self.inputs = input_names(settings)
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
-        middle, half = middle_and_half(action_spec(checkpoint.env.bounded_action))
-        self.register_buffer("_middle", middle)
-        self.register_buffer("_half", half)
+        space = action_spec(checkpoint.env.bounded_action).space
+        self.register_buffer("_low", space.low)
+        self.register_buffer("_high", space.high)
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Returns the action ``[N, 2]``, with a state also the next state ``[N, s]``, for the inputs ``[N, n]``."""
@@ -70,13 +70,14 @@ class PlainPolicy(nn.Module):
             read = (entries[key] for key in (*ROUTE_KEYS, BOUNDS))
             entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read)
             states.append(state)
-        observation = [entries[key] for key in self._observation]
+        observation, bounds = [entries[key] for key in self._observation], []
         if self._memory_size:
             loc, state = self._network(entries[STATE_IN][:, self._map_size :], *observation)
             states.append(state)
         else:
-            loc, _ = self._network(*observation)
-        action = self._middle + self._half * torch.tanh(loc)
+            loc, _, *bounds = self._network(*observation)
+        low, high = bounds or (self._low, self._high)
+        action = (high + low) / 2 + (high - low) / 2 * torch.tanh(loc)
         return (action, torch.cat(states, -1)) if states else action
 
 

@@ -176,7 +176,7 @@ def drive_towards(
     return torch.cat((speed, (lane.turn * angle).clamp(-math.pi, math.pi)), -1)
 
 
-def hit_points(lidar: Tensor, lidar_offset: float, middle: float = 0.5) -> tuple[Tensor, Tensor]:
+def hit_points(lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5) -> tuple[Tensor, Tensor]:
     """Returns x and y of the points that readings of a lidar hit, in the base frame, ``[..., points]`` each, m.
 
     A reading is taken to come from ``middle`` in its segment, a share of the segment.

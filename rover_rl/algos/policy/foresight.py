@@ -204,7 +204,7 @@ class ForesightPolicy(TensorDictModuleBase):
     @property
     def _speed(self) -> float:
         env = self._entered.env.config
-        return min(self._robot.drive.max_speed, action_bounds(env.action, env.robot).high[0])
+        return min(self._robot.drive.max_speed, action_bounds(env.bounded_action).high[0])
 
     def _body(self) -> Any:
         """Returns what a drive depends on of the robot, as the kernels read it."""

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from rover_rl.algos.policy.arcs import Body, drive_to
 from rover_rl.algos.policy.baselines import hit_points
 from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
 from rover_rl.algos.policy.slip import turn_gain
@@ -40,6 +42,7 @@ SLOPE = math.radians(5)
 # the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees.
 SHARP = math.radians(45)
 SLOPE_SPEED = 0.2  # speed in sharp turns on a slope, m/s
+POINTS = 64  # number of readings that arcs keep free of, each the nearest of its neighbors
 AHEAD = 1.5  # distance along the route to which maneuvers lead, in smallest radii
 
 
@@ -74,7 +77,7 @@ class GridPlanner(TensorDictModuleBase):
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
         if self._maneuvers is None:
-            return tensordict.set("action", follow(lidar, imu, route, self._robot))
+            return tensordict.set("action", follow(lidar, imu, route, Follower.of(self._robot)))
         velocities, max_range = tensordict["velocities"], self.made_for.lidar.max_range
         return tensordict.set("action", maneuver(lidar, imu, route, velocities, self._maneuvers, max_range))
 
@@ -104,7 +107,57 @@ def maneuver(
     return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 
 
-def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
+def follow_in_arcs(
+    lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, body: Body, lidar_x: Tensor | float
+) -> Tensor:
+    """Computes the action of robots that cannot turn in place, which follow their routes in arcs.
+
+    It is faster and coarser than :func:`maneuver`, and takes different robots.
+
+    Args:
+        lidar: lidar readings, ``[N, points]``, m.
+        imu: pitch, roll and yaw, ``[N, 3]``, rad.
+        route: route, ``[N, 5]``.
+        velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
+        body: robots.
+        lidar_x: x of the lidar, m.
+
+    Returns:
+        Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
+    """
+    points = lidar.shape[-1]
+    if points > POINTS and points % POINTS == 0:
+        lidar = lidar.unflatten(-1, (POINTS, points // POINTS)).amin(-1)
+    place = way_point(route, AHEAD * body.radius)
+    action = drive_to(place, route[:, 4:], *hit_points(lidar, lidar_x), velocities, body)
+    steep = imu[:, :1] < -STEEP
+    return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
+
+
+class Follower(NamedTuple):
+    """What :func:`follow` needs to know of robots, numbers or ``[..., 1]``.
+
+    Attributes:
+        front, back: x of both ends of the footprint, m.
+        half_width: half of its width, m.
+        lidar_x: x of the lidar, m.
+        turn_gain: heading offset for each radian to turn.
+    """
+
+    front: Tensor | float
+    back: Tensor | float
+    half_width: Tensor | float
+    lidar_x: Tensor | float
+    turn_gain: Tensor | float
+
+    @classmethod
+    def of(cls, robot: Robot) -> Follower:
+        """Returns that of a robot."""
+        outline = footprint(robot)
+        return cls(outline.front, outline.back, outline.half_width, robot.lidar_position[0], turn_gain(robot))
+
+
+def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower) -> Tensor:
     """Computes the action of a rover that follows its route.
 
     The heading offset is twice the angle to the first corner of the route for Rover Zero, and less for a robot that
@@ -116,16 +169,16 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
         lidar: lidar readings, ``[..., points]``, m.
         imu: pitch, roll and yaw, ``[..., 3]``, rad.
         route: route, ``[..., 5]``.
-        robot: robot whose footprint must stay free, and which turns in place.
+        robot: robots whose footprint must stay free, and which turn in place.
 
     Returns:
         Action ``[..., 2]``: forward speed (m/s) and heading offset (rad).
     """
-    outline, angle = footprint(robot), route[..., 1:2]
-    x, y = hit_points(lidar, robot.lidar_position[0])
-    aside = y.abs() > outline.half_width + MARGIN
-    ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - outline.front
-    behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + outline.back
+    angle = route[..., 1:2]
+    x, y = hit_points(lidar, robot.lidar_x)
+    aside = y.abs() > robot.half_width + MARGIN
+    ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - robot.front
+    behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + robot.back
     allowed = ((ahead - STOP) / SLOW).clamp(CREEP, 1.0)
     speed = angle.cos().clamp(min=0).square() * allowed
     sloped = imu[..., :2].norm(dim=-1, keepdim=True) > SLOPE
@@ -135,5 +188,5 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     # A positive pitch is nose down.
     steep = imu[..., :1] < -STEEP
     speed = torch.where(steep, BACK_DOWN, speed)
-    turn = torch.where(steep, 0.0, turn_gain(robot) * angle)
+    turn = torch.where(steep, 0.0, robot.turn_gain * angle)
     return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)

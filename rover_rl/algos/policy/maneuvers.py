@@ -262,7 +262,7 @@ def _corners(route: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     return columns[:2], columns[2:4]
 
 
-def way_point(route: Tensor, ahead: float) -> Tensor:
+def way_point(route: Tensor, ahead: Tensor | float) -> Tensor:
     """Returns the place on routes ``[N, 5]`` at most ``ahead`` (m) along them, in the base frame: ``[N, 2]``, m."""
     first, second = (distance * torch.cat((angle.cos(), angle.sin()), -1) for distance, angle in _corners(route))
     left = (ahead - route[:, :1]).clamp(min=0)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -18,16 +17,21 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
 from rover_rl.algos.config import MemoryKind, TrainingConfig
-from rover_rl.algos.policy.grid_planner import follow
 from rover_rl.algos.policy.recurrent import recurrent_network
+from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.base import Sensor, mirrored_signs
 from rover_rl.envs.sensors.standard import Target, WheelOdometry
-from rover_rl.envs.sensors.suite import ROUTE, policy_sensors
+from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import get_robot
+
+DRIVER = "driver"
+"""Entry of a batch of decisions: mean that the prior of a policy adds, before squashing, ``[..., 2]``."""
+BOUNDS_KEYS = ("low", "high")
+"""Entries of the bounds of an action by robot."""
 
 
 def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
@@ -55,15 +59,12 @@ class BoundedTanhNormal(TanhNormal):
 class EncodedNetwork(nn.Module):
     """Applies an encoder to the observation and a network, ``body``, to its features.
 
-    The features of a ``privileged`` encoder follow those of the observation. A ``prior`` maps ``lidar``, ``imu`` and
-    ``route`` to what is added to the mean.
+    The features of a ``privileged`` encoder follow those of the observation.
     """
 
-    def __init__(
-        self, encoder: ObservationEncoder, body: nn.Module, privileged: nn.Module | None = None, prior: Any = None
-    ) -> None:
+    def __init__(self, encoder: ObservationEncoder, body: nn.Module, privileged: nn.Module | None = None) -> None:
         super().__init__()
-        self.prior, self.encoder, self.body, self.privileged = prior, encoder, body, privileged
+        self.encoder, self.body, self.privileged = encoder, body, privileged
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Returns the output of ``body`` for the entries of the observation and of the privileged observation."""
@@ -71,11 +72,36 @@ class EncodedNetwork(nn.Module):
         features = self.encoder(*entries[:count])
         if self.privileged is not None:
             features = torch.cat((features, self.privileged(*entries[count:])), -1)
-        if self.prior is None:
-            return self.body(features)
-        loc, scale = self.body(features)
-        entry, reach = dict(zip(self.encoder.keys, entries, strict=False)), self.prior.REACH
-        return reach * torch.tanh(loc / reach) + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
+        return self.body(features)
+
+
+class ActorNetwork(EncodedNetwork):
+    """Mean, standard deviation and, for different robots, bounds of an action: ``[..., 2]`` each.
+
+    A ``prior`` is added to the mean. The bounds are those of the robots that the observation tells.
+    """
+
+    def __init__(
+        self, encoder: ObservationEncoder, body: nn.Module, spec: Bounded, prior: RoutePrior | None, by_robot: bool
+    ) -> None:
+        super().__init__(encoder, body)
+        self.prior, self.bounds, self.by_robot = prior, RowBounds(spec), by_robot
+        self.out_keys = ["loc", "scale", *(BOUNDS_KEYS if by_robot else ())]
+
+    def forward(self, *entries: Tensor) -> tuple[Tensor, ...]:
+        """Returns the outputs for the entries of the observation, followed by the prior where that is known."""
+        count = len(self.encoder.keys)
+        loc, scale = super().forward(*entries[:count])
+        entry = dict(zip(self.encoder.keys, entries, strict=False))
+        if self.prior is not None:
+            driver = entries[count] if len(entries) > count else self.driver(entry)
+            loc = self.prior.REACH * torch.tanh(loc / self.prior.REACH) + driver
+        return (loc, scale, *self.bounds(entry[ROBOT])) if self.by_robot else (loc, scale)
+
+    def driver(self, entry: Mapping[str, Tensor]) -> Tensor:
+        """Returns the prior for an observation, ``[..., 2]``."""
+        assert self.prior is not None
+        return self.prior(entry, *self.bounds(entry[ROBOT] if self.by_robot else None))
 
 
 class PrivilegedEncoder(nn.Module):
@@ -117,29 +143,6 @@ class _InBounds(nn.Module):
         self.register_buffer("_half", half, persistent=False)
 
 
-class RoutePrior(_InBounds):
-    """Mean of a squashed normal distribution at which the action is that of a driver who follows the route.
-
-    A policy that adds to it begins as that driver, and learns what to do better (T. Silver, K. Allen, J. Tenenbaum, L.
-    Kaelbling, "Residual policy learning", 2018). The driver is :func:`~rover_rl.algos.policy.grid_planner.follow`,
-    within the bounds of the action.
-    """
-
-    LARGEST = 0.95  # largest part of the range of an action: an infinite mean would reach the bounds
-    REACH = 1.0
-    """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
-    driver does in rare places, such as backing out of a dead end, and gets stuck there."""
-
-    def __init__(self, robot: Robot, action: Bounded) -> None:
-        super().__init__(action)
-        self._robot = robot
-
-    def forward(self, lidar: Tensor, imu: Tensor, route: Tensor) -> Tensor:
-        """Returns the mean before squashing, ``[..., 2]``, for these entries of an observation."""
-        share = (follow(lidar, imu, route, self._robot) - self._middle) / self._half
-        return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
-
-
 def encoder_of(config: TrainingConfig) -> ObservationEncoder:
     """Creates the encoder of the observation of a policy with these settings."""
     network, env = config.network, config.env
@@ -151,9 +154,10 @@ def actor_of(
 ) -> ProbabilisticActor:
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
-    follower = None if network.prior == "none" else get_robot(env.robot)
+    by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation
+    prior = None if network.prior == "none" else RoutePrior(None if by_robot else get_robot(env.robot))
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
-    return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, follower)
+    return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot)
 
 
 def make_actor(
@@ -164,7 +168,8 @@ def make_actor(
     device: torch.device | str | None = None,
     memory: MemoryKind = "none",
     memory_size: int = 128,
-    follower: Robot | None = None,
+    prior: RoutePrior | None = None,
+    by_robot: bool = False,
 ) -> ProbabilisticActor:
     """Creates a stochastic policy: a tanh-squashed normal distribution within the action's bounds.
 
@@ -177,8 +182,8 @@ def make_actor(
         memory: kind of memory between the hidden layers and the last layer. With a memory, the policy reads and writes
             a state: see ``rover_rl.algos.policy.recurrent``.
         memory_size: number of units of the memory.
-        follower: robot that follows the route, to whose action the policy adds: see :class:`RoutePrior`. It goes with
-            no memory. ``None``: the policy starts from nothing.
+        prior: driver to whose action the policy adds. It goes with no memory. ``None``: the policy starts from nothing.
+        by_robot: whether the bounds are those of the robot of each row, which the observation tells. Without memory.
 
     Returns:
         A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of the
@@ -193,9 +198,8 @@ def make_actor(
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     if memory == "none":
         body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
-        prior = None if follower is None else RoutePrior(follower, spec)
-        network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), prior=prior)
-        return _actor(TensorDictModule(network, [*encoder.keys], ["loc", "scale"]).to(device), spec)
+        network = ActorNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), spec, prior, by_robot)
+        return _actor(TensorDictModule(network, [*encoder.keys], network.out_keys).to(device), spec)
     *layers, units = hidden
     body = nn.Sequential(_mlp(encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
     embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
@@ -208,10 +212,27 @@ def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     return _actor(TensorDictModule(actor[0].module.body, ["features"], ["loc", "scale"]), actor.spec["action"])
 
 
+def driver_of(actor: ProbabilisticActor) -> Callable[[TensorDictBase], Tensor] | None:
+    """Returns the driver that an actor adds to, a function from observations to :data:`DRIVER`. ``None``: no driver."""
+    network = getattr(actor[0], "module", None)
+    if not isinstance(network, ActorNetwork) or network.prior is None:
+        return None
+    keys = network.prior.keys
+    return lambda observation: network.driver({key: observation[key] for key in keys})
+
+
+def with_driver(actor: ProbabilisticActor) -> ProbabilisticActor:
+    """Returns an actor with the same weights that reads what its driver does, :data:`DRIVER`, which takes long."""
+    network = actor[0].module
+    reads = [*network.encoder.keys, DRIVER]
+    return _actor(TensorDictModule(network, reads, network.out_keys), actor.spec["action"])
+
+
 def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
-    bounds = {"low": spec.space.low, "high": spec.space.high}
+    keys = [key for key in network.out_keys if key in ("loc", "scale", *BOUNDS_KEYS)]
+    bounds = {} if BOUNDS_KEYS[0] in keys else {"low": spec.space.low, "high": spec.space.high}
     distribution = {"distribution_class": BoundedTanhNormal, "distribution_kwargs": bounds}
-    return ProbabilisticActor(network, ["loc", "scale"], spec=spec, **distribution, return_log_prob=True)
+    return ProbabilisticActor(network, keys, spec=spec, **distribution, return_log_prob=True)
 
 
 class NormalParameters(nn.Module):
@@ -300,6 +321,7 @@ _MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
     ("privileged", "local_map"): mirrored_map,
 }
 """Mirror images of what is no entry of a policy's observation. The mirror of the world is the x axis."""
+_MIRROR[DRIVER] = _MIRROR["action"]
 _SENSORS = policy_sensors(LidarConfig())  # sensors of every rover
 
 

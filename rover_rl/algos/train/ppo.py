@@ -25,8 +25,18 @@ from torchrl.objectives.value import GAE
 
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy.expert import PrivilegedExpert
-from rover_rl.algos.policy.grid_planner import follow
-from rover_rl.algos.policy.networks import action_spec, actor_of, encoder_of, make_critic, middle_and_half, mirrored
+from rover_rl.algos.policy.grid_planner import Follower, follow
+from rover_rl.algos.policy.networks import (
+    DRIVER,
+    action_spec,
+    actor_of,
+    driver_of,
+    encoder_of,
+    make_critic,
+    middle_and_half,
+    mirrored,
+    with_driver,
+)
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
@@ -52,8 +62,10 @@ class PPOLearner(Learner):
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
+        self._driver = driver_of(self.actor)
+        driven = self.actor if self._driver is None else with_driver(self.actor)
         self._loss = ClipPPOLoss(
-            self.actor,
+            driven,
             self.critic,
             clip_epsilon=settings.clip,
             entropy_coeff=settings.entropy_coef,
@@ -63,7 +75,7 @@ class PPOLearner(Learner):
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
         self._expert = _make_expert(config) if settings.imitation else None
         self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, encoder.sensors)
-        inputs = dict.fromkeys((*self.actor.in_keys, *self.critic.in_keys))
+        inputs = dict.fromkeys((*driven.in_keys, *self.critic.in_keys))
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
@@ -72,6 +84,8 @@ class PPOLearner(Learner):
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
+            if self._driver is not None:
+                batch[DRIVER] = self._driver(batch)
         decisions = batch.select(*self._training_keys)
         imitating = self._expert is not None and share < self._settings.imitation
         terms = ["loss_objective", "loss_critic", "loss_entropy"]
@@ -135,7 +149,8 @@ def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
     assert isinstance(config.algorithm, PPOConfig)
     robot = get_robot(config.env.robot)
     if config.algorithm.expert == "route":
-        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], robot)
+        follower = Follower.of(robot)
+        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], follower)
     return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action
 
 

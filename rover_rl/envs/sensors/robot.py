@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,18 +15,42 @@ from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.robots.skidding import yaw_gain
 
-TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 0.2, 0.4, 2 * math.pi)
+TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 1.0, 0.2, 0.2, 0.4, 2 * math.pi)
 """Values that networks read as 1, or -1."""
+
+
+class RobotNumbers(NamedTuple):
+    """Values of the sensor, ``[..., 1]`` each: see :class:`RobotBody`."""
+
+    behind: Tensor
+    ahead: Tensor
+    half_width: Tensor
+    max_speed: Tensor
+    max_yaw_rate: Tensor
+    min_radius: Tensor
+    pivot: Tensor
+    yaw_gain: Tensor
+    lidar_x: Tensor
+    lidar_y: Tensor
+    lidar_z: Tensor
+    lidar_view: Tensor
+
+    @classmethod
+    def of(cls, values: Tensor) -> RobotNumbers:
+        """Returns the columns of values ``[..., 12]``."""
+        return cls(*values.split(1, -1))
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBody(Sensor):
-    """Size and limits of the robot, ``[N, 10]``, so that one policy can drive different robots.
+    """Size and limits of the robot, ``[N, 12]``, so that one policy can drive different robots.
 
     Reach of the footprint behind and ahead of the origin and half its width (m), largest speed (m/s) and yaw rate
-    (rad/s), smallest radius of a turn (m; 0 for a robot that turns in place), position of the lidar (m), and the angle
-    that it sees (rad).
+    (rad/s), smallest radius of a turn (m; 0 for a robot that turns in place), x of the line on which the centers of its
+    turns lie (m), yaw rate of the body relative to that of its wheels, which slip, position of the lidar (m), and the
+    angle that it sees (rad).
 
     Example:
         >>> env = RoverEnv(num_envs=2, seed=0, sensors=["robot"])
@@ -34,9 +59,10 @@ class RobotBody(Sensor):
     """
 
     name: str = "robot"
-    mirror_signs = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0)
+    mirror_signs = (*(1.0 for _ in range(9)), -1.0, 1.0, 1.0)
     bounds = Bounds(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, -5.0, 0.0, 0.0), (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 5.0, 5.0, 7.0)
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, -5.0, -5.0, 0.0, 0.0),
+        (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 10.0, 5.0, 5.0, 5.0, 7.0),
     )
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
@@ -58,5 +84,6 @@ def body_of(robot: Robot) -> list[float]:
     """Returns the numbers of a robot: see :class:`RobotBody`."""
     outline, drive = footprint(robot), robot.drive
     size = [-outline.back, outline.front, outline.half_width]
-    limits = [drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels)]
-    return [*size, *limits, *robot.lidar_position, robot.lidar_view]
+    limits = [drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels)]
+    turns = [drive.pivot(robot.wheels), yaw_gain(robot)]
+    return [*size, *limits, *turns, *robot.lidar_position, robot.lidar_view]

@@ -162,6 +162,11 @@ class Drive(ABC):
         """Returns the smallest radius of a turn, m."""
         return 0.0
 
+    def fastest_turn(self, wheels: Wheels) -> float:
+        """Returns the largest yaw rate, at any speed up to the largest one, rad/s."""
+        radius = self.min_radius(wheels)
+        return min(self.max_yaw_rate, self.max_speed / radius) if radius > 0 else self.max_yaw_rate
+
     def pivot(self, wheels: Wheels) -> float:
         """Returns x of the line across the robot on which the centers of its turns lie, m."""
         return 0.0

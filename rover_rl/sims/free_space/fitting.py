@@ -26,7 +26,8 @@ def passage_scale(robot: Robot, radius: float | None = None) -> float:
     """Returns the scale of generated worlds that fit a robot: 1 or more, in steps of 0.1.
 
     The disc of the robot fits as that of Rover Zero does. In a corridor of a maze, a robot that does not turn in place
-    has room for its disc on both sides of a turning circle's radius, in which it can turn around in three parts.
+    has room for its disc on both sides of a turning circle's radius, in which it can turn around in three parts. One
+    whose lidar does not see behind has room for its whole turning circle, and need not drive backward.
 
     Args:
         robot: robot.
@@ -36,7 +37,8 @@ def passage_scale(robot: Robot, radius: float | None = None) -> float:
         ValueError: if it would be more than 10.
     """
     radius = robot.radius if radius is None else radius
-    turning = robot.drive.min_radius(robot.wheels) + 2 * radius
+    circle = robot.drive.min_radius(robot.wheels) * (1 if robot.sees_behind else 2)
+    turning = circle + 2 * radius
     needed = max(radius / DISC, 0.0 if robot.drive.turns_in_place else turning / CORRIDOR)
     scale = max(1.0, math.ceil(10 * needed - 1e-6) / 10)
     if scale > SCALES[1]:

@@ -297,16 +297,17 @@ def _with_a_way_ahead(
     in the whole world, all stay.
     """
     ahead = torch.zeros_like(headings)
-    steps = grid.cell * torch.arange(1, 2 + math.ceil(robot.drive.min_radius(robot.wheels) / grid.cell))
-    rows, columns = reached.shape
-    free = torch.from_numpy(reached)
+    steps = np.arange(1, 2 + math.ceil(robot.drive.min_radius(robot.wheels) / grid.cell))
+    margin, (rows, columns), at = steps[-1] + 1, reached.shape, cells_of(grid, cells)
+    free = np.pad(reached, margin)
     for number in range(HEADINGS):
         yaw = (number + 0.5) * 2 * math.pi / HEADINGS - math.pi
-        way = steps[:, None, None] * torch.tensor((math.cos(yaw), math.sin(yaw)), dtype=torch.float64)
-        row, column = cells_of(grid, cells + way)
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        clear = (inside & free[row.clamp(0, rows - 1), column.clamp(0, columns - 1)]).all(0)
-        ahead |= clear.long() << number
+        # From the center of any cell, the same number of cells up and to the side.
+        way = np.unique(np.floor(0.5 + steps[:, None] * np.array((math.sin(yaw), math.cos(yaw)))).astype(int), axis=0)
+        clear = np.ones(reached.shape, bool)
+        for up, aside in margin + way:
+            clear &= free[up : up + rows, aside : aside + columns]
+        ahead |= torch.from_numpy(clear)[at].long() << number
     kept = headings & ahead
     return (cells[kept != 0], kept[kept != 0]) if kept.any() else (cells, headings)
 

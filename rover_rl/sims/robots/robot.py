@@ -25,6 +25,10 @@ WEAKEST, WEAK = 2.0, 15.0
 _GRAVITY = 9.81
 
 
+FULL_VIEW = math.radians(340)
+"""Angle that a lidar sees from which on it sees what is behind the robot, rad."""
+
+
 @dataclass(frozen=True)
 class Robot:
     """A rover: a body, a drive and sensors. Masses, inertias, wheels, shapes and colors are those of its URDF.
@@ -110,6 +114,11 @@ class Robot:
         if self.radius is None:
             object.__setattr__(self, "radius", math.ceil(100 * footprint(self).corner - 1e-9) / 100)
         check_plausibility(self)
+
+    @property
+    def sees_behind(self) -> bool:
+        """Whether the lidar sees a full turn, or nearly so: :data:`FULL_VIEW`."""
+        return self.lidar_view > FULL_VIEW
 
     @classmethod
     def from_urdf(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
-from rover_rl.algos.policy.grid_planner import GridPlanner, follow
+from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.config import TaskConfig
 from rover_rl.sims.robots import get_robot
@@ -55,13 +55,16 @@ UPHILL, ASIDE, STEEP = (torch.tensor(tilt) for tilt in ((-0.2, 0.0, 0.0), (0.0, 
 def test_it_follows_its_route_as_the_ground_permits(
     lidar: Tensor, imu: Tensor, angle: float, speeds: tuple[float, float], turn: float
 ) -> None:
-    speed, offset = follow(lidar, imu, route(angle), ROBOT).tolist()
+    speed, offset = follow(lidar, imu, route(angle), Follower.of(ROBOT)).tolist()
     assert speeds[0] <= speed <= speeds[1]
     assert offset == pytest.approx(turn)
 
 
 def test_in_front_of_a_wall_it_slows_down() -> None:
-    speeds = [float(follow(wall(distance, 0.0), LEVEL, route(0.0), ROBOT)[0]) for distance in (3.0, 0.5, 0.3, 0.1)]
+    speeds = [
+        float(follow(wall(distance, 0.0), LEVEL, route(0.0), Follower.of(ROBOT))[0])
+        for distance in (3.0, 0.5, 0.3, 0.1)
+    ]
     assert speeds == sorted(speeds, reverse=True)
 
 

@@ -1,0 +1,217 @@
+"""Driving in arcs: robots that do not turn in place, among what their lidars see.
+
+A robot with a smallest turning radius reaches a place beside or behind it by driving back and forth, as J. A. Reeds and
+L. A. Shepp describe without obstacles ("Optimal paths for a car that goes both forwards and backwards", Pacific Journal
+of Mathematics 145, 1990). Here, it begins the arc from whose end the way to the place is the shortest, of a few
+curvatures, forward and backward, as long as the body touches nothing on them. The free length of an arc is exact for
+a rectangular body and points. Nothing is remembered: a robot that drives goes on in its direction unless a change of
+direction is worth its cost.
+
+All functions take robots of different size, a row each: see :class:`Body`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.config import HeadingGains
+
+RESERVE = 1.08  # smallest radius of an arc, relative to the robot's, for what steering lags behind
+RADII = (1.0, 2.0, 4.0)  # radii of arcs, in smallest ones
+LONGEST = 1.2  # length of the arcs that are compared, m; the radius, if that is longer
+ENDS = (0.25, 0.5, 1.0)  # shares of this length after which an arc may end
+SAFETY = 0.08  # distance that the body keeps, m
+MARGIN, MARGIN_COST = 0.15, 0.6  # distance below which an arc costs more, m, and cost, m
+FORWARD = 0.97  # cost of a meter forward, which lets the longest of equal arcs win, m
+REVERSE, BLIND = 1.4, 10.0  # cost of a meter backward, and of one to where the lidar does not see, m
+SWITCH = 0.4  # cost of a change between forward and backward, m
+MOVING = 0.08  # speed above which a robot drives in a direction, m/s
+BRAKING, DECELERATION = 0.8, 0.8  # time (s) and deceleration (m/s^2) with which it can stop at the end of an arc
+SIDEWAYS = 3.0  # largest acceleration to the side, m/s^2
+SLOWEST, FASTEST_BACK = 0.2, 0.6  # lowest speed, and highest speed backward, m/s
+PACE = 4.0  # speed that clearance beside the body permits beyond the lowest one, 1/s
+ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a place, where obstacles may stop it
+OBSTRUCTED = 2.0  # cost of a way to a place on which something is in the straight line, in smallest radii
+INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
+LEAD, LONGEST_LEAD = 0.3, 0.3  # time (s) and longest way (m) in which a robot goes on as it does before it is on an arc
+_BLOCKED = 1e6  # cost of an arc that is not free, m
+_TURN = 2 * math.pi
+
+
+class Body(NamedTuple):
+    """What arcs need to know of robots, ``[N, 1]`` each, m and m/s.
+
+    Attributes:
+        behind, ahead: reach of the footprint behind and ahead of the pivot, the middle of the rear axle.
+        half_width: half of its width.
+        radius: smallest radius of the arcs of the pivot.
+        pivot: x of the pivot in the base frame.
+        max_speed: largest speed.
+        reverse: cost of a meter backward: :data:`REVERSE`, or :data:`BLIND` where the lidar does not see behind.
+    """
+
+    behind: Tensor
+    ahead: Tensor
+    half_width: Tensor
+    radius: Tensor
+    pivot: Tensor
+    max_speed: Tensor
+    reverse: Tensor
+
+
+class Arcs(NamedTuple):
+    """Arcs of the pivot, the same for all robots, ``[A]`` each: gear (1 forward, -1 backward) and curvature (1/R)."""
+
+    gear: Tensor
+    curvature: Tensor
+
+    @classmethod
+    def all(cls, device: torch.device) -> Arcs:
+        """Returns straight lines, left and right arcs, forward and backward, in the order of :func:`free_lengths`."""
+        bends = [0.0, *(side / radius for radius in RADII for side in (1.0, -1.0))]
+        gears = torch.tensor([1.0, -1.0], device=device).repeat(len(bends))
+        return cls(gears, torch.tensor(bends, device=device).repeat_interleave(2))
+
+
+def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
+    """Returns the lengths of :class:`Arcs` that are free of points for robots, ``[N, A]``, m.
+
+    On an arc around a center C, a point turns around C in the frame of the body, at a distance d. It enters the
+    rectangle through the side at C or the front, ``min(acos((R - w) / d), asin(F / d))`` ahead of the pivot, or through
+    the other side behind the pivot, ``acos((R + w) / d)`` behind it, with half the width w and the reach F ahead.
+
+    Args:
+        x, y: points in the frame of the pivot, ``[N, P]``, m.
+        body: robots.
+        margin: distance that the body keeps, m. A point that is closer may get no closer.
+    """
+    gap = torch.maximum(y.abs() - body.half_width, torch.maximum(x - body.ahead, -body.behind - x))
+    kept = (0.9 * gap).clamp(max=margin)
+    wide, ahead, behind = body.half_width + kept, body.ahead + kept, body.behind + kept
+    solid = gap > 0
+    beside = solid & (y.abs() < wide)
+    lengths = [
+        (x - ahead).masked_fill(~beside | (x < 0), math.inf).amin(-1),
+        (-x - behind).masked_fill(~beside | (x > 0), math.inf).amin(-1),
+    ]
+    for ratio in RADII:
+        radius = ratio * body.radius
+        for side in (1.0, -1.0):
+            aside = radius - side * y
+            distance = torch.hypot(x, aside).clamp(min=1e-6)
+            angle = torch.atan2(x, aside)
+            inner, outer = radius - wide, radius + wide
+            at_side = (inner / distance).clamp(-1, 1).acos()
+            at_other = -(outer / distance).clamp(max=1).acos()
+            reached = solid & (distance > inner)
+            swung = solid & (distance > outer)
+            for gear, front, back in ((1.0, ahead, behind), (-1.0, behind, ahead)):
+                entry = torch.minimum(at_side, (front / distance).clamp(max=1).asin())
+                turn = (gear * angle - entry).remainder(_TURN)
+                turn = turn.masked_fill(~reached | (distance > torch.hypot(front, outer)), _TURN)
+                swing = (gear * angle - at_other).remainder(_TURN)
+                swing = swing.masked_fill(~swung | (distance > torch.hypot(back, outer)), _TURN)
+                lengths.append((radius * torch.minimum(turn, swing)).amin(-1))
+    return torch.stack(lengths, -1)
+
+
+def drive_to(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities: Tensor, body: Body) -> Tensor:
+    """Returns the actions of robots that drive to places among points, ``[N, 2]``: speed (m/s), heading offset (rad).
+
+    Args:
+        place: places in the base frame, ``[N, 2]``, m.
+        length: lengths of the whole routes, ``[N, 1]``, m: a long one is better driven forward.
+        x, y: points that the lidar hits, in the base frame, ``[N, P]``, m.
+        velocities: forward speed (m/s) and yaw rate (rad/s) of the robots, ``[N, 2]``.
+        body: robots.
+    """
+    arcs = Arcs.all(x.device)
+    # Until the wheels have turned, the robot goes on as it does: the arcs begin where it is then.
+    speed = velocities[:, :1]
+    lead = (LONGEST_LEAD / speed.abs().clamp(min=1e-3)).clamp(max=LEAD)
+    turned = lead * velocities[:, 1:]
+    way = lead * speed * torch.sinc(turned / _TURN)
+    moved = body.pivot + way * (turned / 2).cos(), way * (turned / 2).sin()
+    x, y = _in_frame(x, y, *moved, turned)
+    place = torch.cat(_in_frame(place[:, :1], place[:, 1:], *moved, turned), -1)
+    free = free_lengths(x, y, body, SAFETY)
+    longest = body.radius.clamp(min=LONGEST)
+    ends = torch.tensor(ENDS, device=x.device) * longest  # [N, E]
+    driven = torch.minimum(ends[:, None], free[..., None])  # [N, A, E]
+    curvature = arcs.curvature / body.radius  # [N, A]
+    effort = torch.where(arcs.gear > 0, FORWARD, body.reverse)[..., None]
+    cost = effort * driven + _way(driven, arcs.gear, curvature, place, length, x, y, body)
+    cost = cost + 0.05 * arcs.curvature.abs()[:, None] * driven
+    near = free_lengths(x, y, body, MARGIN)[..., None] < driven
+    cost = cost + MARGIN_COST * near
+    switches = (speed.abs() > MOVING) & (speed.sign() != arcs.gear)
+    cost = cost + SWITCH * switches[..., None]
+    cost, _ = (cost + _BLOCKED * (driven < 0.03)).min(-1)
+    best = cost.argmin(-1, keepdim=True)
+    gear, bend = arcs.gear[best], curvature.gather(-1, best)
+    room = free.gather(-1, best)
+    fastest = torch.where(gear > 0, body.max_speed, body.max_speed.clamp(max=FASTEST_BACK))
+    pace = torch.minimum(room / BRAKING, (2 * DECELERATION * room.clamp(min=0)).sqrt())
+    pace = torch.minimum(pace, (SIDEWAYS / bend.abs().clamp(min=1e-3)).sqrt())
+    gap = torch.maximum(y.abs() - body.half_width, torch.maximum(x - body.ahead, -body.behind - x))
+    pace = torch.minimum(pace, SLOWEST + PACE * (gap.amin(-1, keepdim=True) - SAFETY).clamp(min=0))
+    pace = torch.minimum(pace.clamp(min=SLOWEST), fastest)
+    forward = gear * torch.where(cost.gather(-1, best) >= _BLOCKED, SLOWEST, pace)
+    return torch.cat((forward, (forward * bend / HeadingGains.kp).clamp(-math.pi, math.pi)), -1)
+
+
+def _in_frame(x: Tensor, y: Tensor, x_frame: Tensor, y_frame: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns coordinates in a frame at a place with a heading, of x and y."""
+    x, y, cos, sin = x - x_frame, y - y_frame, heading.cos(), heading.sin()
+    return x * cos + y * sin, y * cos - x * sin
+
+
+def _way(
+    driven: Tensor, gear: Tensor, curvature: Tensor, place: Tensor, length: Tensor, x: Tensor, y: Tensor, body: Body
+) -> Tensor:
+    """Returns the cost of the way from the ends of arcs to places in the frame of the pivot, ``[N, A, E]``, m."""
+    way = gear[:, None] * driven
+    heading = way * curvature[..., None]
+    chord = way * torch.sinc(heading / _TURN)
+    x_end, y_end = chord * (heading / 2).cos(), chord * (heading / 2).sin()
+    dx, dy = place[:, None, :1] - x_end, place[:, None, 1:] - y_end
+    cos, sin = heading.cos(), heading.sin()
+    ahead, aside = dx * cos + dy * sin, (dy * cos - dx * sin).abs()
+    radius, gear = body.radius[..., None], gear[:, None]
+    forward = _arc_and_tangent(ahead, aside, radius) + SWITCH * (gear < 0)
+    reverse = body.reverse[..., None]
+    backward = reverse * _arc_and_tangent(-ahead, aside, radius) + SWITCH * (gear > 0)
+    cost = torch.minimum(forward, backward + (reverse - 1) * length.clamp(0, 6)[..., None])
+    return cost + OBSTRUCTED * radius * _obstructed(x_end, y_end, dx, dy, x, y, body.half_width)
+
+
+def _obstructed(
+    x_end: Tensor, y_end: Tensor, dx: Tensor, dy: Tensor, x: Tensor, y: Tensor, half_width: Tensor
+) -> Tensor:
+    """Returns whether points are in the lane straight from ends of arcs to places, bool ``[N, A, E]``."""
+    length = torch.hypot(dx, dy).clamp(min=1e-6)
+    ux, uy = dx / length, dy / length
+    past, beside = ux * x_end + uy * y_end, ux * y_end - uy * x_end
+    x, y = x[:, None, None], y[:, None, None]
+    ahead = ux[..., None] * x + uy[..., None] * y - past[..., None]
+    aside = ux[..., None] * y - uy[..., None] * x - beside[..., None]
+    lane = half_width[..., None, None] + SAFETY
+    return ((ahead > 0) & (ahead < length[..., None]) & (aside.abs() < lane)).any(-1)
+
+
+def _arc_and_tangent(ahead: Tensor, aside: Tensor, radius: Tensor) -> Tensor:
+    """Returns the cost of the way to places, ``ahead`` and ``aside`` of a pose: an arc and its tangent."""
+    across = aside - radius
+    distance = torch.hypot(ahead, across)
+    tangent = (distance.square() - radius.square()).clamp(min=0).sqrt()
+    # Angle of the arc: of the place around the center of the turn, less that of the tangent.
+    angle = torch.atan2(ahead, -across) - torch.acos((radius / distance.clamp(min=1e-6)).clamp(max=1))
+    angle = angle.remainder(_TURN)
+    # Rounding may turn no angle into a whole turn.
+    angle = torch.where(angle > _TURN - 1e-3, 0.0, angle)
+    inside = INSIDE * math.pi * radius + torch.hypot(ahead, aside)
+    return torch.where(distance < radius, inside, ARC * radius * angle + tangent)

@@ -1,0 +1,106 @@
+"""``RoutePrior``: driver who follows the route, to whose action a policy adds, for one robot or for any."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+from torchrl.data import Bounded
+
+from rover_rl.algos.policy.arcs import BLIND, RESERVE, REVERSE, Body
+from rover_rl.algos.policy.grid_planner import Follower, follow, follow_in_arcs
+from rover_rl.algos.policy.slip import YAW_GAIN
+from rover_rl.envs.config import HeadingGains
+from rover_rl.envs.sensors.robot import RobotNumbers, body_of
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.robot import FULL_VIEW
+
+
+class RowBounds(nn.Module):
+    """Bounds of the actions of different robots: those of an action spec, within what each robot can do.
+
+    A share of them means the same effort for a slow robot and for a fast one.
+    """
+
+    _low: Tensor
+    _high: Tensor
+
+    def __init__(self, spec: Bounded) -> None:
+        super().__init__()
+        self.register_buffer("_low", spec.space.low, persistent=False)
+        self.register_buffer("_high", spec.space.high, persistent=False)
+
+    def forward(self, robot: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Returns the lower and upper bounds for values of the sensor ``robot``, ``[..., 2]`` each.
+
+        ``None``: those of the action spec, ``[2]``.
+        """
+        if robot is None:
+            return self._low, self._high
+        numbers = RobotNumbers.of(robot)
+        most = torch.cat((numbers.max_speed, numbers.max_yaw_rate / HeadingGains.kp), -1)
+        return torch.maximum(self._low, -most), torch.minimum(self._high, most)
+
+
+class RoutePrior(nn.Module):
+    """Mean of a squashed normal distribution at which the action is that of a driver who follows the route.
+
+    A policy that adds to it begins as that driver, and learns what to do better (T. Silver, K. Allen, J. Tenenbaum, L.
+    Kaelbling, "Residual policy learning", 2018). The driver is :func:`~rover_rl.algos.policy.grid_planner.follow`, and
+    for robots that do not turn in place :func:`~rover_rl.algos.policy.grid_planner.follow_in_arcs`.
+
+    Args:
+        robot: robot that drives. ``None``: those that the sensor ``robot`` tells.
+
+    Attributes:
+        keys: entries of the observation that the driver reads.
+    """
+
+    LARGEST = 0.95  # largest part of the range of an action: an infinite mean would reach the bounds
+    REACH = 1.0
+    """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
+    driver does in rare places, such as backing out of a dead end, and gets stuck there."""
+
+    def __init__(self, robot: Robot | None) -> None:
+        super().__init__()
+        self._robot = robot
+        in_arcs = robot is None or not robot.drive.turns_in_place
+        self.keys = ("lidar", "imu", ROUTE, *(["velocities"] if in_arcs else []), *([ROBOT] if robot is None else []))
+
+    def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
+        """Returns the mean before squashing to bounds, ``[..., 2]``, for an observation."""
+        middle, half = (high + low) / 2, (high - low) / 2
+        share = (self._action(entry) - middle) / half
+        return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
+
+    def _action(self, entry: Mapping[str, Tensor]) -> Tensor:
+        """Returns the action of the driver, ``[..., 2]``: forward speed (m/s) and heading offset (rad)."""
+        lidar, imu, route = (entry[key] for key in ("lidar", "imu", ROUTE))
+        if self._robot is not None and self._robot.drive.turns_in_place:
+            return follow(lidar, imu, route, Follower.of(self._robot))
+        numbers = entry[ROBOT] if self._robot is None else lidar.new_tensor(body_of(self._robot))
+        numbers = numbers.expand(*lidar.shape[:-1], -1)
+        rows = (lidar, imu, route, entry["velocities"], numbers)
+        lidar, imu, route, velocities, numbers = (value.reshape(-1, value.shape[-1]) for value in rows)
+        robot = RobotNumbers.of(numbers)
+        action = follow_in_arcs(lidar, imu, route, velocities, _body(robot), robot.lidar_x)
+        if self._robot is None:
+            turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
+            follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
+            action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower))
+        return action.reshape(*entry["lidar"].shape[:-1], 2)
+
+
+def _body(numbers: RobotNumbers) -> Body:
+    """Returns what arcs need to know. A robot that turns in place has some small radius, which is not used."""
+    return Body(
+        behind=numbers.behind + numbers.pivot,
+        ahead=numbers.ahead - numbers.pivot,
+        half_width=numbers.half_width,
+        radius=RESERVE * numbers.min_radius.clamp(min=0.1),
+        pivot=numbers.pivot,
+        max_speed=numbers.max_speed,
+        reverse=torch.where(numbers.lidar_view > FULL_VIEW, REVERSE, BLIND),
+    )

@@ -1,0 +1,103 @@
+"""Arcs of robots that do not turn in place."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_rl.algos.policy.arcs import RADII, SAFETY, Arcs, Body, drive_to, free_lengths
+
+STEP = 0.01  # m
+
+
+def bodies(count: int = 1, **sizes: float) -> Body:
+    numbers = {
+        "behind": 0.2,
+        "ahead": 0.6,
+        "half_width": 0.3,
+        "radius": 0.9,
+        "pivot": -0.3,
+        "max_speed": 1.5,
+        "reverse": 1.4,
+    } | sizes
+    return Body(**{name: torch.full((count, 1), value) for name, value in numbers.items()})
+
+
+def driven_until_contact(x: float, y: float, body: Body, gear: float, curvature: float, longest: float) -> float:
+    """Length of an arc up to a pose in which a point is in the rectangle, by trying poses."""
+    way = gear * torch.arange(0.0, longest, STEP)
+    heading = way * curvature
+    chord = way * torch.sinc(heading / (2 * math.pi))
+    dx, dy = x - chord * (heading / 2).cos(), y - chord * (heading / 2).sin()
+    ahead, aside = dx * heading.cos() + dy * heading.sin(), dy * heading.cos() - dx * heading.sin()
+    inside = (-body.behind[0] < ahead) & (ahead < body.ahead[0]) & (aside.abs() < body.half_width[0])
+    return way.abs()[inside].min().item() if inside.any() else math.inf
+
+
+@settings(max_examples=30)
+@given(
+    place=st.tuples(st.floats(-3, 3), st.floats(-3, 3)),
+    size=st.tuples(st.floats(0.1, 0.4), st.floats(0.3, 0.8), st.floats(0.15, 0.4), st.floats(0.5, 1.5)),
+)
+def test_free_lengths_are_those_up_to_the_first_pose_in_contact(place, size):
+    body = bodies(**dict(zip(("behind", "ahead", "half_width", "radius"), size, strict=True)))
+    x, y = place
+    if -size[0] - STEP < x < size[1] + STEP and abs(y) < size[2] + STEP:
+        return  # in the body
+    arcs = Arcs.all(torch.device("cpu"))
+    free = free_lengths(torch.tensor([[x]]), torch.tensor([[y]]), body, 0.0)[0]
+    for gear, bend, length in zip(arcs.gear.tolist(), arcs.curvature.tolist(), free.tolist(), strict=True):
+        turn = 2 * math.pi * size[3] / abs(bend) if bend else 4.0
+        tried = driven_until_contact(x, y, body, gear, bend / size[3], turn)
+        if tried < turn - 3 * STEP:
+            # A corner of the body may touch a point within less than a step.
+            assert length <= tried + STEP
+            assert length >= tried - 0.1
+
+
+def act(place: tuple[float, float], points: list[tuple[float, float]], speed: float = 0.0, **sizes: float):
+    x, y = torch.tensor(points or [(50.0, 0.0)]).T[:, None]
+    action = drive_to(torch.tensor([place]), torch.tensor([[2.0]]), x, y, torch.tensor([[speed, 0.0]]), bodies(**sizes))
+    return action[0].tolist()
+
+
+def test_it_drives_straight_to_a_place_ahead_in_a_curve_to_one_beside_and_backs_off_from_a_wall():
+    assert act((3.0, 0.0), []) == [1.5, 0.0]
+    speed, offset = act((1.5, 1.2), [])
+    assert speed > 0.5
+    assert offset > 0.1
+    wall = [(0.45, y / 10) for y in range(-15, 16)]
+    assert act((-0.5, 1.5), wall)[0] < 0
+    # The mirror image of what it sees mirrors what it does.
+    assert act((1.5, -1.2), []) == pytest.approx([speed, -offset])
+
+
+def test_a_slow_robot_drives_at_its_speed_and_one_that_drives_goes_on_in_its_direction():
+    assert act((3.0, 0.0), [], max_speed=0.3)[0] == pytest.approx(0.3)
+    forward, backward = (act((-0.3, 1.2), [], speed)[0] for speed in (0.6, -0.4))
+    assert forward > 0 or backward < 0
+
+
+def test_no_turn_is_sharper_than_the_robot_can_drive():
+    generator = torch.Generator().manual_seed(0)
+    x, y = 3 * torch.randn(2, 64, 32, generator=generator)
+    place, nothing = 2 * torch.randn(64, 2, generator=generator), torch.zeros(64, 1)
+    action = drive_to(place, nothing + 3, x, y, torch.zeros(64, 2), bodies(64))
+    speed, offset = action.unbind(-1)
+    assert (2 * offset.abs() <= speed.abs() / 0.9 + 1e-5).all()
+    assert max(RADII) > min(RADII) == 1
+    assert SAFETY > 0
+
+
+def test_rows_do_not_depend_on_their_company():
+    generator = torch.Generator().manual_seed(1)
+    x, y = 3 * torch.randn(2, 8, 32, generator=generator)
+    place, velocities = torch.randn(2, 8, 2, generator=generator)
+    together = drive_to(place, place[:, :1].abs(), x, y, velocities, bodies(8))
+    rows = (place, place[:, :1].abs(), x, y, velocities)
+    alone = [drive_to(*(value[row : row + 1] for value in rows), bodies()) for row in range(8)]
+    assert torch.cat(alone).equal(together)
