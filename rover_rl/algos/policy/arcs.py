@@ -7,7 +7,7 @@ curvatures, forward and backward, as long as the body touches nothing on them. T
 a rectangular body and points. Nothing is remembered: a robot that drives goes on in its direction unless a change of
 direction is worth its cost.
 
-All functions take robots of different size, a row each: see :class:`Body`.
+All functions take robots of different size, a row each.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import HeadingGains
+from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.sims.robots.robot import FULL_VIEW
 
 RESERVE = 1.08  # smallest radius of an arc, relative to the robot's, for what steering lags behind
 RADII = (1.0, 2.0, 4.0)  # radii of arcs, in smallest ones
@@ -38,12 +41,13 @@ ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a 
 OBSTRUCTED = 2.0  # cost of a way to a place on which something is in the straight line, in smallest radii
 INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
 LEAD, LONGEST_LEAD = 0.3, 0.3  # time (s) and longest way (m) in which a robot goes on as it does before it is on an arc
+POINTS = 64  # number of readings that arcs keep free of, each the nearest of its neighbors
 _BLOCKED = 1e6  # cost of an arc that is not free, m
 _TURN = 2 * math.pi
 
 
 class Body(NamedTuple):
-    """What arcs need to know of robots, ``[N, 1]`` each, m and m/s.
+    """Robots in the frame of the pivot, ``[N, 1]`` each, m and m/s.
 
     Attributes:
         behind, ahead: reach of the footprint behind and ahead of the pivot, the middle of the rear axle.
@@ -61,6 +65,19 @@ class Body(NamedTuple):
     pivot: Tensor
     max_speed: Tensor
     reverse: Tensor
+
+    @classmethod
+    def of(cls, robot: RobotNumbers) -> Body:
+        """Returns that of robots. One that turns in place has some small radius."""
+        return cls(
+            behind=robot.behind + robot.pivot,
+            ahead=robot.ahead - robot.pivot,
+            half_width=robot.half_width,
+            radius=RESERVE * robot.min_radius.clamp(min=0.1),
+            pivot=robot.pivot,
+            max_speed=robot.max_speed,
+            reverse=torch.where(robot.lidar_view > FULL_VIEW, REVERSE, BLIND),
+        )
 
 
 class Arcs(NamedTuple):
@@ -119,15 +136,26 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
     return torch.stack(lengths, -1)
 
 
-def drive_to(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities: Tensor, body: Body) -> Tensor:
-    """Returns the actions of robots that drive to places among points, ``[N, 2]``: speed (m/s), heading offset (rad).
+def drive_to(place: Tensor, length: Tensor, lidar: Tensor, velocities: Tensor, robot: RobotNumbers) -> Tensor:
+    """Returns the actions of robots that drive to places, ``[N, 2]``: forward speed (m/s) and heading offset (rad).
 
     Args:
         place: places in the base frame, ``[N, 2]``, m.
         length: lengths of the whole routes, ``[N, 1]``, m: a long one is better driven forward.
-        x, y: points that the lidar hits, in the base frame, ``[N, P]``, m.
+        lidar: lidar readings, ``[N, points]``, m. What no beam covers is taken to be free.
         velocities: forward speed (m/s) and yaw rate (rad/s) of the robots, ``[N, 2]``.
-        body: robots.
+        robot: values of the sensor ``robot``, ``[N, 1]`` each.
+    """
+    points = lidar.shape[-1]
+    if points > POINTS and points % POINTS == 0:
+        lidar = lidar.unflatten(-1, (POINTS, points // POINTS)).amin(-1)
+    return drive_among(place, length, *hit_points(lidar, robot.lidar_x), velocities, Body.of(robot))
+
+
+def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities: Tensor, body: Body) -> Tensor:
+    """Returns the actions of robots that drive to places among points, ``[N, 2]``: see :func:`drive_to`.
+
+    ``x`` and ``y`` are the points in the base frame, ``[N, P]``, m.
     """
     arcs = Arcs.all(x.device)
     # Until the wheels have turned, the robot goes on as it does: the arcs begin where it is then.

@@ -16,8 +16,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.maneuvers import Maneuvers
+from rover_rl.algos.policy.arcs import drive_to
+from rover_rl.algos.policy.scan import hit_points
 from rover_rl.algos.policy.slip import turn_gain
+from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.sims.free_space.fitting import passage_scale
@@ -65,7 +67,7 @@ class ScriptedPolicy(TensorDictModule):
         offset, lane = robot.lidar_position[0], lane_of(robot)
         policy, in_keys = partial(steer, lidar_offset=offset, lane=lane), ["lidar", "target"]
         if not robot.drive.turns_in_place:
-            policy = partial(steer_in_arcs, lidar_offset=offset, lane=lane, maneuvers=Maneuvers(robot))
+            policy = partial(steer_in_arcs, lidar_offset=offset, lane=lane, robot=robot)
             in_keys.append("velocities")
         super().__init__(policy, in_keys=in_keys, out_keys=["action"])
 
@@ -129,12 +131,13 @@ def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET, lan
 
 
 def steer_in_arcs(
-    lidar: Tensor, target: Tensor, velocities: Tensor, lidar_offset: float, lane: Lane, maneuvers: Maneuvers
+    lidar: Tensor, target: Tensor, velocities: Tensor, lidar_offset: float, lane: Lane, robot: Robot
 ) -> Tensor:
     """Computes the action of the same driver in a car, which drives to a place in the direction that it has chosen."""
     distance, direction = target[:, :1], _way(lidar, target, lidar_offset, lane)
-    place = distance.clamp(max=1.5 * maneuvers.radius) * torch.cat((direction.cos(), direction.sin()), -1)
-    return maneuvers.towards(place, distance, lidar, math.inf, velocities[:, :1])
+    numbers = RobotNumbers.of_robot(robot, lidar)
+    place = distance.clamp(max=1.5 * numbers.min_radius) * torch.cat((direction.cos(), direction.sin()), -1)
+    return drive_to(place, distance, lidar, velocities, numbers)
 
 
 def _way(lidar: Tensor, target: Tensor, lidar_offset: float, lane: Lane) -> Tensor:
@@ -174,16 +177,6 @@ def drive_towards(
     behind = lidar[:, quarter + quarter // 2 : -quarter - quarter // 2].amin(-1, keepdim=True)
     speed = torch.where((front < lane.back_off) & (behind > lane.behind), -0.4, speed)
     return torch.cat((speed, (lane.turn * angle).clamp(-math.pi, math.pi)), -1)
-
-
-def hit_points(lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5) -> tuple[Tensor, Tensor]:
-    """Returns x and y of the points that readings of a lidar hit, in the base frame, ``[..., points]`` each, m.
-
-    A reading is taken to come from ``middle`` in its segment, a share of the segment.
-    """
-    points = lidar.shape[-1]
-    angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)
-    return lidar * angles.cos() + lidar_offset, lidar * angles.sin()
 
 
 def _free_lane(lidar: Tensor, directions: Tensor, lidar_offset: float, half_width: float) -> Tensor:

@@ -44,7 +44,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import hit_points
+from rover_rl.algos.policy.scan import hit_points
 from rover_rl.algos.policy.slip import YAW_GAIN as YAW_GAIN
 from rover_rl.algos.policy.slip import estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike

@@ -10,11 +10,12 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
 from rover_rl.algos.policy.grid_planner import AHEAD, SHARP, SLOPE, SLOPE_SPEED
-from rover_rl.algos.policy.maneuvers import Maneuvers
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.robots import Robot, get_robot
@@ -36,7 +37,7 @@ OVERSHOOT = 0.05
 BACKWARD = math.radians(120)
 BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
 MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
-STRIDE = 0.4  # length of the steps along the path to the place that maneuvers lead to, m
+STRIDE = 0.4  # length of the steps along the path to the place that arcs lead to, m
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
 
@@ -54,7 +55,7 @@ class PrivilegedExpert:
         self._distances = PathDistances(worlds, robot, device, CAUTION)
         angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
         self._lane, self._lidar = lane_of(robot), robot.lidar_position[0]
-        self._maneuvers = None if robot.drive.turns_in_place else Maneuvers(robot, device)
+        self._robot = robot
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def action(self, observation: TensorDictBase) -> Tensor:
@@ -62,8 +63,8 @@ class PrivilegedExpert:
         shape = observation.batch_size
         rows = observation.select("pose", "imu", "target", "lidar", "velocities", "outcome").flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
-        if self._maneuvers is not None:
-            return self._maneuver(self._maneuvers, rows, position, fields).reshape(*shape, 2)
+        if not self._robot.drive.turns_in_place:
+            return self._in_arcs(rows, position, fields).reshape(*shape, 2)
         direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
         ahead = torch.cat((direction.cos(), direction.sin()), -1)
@@ -80,19 +81,21 @@ class PrivilegedExpert:
         )
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
-    def _maneuver(self, maneuvers: Maneuvers, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
+    def _in_arcs(self, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
         """Returns the actions of robots that do not turn in place, ``[M, 2]``: to a place on the path ahead."""
         place, yaw = position, rows["imu"][:, 2:]
-        for _ in range(math.ceil(AHEAD * maneuvers.radius / STRIDE)):
+        reach = AHEAD * self._robot.drive.min_radius(self._robot.wheels)
+        for _ in range(math.ceil(reach / STRIDE)):
             heading = self._best_heading(fields, place, LOOK_AHEAD)
             place = place + STRIDE * torch.cat((heading.cos(), heading.sin()), -1)
         # Near the goal, the place is the goal.
-        place = torch.where(rows["target"][:, :1] < AHEAD * maneuvers.radius, goal_of(rows), place)
+        place = torch.where(rows["target"][:, :1] < reach, goal_of(rows), place)
         away = place - position
         cos, sin = yaw.cos(), yaw.sin()
         ahead = torch.cat((away[:, :1] * cos + away[:, 1:] * sin, away[:, 1:] * cos - away[:, :1] * sin), -1)
         length = self._distances.along(fields, position)[0][:, None]
-        return maneuvers.towards(ahead, length, rows["lidar"], math.inf, rows["velocities"][:, :1])
+        numbers = RobotNumbers.of_robot(self._robot, rows["lidar"])
+        return drive_to(ahead, length, rows["lidar"], rows["velocities"], numbers)
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""

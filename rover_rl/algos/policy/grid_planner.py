@@ -18,11 +18,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.arcs import Body, drive_to
-from rover_rl.algos.policy.baselines import hit_points
-from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
+from rover_rl.algos.policy.arcs import drive_to
+from rover_rl.algos.policy.scan import hit_points
 from rover_rl.algos.policy.slip import turn_gain
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
+from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
@@ -42,14 +42,13 @@ SLOPE = math.radians(5)
 # the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees.
 SHARP = math.radians(45)
 SLOPE_SPEED = 0.2  # speed in sharp turns on a slope, m/s
-POINTS = 64  # number of readings that arcs keep free of, each the nearest of its neighbors
-AHEAD = 1.5  # distance along the route to which maneuvers lead, in smallest radii
+AHEAD = 1.5  # distance along the route to which arcs lead, in smallest radii
 
 
 class GridPlanner(TensorDictModuleBase):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
 
-    A robot that does not turn in place follows it in arcs, forward and backward: see ``maneuver``.
+    A robot that does not turn in place follows it in arcs, forward and backward: see :func:`follow_in_arcs`.
 
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
@@ -65,8 +64,7 @@ class GridPlanner(TensorDictModuleBase):
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__()
         self._robot = get_robot(robot)
-        self._maneuvers = None if self._robot.drive.turns_in_place else Maneuvers(self._robot)
-        self.in_keys = ["lidar", "imu", ROUTE] + ([] if self._maneuvers is None else ["velocities"])
+        self.in_keys = ["lidar", "imu", ROUTE] + ([] if self._robot.drive.turns_in_place else ["velocities"])
         self.out_keys = ["action"]
         lidar = LidarConfig()
         # In narrow gaps, readings are below the contract's threshold.
@@ -76,60 +74,30 @@ class GridPlanner(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
-        if self._maneuvers is None:
+        if self._robot.drive.turns_in_place:
             return tensordict.set("action", follow(lidar, imu, route, Follower.of(self._robot)))
-        velocities, max_range = tensordict["velocities"], self.made_for.lidar.max_range
-        return tensordict.set("action", maneuver(lidar, imu, route, velocities, self._maneuvers, max_range))
+        numbers = RobotNumbers.of_robot(self._robot, lidar)
+        return tensordict.set("action", follow_in_arcs(lidar, imu, route, tensordict["velocities"], numbers))
 
 
-def maneuver(
-    lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, maneuvers: Maneuvers, max_range: float
-) -> Tensor:
-    """Computes the action of a robot that cannot turn in place, which follows its route in arcs.
-
-    It begins the arc, or pair of arcs, from which the way to a place on its route ahead is the shortest. From a slope
-    that is too steep, it backs down straight.
-
-    Args:
-        lidar: lidar readings, ``[N, points]``, m.
-        imu: pitch, roll and yaw, ``[N, 3]``, rad.
-        route: route, ``[N, 5]``.
-        velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
-        maneuvers: arcs of the robot.
-        max_range: reading from which on nothing is there, m.
-
-    Returns:
-        Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
-    """
-    place = way_point(route, AHEAD * maneuvers.radius)
-    action = maneuvers.towards(place, route[:, 4:], lidar, max_range, velocities[:, :1])
-    steep = imu[:, :1] < -STEEP
-    return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
-
-
-def follow_in_arcs(
-    lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, body: Body, lidar_x: Tensor | float
-) -> Tensor:
+def follow_in_arcs(lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, robot: RobotNumbers) -> Tensor:
     """Computes the action of robots that cannot turn in place, which follow their routes in arcs.
 
-    It is faster and coarser than :func:`maneuver`, and takes different robots.
+    It begins the arc from which the way to a place on the route ahead is the shortest. From a slope that is too steep,
+    it backs down straight.
 
     Args:
         lidar: lidar readings, ``[N, points]``, m.
         imu: pitch, roll and yaw, ``[N, 3]``, rad.
         route: route, ``[N, 5]``.
         velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
-        body: robots.
-        lidar_x: x of the lidar, m.
+        robot: values of the sensor ``robot``, ``[N, 1]`` each.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
-    points = lidar.shape[-1]
-    if points > POINTS and points % POINTS == 0:
-        lidar = lidar.unflatten(-1, (POINTS, points // POINTS)).amin(-1)
-    place = way_point(route, AHEAD * body.radius)
-    action = drive_to(place, route[:, 4:], *hit_points(lidar, lidar_x), velocities, body)
+    place = way_point(route, AHEAD * robot.min_radius)
+    action = drive_to(place, route[:, 4:], lidar, velocities, robot)
     steep = imu[:, :1] < -STEEP
     return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 
@@ -190,3 +158,19 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower) -> Tensor
     speed = torch.where(steep, BACK_DOWN, speed)
     turn = torch.where(steep, 0.0, robot.turn_gain * angle)
     return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)
+
+
+def _corners(route: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Returns distance (m) and angle (rad) of both corners of routes, ``[N, 1]`` each."""
+    columns = [*route.split(1, -1)]
+    return columns[:2], columns[2:4]
+
+
+def way_point(route: Tensor, ahead: Tensor | float) -> Tensor:
+    """Returns the place on routes ``[N, 5]`` at most ``ahead`` (m) along them, in the base frame: ``[N, 2]``, m."""
+    first, second = (distance * torch.cat((angle.cos(), angle.sin()), -1) for distance, angle in _corners(route))
+    left = (ahead - route[:, :1]).clamp(min=0)
+    leg = second - first
+    share = (left / leg.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1)
+    near = first * (ahead / route[:, :1].clamp(min=1e-6)).clamp(max=1)
+    return near + share * leg

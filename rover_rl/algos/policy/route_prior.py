@@ -8,14 +8,12 @@ import torch
 from torch import Tensor, nn
 from torchrl.data import Bounded
 
-from rover_rl.algos.policy.arcs import BLIND, RESERVE, REVERSE, Body
 from rover_rl.algos.policy.grid_planner import Follower, follow, follow_in_arcs
 from rover_rl.algos.policy.slip import YAW_GAIN
 from rover_rl.envs.config import HeadingGains
-from rover_rl.envs.sensors.robot import RobotNumbers, body_of
+from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.robot import FULL_VIEW
 
 
 class RowBounds(nn.Module):
@@ -80,27 +78,15 @@ class RoutePrior(nn.Module):
         lidar, imu, route = (entry[key] for key in ("lidar", "imu", ROUTE))
         if self._robot is not None and self._robot.drive.turns_in_place:
             return follow(lidar, imu, route, Follower.of(self._robot))
-        numbers = entry[ROBOT] if self._robot is None else lidar.new_tensor(body_of(self._robot))
-        numbers = numbers.expand(*lidar.shape[:-1], -1)
-        rows = (lidar, imu, route, entry["velocities"], numbers)
-        lidar, imu, route, velocities, numbers = (value.reshape(-1, value.shape[-1]) for value in rows)
-        robot = RobotNumbers.of(numbers)
-        action = follow_in_arcs(lidar, imu, route, velocities, _body(robot), robot.lidar_x)
+        rows = (lidar, imu, route, entry["velocities"])
+        lidar, imu, route, velocities = (value.reshape(-1, value.shape[-1]) for value in rows)
+        if self._robot is None:
+            robot = RobotNumbers.of(entry[ROBOT].reshape(-1, entry[ROBOT].shape[-1]))
+        else:
+            robot = RobotNumbers.of_robot(self._robot, lidar)
+        action = follow_in_arcs(lidar, imu, route, velocities, robot)
         if self._robot is None:
             turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
             follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
             action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower))
         return action.reshape(*entry["lidar"].shape[:-1], 2)
-
-
-def _body(numbers: RobotNumbers) -> Body:
-    """Returns what arcs need to know. A robot that turns in place has some small radius, which is not used."""
-    return Body(
-        behind=numbers.behind + numbers.pivot,
-        ahead=numbers.ahead - numbers.pivot,
-        half_width=numbers.half_width,
-        radius=RESERVE * numbers.min_radius.clamp(min=0.1),
-        pivot=numbers.pivot,
-        max_speed=numbers.max_speed,
-        reverse=torch.where(numbers.lidar_view > FULL_VIEW, REVERSE, BLIND),
-    )

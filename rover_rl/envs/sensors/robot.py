@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -42,6 +43,11 @@ class RobotNumbers(NamedTuple):
         """Returns the columns of values ``[..., 12]``."""
         return cls(*values.split(1, -1))
 
+    @classmethod
+    def of_robot(cls, robot: Robot, rows: Tensor) -> RobotNumbers:
+        """Returns those of one robot for each of ``rows [..., n]``."""
+        return cls.of(rows.new_tensor(_body_of(robot)).expand(*rows.shape[:-1], -1))
+
 
 @dataclass(frozen=True, kw_only=True)
 class RobotBody(Sensor):
@@ -68,7 +74,7 @@ class RobotBody(Sensor):
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader of the robots of the rows."""
         fleet = Fleet.of(rig.robot if rig.fleet is None else rig.fleet, rig.rows, rig.device)
-        table = fleet.table(body_of)
+        table = fleet.table(_body_of)
         return lambda inputs: table[fleet.index]
 
     def read(self, inputs: SensorInput) -> Tensor:
@@ -80,7 +86,8 @@ class RobotBody(Sensor):
         return value / torch.tensor(TYPICAL, device=value.device)
 
 
-def body_of(robot: Robot) -> list[float]:
+@lru_cache(maxsize=1024)
+def _body_of(robot: Robot) -> list[float]:
     """Returns the numbers of a robot: see :class:`RobotBody`."""
     outline, drive = footprint(robot), robot.drive
     size = [-outline.back, outline.front, outline.half_width]

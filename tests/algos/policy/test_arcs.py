@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_rl.algos.policy.arcs import RADII, SAFETY, Arcs, Body, drive_to, free_lengths
+from rover_rl.algos.policy.arcs import RADII, SAFETY, Arcs, Body, drive_among, free_lengths
 
 STEP = 0.01  # m
 
@@ -61,7 +61,9 @@ def test_free_lengths_are_those_up_to_the_first_pose_in_contact(place, size):
 
 def act(place: tuple[float, float], points: list[tuple[float, float]], speed: float = 0.0, **sizes: float):
     x, y = torch.tensor(points or [(50.0, 0.0)]).T[:, None]
-    action = drive_to(torch.tensor([place]), torch.tensor([[2.0]]), x, y, torch.tensor([[speed, 0.0]]), bodies(**sizes))
+    action = drive_among(
+        torch.tensor([place]), torch.tensor([[2.0]]), x, y, torch.tensor([[speed, 0.0]]), bodies(**sizes)
+    )
     return action[0].tolist()
 
 
@@ -86,7 +88,7 @@ def test_no_turn_is_sharper_than_the_robot_can_drive():
     generator = torch.Generator().manual_seed(0)
     x, y = 3 * torch.randn(2, 64, 32, generator=generator)
     place, nothing = 2 * torch.randn(64, 2, generator=generator), torch.zeros(64, 1)
-    action = drive_to(place, nothing + 3, x, y, torch.zeros(64, 2), bodies(64))
+    action = drive_among(place, nothing + 3, x, y, torch.zeros(64, 2), bodies(64))
     speed, offset = action.unbind(-1)
     assert (2 * offset.abs() <= speed.abs() / 0.9 + 1e-5).all()
     assert max(RADII) > min(RADII) == 1
@@ -97,7 +99,7 @@ def test_rows_do_not_depend_on_their_company():
     generator = torch.Generator().manual_seed(1)
     x, y = 3 * torch.randn(2, 8, 32, generator=generator)
     place, velocities = torch.randn(2, 8, 2, generator=generator)
-    together = drive_to(place, place[:, :1].abs(), x, y, velocities, bodies(8))
+    together = drive_among(place, place[:, :1].abs(), x, y, velocities, bodies(8))
     rows = (place, place[:, :1].abs(), x, y, velocities)
-    alone = [drive_to(*(value[row : row + 1] for value in rows), bodies()) for row in range(8)]
+    alone = [drive_among(*(value[row : row + 1] for value in rows), bodies()) for row in range(8)]
     assert torch.cat(alone).equal(together)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
-from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow
+from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow, way_point
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.config import TaskConfig
 from rover_rl.sims.robots import get_robot
@@ -112,3 +112,9 @@ def test_a_new_episode_clears_its_rows_map_only() -> None:
     runner.reset(torch.tensor([True, False]))
     after = runner(observation, due=every)
     assert torch.equal(after, before)
+
+
+def test_the_place_on_a_route_is_that_far_along_it():
+    route = torch.tensor([[2.0, 0.0, math.hypot(2, 1), math.atan2(1, 2), 3.0]])
+    for ahead, place in {1.5: (1.5, 0.0), 2.5: (2.0, 0.5), 9.0: (2.0, 1.0)}.items():
+        assert torch.allclose(way_point(route, ahead), torch.tensor([place]), atol=1e-5)
