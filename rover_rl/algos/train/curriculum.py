@@ -18,6 +18,8 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
+from rover_rl.sims.free_space.robot_groups import RobotGroups
+from rover_rl.sims.robots import get_robots
 from rover_rl.sims.worlds.names import WorldName
 from rover_rl.sims.worlds.pool import WorldPool
 
@@ -206,7 +208,9 @@ class CurriculumRecord:
 
     def __init__(self, config: TrainingConfig) -> None:
         self._names = config.env.world_names
-        self._pool = WorldPool.of(config.env.world)
+        env = config.env.fitted()
+        worlds, _ = RobotGroups(get_robots(env.robot)).spread(env.world)
+        self._pool = WorldPool.of(worlds)
         self.learnability = Learnability(self._pool)
         self._totals = torch.zeros(len(self._pool), 3, dtype=torch.int64)
 

@@ -26,6 +26,8 @@ CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 FRICTION, GRAVITY = 0.5, 9.81
 """Friction of the ground, whose limit the motors exceed, and gravity, m/s^2."""
 
+NIMBLE = 0.8
+"""Smallest radius of a turn up to which the lidar of a car may not see what is behind, m."""
 BODY, TIRE = (0.35, 0.55, 0.75), (0.12, 0.12, 0.13)
 """Colors."""
 
@@ -40,7 +42,8 @@ def any_robot(seed: int = 0) -> Robot:
     """Returns the robot of a seed: half of them are skid-steer, half are cars.
 
     The wheelbase is 0.22 to 0.62 m, the mass 20 to 90 kg per square meter of its outline. Skid-steer robots drive up to
-    0.3 to 2 m/s, cars up to 0.6 to 3 m/s. Half of the lidars see a full turn, half 240 to 315 degrees.
+    0.3 to 2 m/s, cars up to 0.6 to 3 m/s. Half of the lidars see a full turn, half 240 to 315 degrees; those of cars
+    with a wide turning circle see a full turn.
 
     Example:
         >>> robot = any_robot(0)
@@ -72,7 +75,9 @@ def any_robot(seed: int = 0) -> Robot:
     hubs = tuple((x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2))
     derived = _derived(f"any_{seed}", boxes, body, Wheels(hubs, radius, width), wheel, lidar, is_car)
     ranges: dict[str, Any] = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
-    if draw.random() < 0.5:
+    # A car with a wide turning circle drives backward often.
+    wide = isinstance(drive, Ackermann) and base / math.tan(drive.max_steering) > NIMBLE
+    if draw.random() < 0.5 and not wide:
         ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
     return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, **ranges)
 
