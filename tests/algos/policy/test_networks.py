@@ -18,10 +18,13 @@ from rover_rl.algos.policy.networks import (
     mirrored_map,
     on_features,
 )
+from rover_rl.algos.policy.route_prior import RoutePrior
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
-from rover_rl.envs.sensors.suite import environment_sensors
+from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE, environment_sensors
 from rover_rl.envs.specs import ACTION
+from rover_rl.sims.robots import get_robot
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
 
@@ -236,3 +239,42 @@ def test_the_encoding_of_the_privileged_observation_is_about_one() -> None:
             changed = td.clone()
             changed["privileged", key] += 0.1
             assert not torch.equal(critic(td.clone())["state_value"], critic(changed)["state_value"]), key
+
+
+def rows_of(*names: str) -> TensorDict:
+    """Observations of different robots that see the same."""
+    generator = torch.Generator().manual_seed(0)
+    lidar = 0.6 + 3 * torch.rand(1, 64, generator=generator)
+    route = torch.tensor([[1.5, 0.4, 3.0, 0.6, 4.0]])
+    entries = {"lidar": lidar, "imu": torch.zeros(1, 3), "velocities": torch.tensor([[0.2, 0.0]]), ROUTE: route}
+    td = TensorDict({name: value.expand(len(names), -1) for name, value in entries.items()}, batch_size=len(names))
+    numbers = [RobotNumbers.of_robot(get_robot(name), lidar) for name in names]
+    return td.set(ROBOT, torch.cat([torch.cat(number, -1) for number in numbers]))
+
+
+def test_the_driver_of_any_robot_is_that_of_each() -> None:
+    names = ("leo", "hunter", "jackal", "racer")
+    td, everyone = rows_of(*names), RoutePrior(None)
+    low, high = torch.tensor([-1.0, -1.0]), torch.tensor([1.0, 1.0])
+    together = everyone(td, low, high)
+    for row, name in enumerate(names):
+        alone = RoutePrior(get_robot(name))(td[row : row + 1], low, high)
+        # The slip of wheels is calculated in one, and estimated in the other.
+        torch.testing.assert_close(together[row : row + 1, 0], alone[:, 0], rtol=0, atol=1e-6)
+        torch.testing.assert_close(together[row : row + 1], alone, rtol=0.2, atol=1e-3)
+
+
+def test_actions_are_within_what_each_robot_can_do() -> None:
+    torch.manual_seed(0)
+    names = ("leo", "jackal")
+    encoder = ObservationEncoder(("lidar", "velocities", ROUTE, "imu", ROBOT), 64)
+    action = ActionConfig(min_speed=-0.5).for_robot(names)
+    actor = make_actor(encoder, action=action, prior=RoutePrior(None), by_robot=True)
+    with set_exploration_type(ExplorationType.RANDOM):
+        actions = torch.stack([actor(rows_of(*names))["action"] for _ in range(300)])
+    for column, name in enumerate(names):
+        drive = get_robot(name).drive
+        speed, turn = actions[:, column].unbind(-1)
+        assert 0.8 * drive.max_speed < speed.max() <= drive.max_speed
+        assert 0.8 * drive.max_yaw_rate / 2 < turn.max() <= drive.max_yaw_rate / 2
+        assert speed.min() >= -min(0.5, drive.max_speed)
