@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -28,6 +29,13 @@ def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.02)
+
+
+def settle(viewer: Viewer) -> None:
+    """Waits until the simulation has ended the step that it is in, and has done what was requested before."""
+    done = threading.Event()
+    viewer.request(done.set)
+    assert done.wait(30.0), "the simulation does not answer"
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rover_rl.view.live import LivePage
-from tests.view.conftest import until
+from tests.view.conftest import settle, until
 
 pytestmark = pytest.mark.slow
 
@@ -17,9 +17,11 @@ def test_a_person_watches_and_pauses(open_viewer, open_page):
     page.get_by_text("m/s · goal").wait_for()
     page.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.playing)
+    settle(viewer)
     seconds = viewer.session.seconds
     page.get_by_role("button", name="Step", exact=True).click()
     until(lambda: viewer.session.seconds > seconds)
+    settle(viewer)
     assert viewer.session.seconds == pytest.approx(seconds + viewer.session.rovers.control_dt)
     page.keyboard.press("Space")
     until(lambda: viewer.playing)

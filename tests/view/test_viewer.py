@@ -25,12 +25,12 @@ from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.panels import bars, lidar_picture
 from rover_rl.view.pilot import TURN
-from tests.view.conftest import until
+from tests.view.conftest import settle, until
 
 
 def paused(viewer: Viewer) -> Viewer:
     viewer.play(False)
-    until(lambda: not viewer.playing)
+    settle(viewer)
     return viewer
 
 
@@ -91,13 +91,14 @@ def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(
     other = session.rovers.goal[1].clone()
     viewer.request(lambda: session.set_goal(0, (1.0, 2.0)))
     viewer.request(viewer._step_once)
-    until(lambda: session.seconds > 0)
+    settle(viewer)
     assert session.rovers.goal[0].tolist() == [1.0, 2.0]
     assert session.rovers.goal[1].equal(other)
     distance = torch.dist(session.rovers.rover_state.position[0, :2], torch.tensor([1.0, 2.0]))
     assert session.history["distance"][-1] == pytest.approx(distance.item(), abs=1e-4)
     viewer.request(lambda: session.put(0, (-1.0, 0.5)))
-    until(lambda: session.rovers.rover_state.position[0, 0] == -1.0)
+    settle(viewer)
+    assert session.rovers.rover_state.position[0, 0] == -1.0
     assert session.rovers.goal[0].tolist() == [1.0, 2.0]
 
 
