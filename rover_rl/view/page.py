@@ -46,8 +46,12 @@ def close_page(server: viser.ViserServer) -> None:
 
 def address(server: viser.ViserServer) -> str:
     """Returns the address of a page, for a browser on this machine."""
-    host = "localhost" if server.get_host() in ("0.0.0.0", HOST) else server.get_host()
-    return f"http://{host}:{server.get_port()}"
+    return address_of(server.get_host(), server.get_port())
+
+
+def address_of(host: str, port: int) -> str:
+    """Returns the address of a page that is served on a host and port."""
+    return f"http://{'localhost' if host in ('0.0.0.0', HOST) else host}:{port}"
 
 
 def light(server: viser.ViserServer) -> None:

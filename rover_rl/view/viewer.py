@@ -35,7 +35,7 @@ from rover_rl.view.pilot import Pilot
 from rover_rl.view.runs import TrainingPanel
 from rover_rl.view.stage import Stage
 
-FRAMES = 30  # number of updates of the page, 1/s
+FRAMES, BACKGROUND_FRAMES = 30, 10  # number of updates of the page, 1/s
 PANELS_EVERY = 6  # number of frames after which the panels change
 TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
@@ -65,6 +65,7 @@ class Viewer:
         port: port of the page; 0 takes a free one.
         find_policy: function that returns the policy of a name.
         run: run whose learning curve and snapshots the page shows.
+        background: whether other work is more important: fewer updates of the page, and no step while none is open.
 
     Attributes:
         address: address of the page.
@@ -86,9 +87,11 @@ class Viewer:
         port: int = PORT,
         find_policy: Callable[[str], Policy | None] = named_policy,
         run: RunFiles | None = None,
+        background: bool = False,
     ) -> None:
         check_address(host, port)
-        self._find, self._run_folder = find_policy, run
+        self._find, self._run_folder, self._background = find_policy, run, background
+        self._frame_time = 1 / (BACKGROUND_FRAMES if background else FRAMES)
         self._given: dict[str, Policy] = {}
         if isinstance(policy, str):
             name, policy = policy, find_policy(policy)
@@ -160,6 +163,8 @@ class Viewer:
         gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
         speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
+        explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
+        explore.on_update(lambda _: setattr(session, "exploring", explore.value))
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
         chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
         chosen.on_update(lambda _: self.request(lambda: self.set_policy(chosen.value)))
@@ -229,6 +234,10 @@ class Viewer:
         due, last = 0.0, time.monotonic()
         frame = last
         while not self._closed.is_set():
+            if self._background and not self.server.get_clients():
+                last = frame = time.monotonic()
+                self._closed.wait(0.2)
+                continue
             began = time.monotonic()
             try:
                 while not self._requests.empty():
@@ -248,7 +257,7 @@ class Viewer:
                 self.play(False)
                 self._show_status()
             # A frame that comes late does not delay those after it.
-            frame = max(frame + 1 / FRAMES, time.monotonic() - 1 / FRAMES)
+            frame = max(frame + self._frame_time, time.monotonic() - self._frame_time)
             self._closed.wait(max(0.002, frame - time.monotonic()))
 
     def _step_once(self) -> None:

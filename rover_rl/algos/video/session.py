@@ -87,11 +87,15 @@ class Session:
     Args:
         env: environment, with a reward or without.
         policy: policy that drives; ``None`` acts at random.
+
+    Attributes:
+        row: rover that is followed.
+        exploring: whether the policy draws its actions, as in training, rather than takes the best ones.
     """
 
     def __init__(self, env: EnvBase, policy: Policy | None) -> None:
         self._set_env(env)
-        self.row, self._policy = 0, policy
+        self.row, self._policy, self.exploring = 0, policy, False
         self.set_policy(policy)
         self.reset()
 
@@ -168,7 +172,8 @@ class Session:
 
     def decide(self) -> Tensor:
         """Returns the actions of the policy, ``[N, 2]``."""
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        way = ExplorationType.RANDOM if self.exploring else ExplorationType.DETERMINISTIC
+        with torch.no_grad(), set_exploration_type(way):
             return self._runner(self.observation)
 
     def advance(self, action: Tensor, by_hand: int | None = None) -> None:
