@@ -223,17 +223,14 @@ def _write_page(recording: Recording, path: Path) -> None:
     # Importing viser takes seconds.
     from rover_rl.view.replay import write_replay
 
-    write_replay(recording, path)
+    write_replay([recording], path)
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:
     """Drives an episode of an evaluation again, and says so if it ends otherwise."""
-    from rover_rl.algos.video.recording import record_episodes
+    from rover_rl.algos.video.recording import record_stored
 
-    episodes = stored.to_drive(episode)
-    options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
-    wanted = [episode - episodes.offset]
-    (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
+    driven = record_stored(policy.module, stored, episode)
     ending, seconds = stored.endings[episode], stored.durations[episode]
     if (driven.ending, round(driven.seconds, 3)) != (ending, seconds):
         print(f"Episode {episode} ended otherwise in the evaluation: {ending} after {seconds:.1f} s", flush=True)

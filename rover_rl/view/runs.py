@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import viser
 
 from rover_rl.algos.experiments.run_files import RunFiles
-from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.checkpoint import CHECKPOINT, Checkpoint
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.train.progress import TIME
+from rover_rl.algos.video.session import Critic
 from rover_rl.view.panels import Plot
+
+Load: TypeAlias = Callable[[], tuple[Policy, Critic | None]]
+"""Loads a policy, and its critic if it has one."""
 
 
 class TrainingPanel:
@@ -23,9 +28,7 @@ class TrainingPanel:
         choose: function that lets a policy drive, which is called with the function that loads it.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, run: RunFiles, choose: Callable[[Callable[[], Policy]], None]
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, run: RunFiles, choose: Callable[[Load], None]) -> None:
         self._server, self._run, self._choose = server, run, choose
         gui = server.gui
         self._text = gui.add_markdown("")
@@ -72,7 +75,8 @@ class TrainingPanel:
     def _load(self, file: Path) -> None:
         self._choose(lambda: self._policy(file))
 
-    def _policy(self, file: Path) -> Policy:
+    def _policy(self, file: Path) -> tuple[Policy, Critic | None]:
         checkpoint = Checkpoint.load(file)
+        critic = self._run.critic() if file.name == CHECKPOINT else None
         self._driver = f"The rovers of this page drive with the policy after {checkpoint.steps:,} steps."
-        return checkpoint.make_actor()
+        return checkpoint.make_actor(), critic

@@ -26,14 +26,15 @@ from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
+from rover_rl.sims.robots import ROBOTS
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import world_names
 from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
 from rover_rl.view.panels import Panels, episode_table
 from rover_rl.view.pilot import Pilot
-from rover_rl.view.runs import TrainingPanel
-from rover_rl.view.stage import Stage
+from rover_rl.view.runs import Load, TrainingPanel
+from rover_rl.view.stage import MAP, Stage
 
 FRAMES, BACKGROUND_FRAMES = 30, 10  # number of updates of the page, 1/s
 PANELS_EVERY = 6  # number of frames after which the panels change
@@ -101,7 +102,7 @@ class Viewer:
         self.session = Session(env, policy)
         self.server = open_page(host, port)
         self.address, self.error = address(self.server), ""
-        self.playing, self.speed, self.frames = True, 1.0, 0
+        self.playing, self.speed, self.frames, self._policy = True, 1.0, 0, name
         self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
         self._closed = threading.Event()
         self._training: TrainingPanel | None = None
@@ -153,6 +154,7 @@ class Viewer:
                 self._training = TrainingPanel(self.server, self._run_folder, self._drive_with)
         self.server.scene.on_click()(self._on_click)
         self.server.scene.on_click(modifier="shift")(self._on_click)
+        self.stage.on_drag = self._on_drag
 
     def _make_drive_tab(self, policy: str) -> None:
         gui, session = self.server.gui, self.session
@@ -175,16 +177,20 @@ class Viewer:
         if session.can_change and isinstance(backend, str):
             backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
             backends.on_update(lambda _: self.request(lambda: self._change(backend=backends.value)))
+        robot = session.config.robot
+        if session.can_change and isinstance(robot, str):
+            robots = gui.add_dropdown("Robot", list(dict.fromkeys((robot, *ROBOTS))), initial_value=robot)
+            robots.on_update(lambda _: self.request(lambda: self.set_robot(robots.value)))
         if session.rovers.num_envs > 1:
             row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
             row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
-        gui.add_markdown("Click on the ground: goal. Shift-click: rover.")
+        gui.add_markdown("Click on the ground: goal. Shift-click: rover. A rover can be dragged, too.")
         self.pilot = Pilot(gui)
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
         session, row = self.session, self.session.row
-        place = self.cameras.ground_at(session.rovers.worlds[row], event)
+        place = self.cameras.ground_at(session.rovers.worlds[row], event.ray_origin, event.ray_direction)
         if place is None:
             return
         if event.modifier == "shift":
@@ -192,13 +198,30 @@ class Viewer:
         else:
             self.request(lambda: session.set_goal(row, place), self._show_route)
 
+    def _on_drag(self, event: viser.SceneNodeDragEvent) -> None:
+        """Puts a rover that was dragged to the ground under the pointer."""
+        if event.phase != "end" or event.instance_index is None:
+            return
+        session = self.session
+        row, eye = int(session.neighbors()[event.instance_index]), event.client.camera.position
+        place = self.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
+        if place is not None:
+            self.request(lambda: session.put(row, place), self._moved)
+
     def set_policy(self, name: str) -> None:
         """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
         self.session.set_policy(self._given.get(name) or self._find(name))
+        self._policy = name
         self._moved()
 
-    def _drive_with(self, load: Callable[[], Policy]) -> None:
-        self.request(lambda: self.session.set_policy(load()), self._moved)
+    def set_robot(self, name: str) -> None:
+        """Lets another robot drive. Raises an error if the policy is for one robot: a baseline drives any."""
+        policy = self._given.get(self._policy) or self._find(self._policy)
+        self.session.set_robot(name, make_baseline(self._policy, name) if self._policy in BASELINES else policy)
+        self._moved()
+
+    def _drive_with(self, load: Load) -> None:
+        self.request(lambda: self.session.set_policy(*load()), self._moved)
 
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
@@ -310,6 +333,7 @@ class Viewer:
         lidar = session.observation.get("lidar", None)
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
         dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
-        self.panels.show(session.history, dt, readings, max_range, session.inside())
+        self.panels.show(session.history, dt, readings, max_range, session.inside(), session.action_spread())
+        self.stage.show_map(session.seen_map() if self.stage.shows(MAP) else None)
         if session.episodes:
             self._episodes.content = episode_table(session.episodes)

@@ -5,13 +5,18 @@ A training replaces its files as wholes, so that reading them neither disturbs i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from tensordict import TensorDictBase
 
+from rover_rl.algos.config import PPOConfig, with_settings
 from rover_rl.algos.config_files import run_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS
+from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import TIME, read_progress
+from rover_rl.algos.train.run_folder import STATE, load_state
 from rover_rl.envs.config import EnvConfig
 
 WINDOW = 12
@@ -40,6 +45,19 @@ class RunFiles:
         """Returns the files of the policies, first to last: the snapshots, then the checkpoint."""
         last = self.folder / CHECKPOINT
         return [*sorted((self.folder / "snapshots").glob("*.pt")), *([last] if last.is_file() else [])]
+
+    def critic(self) -> Callable[[TensorDictBase], float] | None:
+        """Returns the function that estimates the value of an observation ``[1]``, as of the last checkpoint.
+
+        ``None`` if the run has none: before the first checkpoint, with SAC, or if it reads what a policy does not see.
+        """
+        config, path = run_config(self.folder), self.folder / STATE
+        if not isinstance(config.algorithm, PPOConfig) or config.network.privileged_critic or not path.is_file():
+            return None
+        learner = PPOLearner(with_settings(config, device=None, imitation=0.0))
+        learner.load_state_dict(load_state(path)["learner"])
+        critic, scale = learner.critic, config.algorithm.reward_scale
+        return lambda observation: critic(observation.select(*critic.in_keys))["state_value"].item() / scale
 
     def curves(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Returns the steps, ``[points]``, and curves over them; empty before the first row.
