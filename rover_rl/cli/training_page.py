@@ -1,7 +1,8 @@
 """The page of ``rover-rl train --view``: a process of its own, which reads the files of the run.
 
-Nothing that becomes of the page reaches the training. The page has the lowest priority, so that it takes what time the
-training leaves, and it ends with the training, however that ends: then its standard input ends, too.
+Nothing that becomes of the page reaches the training. It loads while the training prepares itself. Once it is open, it
+has the lowest priority, so that it takes what time the training leaves. It ends with the training, however that ends:
+then its standard input ends, too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +24,7 @@ ROVERS = 4
 """Number of rovers on the page, at least."""
 LEAST = 19
 """Lowest priority of a process."""
+_PROGRAM = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
 
 
 class TrainingPage:
@@ -37,24 +40,34 @@ class TrainingPage:
 
         self._host, self._port = host, check_address(host, port)
         self.address = address_of(host, self._port)
-        self._process: subprocess.Popen | None = None
 
     def __enter__(self) -> TrainingPage:
+        self._start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._end()
 
-    def show(self, folder: Path) -> None:
-        """Shows a run in place of the last one."""
-        self._end()
-        program = [sys.executable, "-m", __name__, str(folder), self._host, str(self._port)]
+    def _start(self) -> None:
+        program = [sys.executable, "-c", _PROGRAM, self._host, str(self._port)]
         self._process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        self._shown: Path | None = None
+
+    def show(self, folder: Path) -> None:
+        """Shows a run, in place of the last one."""
+        if self._shown is not None:
+            self._end()
+            self._start()
+        self._shown = folder
+        assert self._process.stdin is not None
+        # A page that has ended already is none.
+        with suppress(OSError):
+            self._process.stdin.write(f"{folder}\n".encode())
+            self._process.stdin.flush()
 
     def _end(self) -> None:
-        if self._process is not None:
+        with suppress(OSError):
             self._process.communicate()
-            self._process = None
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
@@ -70,17 +83,22 @@ def open_viewer(folder: Path, host: str, port: int) -> Viewer:
     return Viewer(env, None, name="newest", host=host, port=port, run=run, background=True)
 
 
-def main(folder: str, host: str, port: str) -> None:
-    """Shows a run until the standard input ends."""
+def main(host: str, port: str) -> None:
+    """Shows the run that the standard input names, until it ends."""
     # Ctrl-C is for the training, which then writes its last files.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        os.nice(LEAST)
-    threading.Thread(target=_end_with_training, daemon=True).start()
     try:
+        import rover_rl.view  # noqa: F401, loads while the training prepares itself
+
+        folder = sys.stdin.readline().rstrip("\n")
+        if not folder:
+            return  # The training has not begun.
+        threading.Thread(target=_end_with_training, daemon=True).start()
         viewer = open_viewer(Path(folder), host, int(port))
     except (ValueError, OSError, ImportError, RuntimeError) as error:
         sys.exit(f"rover-rl: the training goes on without a page: {error}")
+    if hasattr(os, "nice"):
+        os.nice(LEAST)
     viewer.wait()
 
 
@@ -88,7 +106,3 @@ def _end_with_training() -> None:
     sys.stdin.read()
     # The page has nothing to write, and may still be loading.
     os._exit(0)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -25,6 +25,7 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import LOOK_AT, Cameras
 from rover_rl.view.page import HOST, PORT, address, close_page, open_page
 from rover_rl.view.panels import Plot
+from rover_rl.view.recorder import Recorder
 from rover_rl.view.stage import Stage
 
 RATE = 10.0  # largest number of moments in a replay, 1/s. Between two, the rovers go on in small steps
@@ -113,10 +114,11 @@ def _overlay(recordings: Sequence[Recording], captions: Sequence[str]) -> str:
 
 def _caption(moment: Moment) -> str:
     distance = torch.dist(moment.rover.position[0, :2].cpu(), moment.goal[0].cpu()).item()
-    speed = moment.rover.linear_velocity[0].item()
+    # Without the minus of a small negative number that is rounded to zero.
+    speed = round(moment.rover.linear_velocity[0].item(), 2) + 0.0
     event, since = moment.event
     recent = f" · {event}" if event and moment.seconds < since + 3 else ""
-    return f"{moment.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · goals {int(moment.goals[0])}{recent}"
+    return f"{moment.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m{recent}"
 
 
 class ReplayPage:
@@ -148,6 +150,7 @@ class ReplayPage:
         with gui.add_folder("Show", expand_by_default=False):
             self.projector.cameras.add_choice()
             self.projector.stage.add_checkboxes()
+            Recorder(gui)
         self._plots: dict[str, Plot] = {}
         self._folder = gui.add_folder(None)
         self._load(recording)

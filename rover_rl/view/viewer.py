@@ -33,6 +33,7 @@ from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
 from rover_rl.view.panels import Panels, episode_table
 from rover_rl.view.pilot import Pilot
+from rover_rl.view.recorder import Recorder
 from rover_rl.view.runs import Load, TrainingPanel
 from rover_rl.view.stage import MAP, Stage
 
@@ -145,6 +146,7 @@ class Viewer:
         with tabs.add_tab("Show"):
             self.cameras.add_choice()
             self.stage.add_checkboxes()
+            Recorder(gui)
         with tabs.add_tab("Inside"):
             self.panels = Panels(self.server, gui.add_folder(None))
         with tabs.add_tab("Episodes"):
