@@ -7,6 +7,7 @@ It needs the extra ``view``, playwright and Chromium. Without a GPU, it takes so
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import time
@@ -16,6 +17,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -23,6 +25,7 @@ from rover_rl import make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.train import train
+from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view import Viewer
 
 IMAGES = Path(__file__).parent / "images"
@@ -68,9 +71,11 @@ def page_of(browser: Browser, viewer: Viewer, size: tuple[int, int], tab: str | 
 
 
 def scene(viewer: Viewer, size: tuple[int, int], eye: tuple[float, ...], look_at: tuple[float, ...]) -> Image.Image:
-    """Returns what the only page shows, without its panels, from a place relative to the rover."""
+    """Returns what the only page shows, without its panels, from a place relative to the rover and its heading."""
     (client,) = viewer.server.get_clients().values()
-    client.camera.position, client.camera.look_at = eye, look_at
+    yaw = quaternion_to_euler(viewer.session.rovers.rover_state.orientation)[viewer.session.row, 2].item()
+    turn = np.array(((math.cos(yaw), -math.sin(yaw), 0), (math.sin(yaw), math.cos(yaw), 0), (0, 0, 1)))
+    client.camera.position, client.camera.look_at = turn @ eye, turn @ look_at
     time.sleep(2.0)
     return Image.fromarray(client.get_render(size[1], size[0], transport_format="png", timeout=SLOW / 1000)[..., :3])
 
@@ -85,11 +90,11 @@ def save(picture: Image.Image | bytes, name: str) -> None:
 
 
 def draw_first(browser: Browser) -> None:
-    """The first picture of the README: a trained rover among the boulders of the moon, from the side."""
-    with viewer_of("pretrained:anywhere", 6.0, world="moon", num_envs=1, seed=3) as viewer:
+    """The first picture of the README: a trained rover among the boulders of the moon."""
+    with viewer_of("pretrained:anywhere", 4.5, world="moon", num_envs=1, seed=5) as viewer:
         viewer.stage.show_layer("lidar hits", False)
-        with page_of(browser, viewer, (1280, 720)):
-            save(scene(viewer, (1280, 720), (-2.3, -1.9, 1.15), (0.7, 0.4, 0.1)), "first.jpg")
+        with page_of(browser, viewer, (1200, 640)):
+            save(scene(viewer, (1200, 640), (-1.35, -1.6, 0.95), (0.6, 0.3, 0.1)), "first.jpg")
 
 
 def draw_inside(browser: Browser) -> None:

@@ -63,7 +63,10 @@ def light(server: viser.ViserServer) -> None:
     sky, soil = (231, 238, 255), (150, 128, 106)
     scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
     position = tuple(60 * np.array(SUN))
-    scene.add_light_directional("/light/sun", color=(255, 243, 222), intensity=2.6, position=position)
+    # The shadows of what does not move are in the colors of the world. The others are drawn near the middle, where the
+    # followed rover is.
+    color, shadow = (255, 243, 222), True
+    scene.add_light_directional("/light/sun", color=color, intensity=2.6, position=position, cast_shadow=shadow)
     scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
     scene.world_axes.visible = False
 

@@ -75,7 +75,8 @@ class Stage:
         meshes = world_meshes(world)
         for name in ("ground", "land", "obstacles"):
             if name in meshes:
-                self._server.scene.add_mesh_trimesh(f"{ROOT}/{name}", meshes[name])
+                # Its shadows are in its colors.
+                self._server.scene.add_mesh_trimesh(f"{ROOT}/{name}", meshes[name], cast_shadow=False)
             else:
                 self._server.scene.remove_by_name(f"{ROOT}/{name}")
         self._forget("movers/")
