@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -41,14 +42,15 @@ RUN = Path("runs/viewer-pictures")
 def viewer_of(policy: str, seconds: float, row: int = 0, **options: Any) -> Iterator[Viewer]:
     """Opens a viewer in which rovers have driven for a time (s), and which is paused then."""
     run = options.pop("run", None)
-    viewer = Viewer(make_env(backend="warp", **options), policy, port=0, run=run)
+    env = make_env(backend="warp", **options)
+    viewer = Viewer(env, policy, port=0, run=run)
     try:
-        viewer.request(lambda: viewer._follow(row))
-        viewer.speed = 10.0
-        while viewer.session.seconds < seconds:
-            time.sleep(0.01)
         viewer.play(False)
-        time.sleep(1.0)
+        viewer.request(viewer.session.reset, lambda: viewer._follow(row))
+        done = threading.Event()
+        steps = [viewer._step_once, lambda: viewer._show(1.0)] * round(seconds / viewer.session.rovers.control_dt)
+        viewer.request(*steps, done.set)
+        done.wait()
         yield viewer
     finally:
         viewer.close()
@@ -84,17 +86,19 @@ def save(picture: Image.Image | bytes, name: str) -> None:
     """Saves a picture."""
     image = picture if isinstance(picture, Image.Image) else Image.open(BytesIO(picture))
     path = IMAGES / name
-    options = {"quality": 82, "optimize": True} if path.suffix == ".jpg" else {"optimize": True}
-    image.convert("RGB").save(path, **options)
+    image = image.convert("RGB")
+    if path.suffix == ".png":
+        image = image.quantize(256, dither=Image.Dither.NONE)
+    image.save(path, quality=85, optimize=True)
     print(f"{path}: {path.stat().st_size // 1000} kB", flush=True)
 
 
 def draw_first(browser: Browser) -> None:
     """The first picture of the README: a trained rover among the boulders of the moon."""
-    with viewer_of("pretrained:anywhere", 4.5, world="moon", num_envs=1, seed=5) as viewer:
+    with viewer_of("pretrained:anywhere", 6.0, world="moon", num_envs=1, seed=11) as viewer:
         viewer.stage.show_layer("lidar hits", False)
         with page_of(browser, viewer, (1200, 640)):
-            save(scene(viewer, (1200, 640), (-1.35, -1.6, 0.95), (0.6, 0.3, 0.1)), "first.jpg")
+            save(scene(viewer, (1200, 640), (-1.55, 0.75, 0.95), (0.9, -0.15, 0.05)), "first.jpg")
 
 
 def draw_inside(browser: Browser) -> None:

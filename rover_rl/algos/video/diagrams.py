@@ -63,7 +63,7 @@ def spread_bars(spread: Tensor) -> str:
             f'<svg viewBox="0 0 100 10" preserveAspectRatio="none" style="flex:1;height:12px;background:#f3f4f6">'
             f'<rect x="{left:.1f}" width="{right - left:.1f}" height="10" fill="{SKY}"/>'
             f'<rect x="{middle - 0.5:.1f}" width="1" height="10" fill="{BLUE}"/></svg>'
-            f'<span style="width:110px">{center:.2f} ({low:g} to {high:g})</span></div>'
+            f'<span style="width:110px">{center:.2f} ({low:.3g} to {high:.3g})</span></div>'
         )
     title = "<b>Action: center and one standard deviation</b>"
     return f'<div style="font-size:12px;padding:4px 12px">{title}{"".join(rows)}</div>'
