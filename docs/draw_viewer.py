@@ -101,6 +101,23 @@ def draw_first(browser: Browser) -> None:
             save(scene(viewer, (1200, 640), (-1.55, 0.75, 0.95), (0.9, -0.15, 0.05)), "first.jpg")
 
 
+def draw_follow(browser: Browser) -> None:
+    """The page as it opens."""
+    with (
+        viewer_of("pretrained:anywhere", 6.0, world="moon", num_envs=1, seed=0) as viewer,
+        page_of(browser, viewer, (1100, 700)) as page,
+    ):
+        save(page.screenshot(), "viewer.png")
+
+
+def draw_many(browser: Browser) -> None:
+    """Many rovers from above."""
+    with viewer_of("pretrained:anywhere", 3.0, world="moon", num_envs=64, seed=0) as viewer:
+        viewer.cameras.select("top")
+        with page_of(browser, viewer, (1100, 700), "Show") as page:
+            save(page.screenshot(), "viewer-many.png")
+
+
 def draw_inside(browser: Browser) -> None:
     """What goes on inside of a policy in a maze, with the map that it has built."""
     with viewer_of("pretrained:anywhere", 6.0, world="maze:10003", num_envs=1, seed=1) as viewer:
@@ -123,7 +140,13 @@ def draw_training(browser: Browser) -> None:
         save(page.screenshot(), "viewer-training.png")
 
 
-PICTURES: dict[str, Callable[[Browser], None]] = {"first": draw_first, "inside": draw_inside, "training": draw_training}
+PICTURES: dict[str, Callable[[Browser], None]] = {
+    "first": draw_first,
+    "follow": draw_follow,
+    "many": draw_many,
+    "inside": draw_inside,
+    "training": draw_training,
+}
 
 
 def main(names: list[str]) -> None:

@@ -5,36 +5,28 @@ The file holds viser's client and its recording of the scene, so that it shows w
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import torch
 import viser
 
-from rover_rl.algos.video.diagrams import curve_plots
+from rover_rl.algos.video.overlay import caption_of, overlay, stride_of
 from rover_rl.algos.video.recording import Moment, Recording, curves_of
 from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import LOOK_AT, Cameras
-from rover_rl.view.page import HOST, PORT, address, close_page, open_page
+from rover_rl.view.page import HOST, PORT, Page, close_page, open_page
 from rover_rl.view.panels import Plot
 from rover_rl.view.recorder import Recorder
 from rover_rl.view.stage import Stage
 
-RATE = 10.0  # largest number of moments in a replay, 1/s. Between two, the rovers go on in small steps
 FRAMES = 20  # number of updates of the page, 1/s
-_BOX = (
-    "position:fixed;left:8px;right:8px;bottom:56px;padding:4px 8px;font:11px sans-serif;"
-    "background:rgba(255,255,255,0.8);border-radius:6px;pointer-events:none"
-)
-_SCRIPT = Path(__file__).with_name("replay.js")
 
 
 class Projector:
@@ -86,43 +78,18 @@ def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[s
                 projector.load(recording)
             stride = stride_of(recording)
             for index in range(0, len(recording.moments), stride):
-                caption = _caption(projector.show(index))
+                caption = caption_of(projector.show(index))
                 captions.append(f"{title} · {caption}" if title else caption)
                 serializer.insert_sleep(stride * recording.dt)
         page = serializer.as_html()
     finally:
         close_page(server)
     with written_whole(path) as temporary:
-        temporary.write_text(page.replace("</body>", f"{_overlay(recordings, captions)}</body>"), encoding="utf-8")
+        temporary.write_text(page.replace("</body>", f"{overlay(recordings, captions)}</body>"), encoding="utf-8")
 
 
-def stride_of(recording: Recording) -> int:
-    """Returns the number of steps from one moment of a replay to the next."""
-    return max(1, round(1 / (RATE * recording.dt)))
-
-
-def _overlay(recordings: Sequence[Recording], captions: Sequence[str]) -> str:
-    """Returns plots of the drives over the whole time, and captions, which follow the time slider."""
-    each = [(curves_of(one), stride_of(one)) for one in recordings]
-    names = dict.fromkeys(chain.from_iterable(curves for curves, _ in each))
-    curves = {name: np.concatenate([curves[name][::stride] for curves, stride in each]) for name in names}
-    x = np.arange(len(next(iter(curves.values()))))
-    plots = f'<div style="display:flex;gap:12px">{curve_plots(x, curves)}</div>'
-    script = f"<script>const captions = {json.dumps(captions)};{_SCRIPT.read_text()}</script>"
-    return f'<div style="{_BOX}"><div class="caption" style="font-size:13px"></div>{plots}</div>{script}'
-
-
-def _caption(moment: Moment) -> str:
-    distance = torch.dist(moment.rover.position[0, :2].cpu(), moment.goal[0].cpu()).item()
-    # Without the minus of a small negative number that is rounded to zero.
-    speed = round(moment.rover.linear_velocity[0].item(), 2) + 0.0
-    event, since = moment.event
-    recent = f" · {event}" if event and moment.seconds < since + 3 else ""
-    return f"{moment.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m{recent}"
-
-
-class ReplayPage:
-    """Page with recorded drives and a time slider. It runs in the background until :meth:`close`.
+class ReplayPage(Page):
+    """Page with recorded drives and a time slider.
 
     Args:
         drives: functions that return the recorded drives, by title. The page calls one when its drive is chosen.
@@ -133,19 +100,15 @@ class ReplayPage:
         self._drives = drives
         first = next(iter(drives))
         recording = drives[first]()
-        self.server = open_page(host, port)
-        self.address, self.playing, self._closed = address(self.server), True, threading.Event()
+        super().__init__(host, port)
         self._lock = threading.Lock()
         gui = self.server.gui
         self._status = gui.add_markdown("")
         chosen = gui.add_dropdown("Drive", tuple(drives), initial_value=first)
         chosen.on_update(lambda _: self._choose(chosen.value))
-        self._play = gui.add_button("Pause", hint="Space")
-        self._play.on_click(lambda _: self.play(not self.playing))
-        gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
+        self._add_play()
         self._time = gui.add_slider("Time, s", 0.0, 1.0, 0.05, 0.0)
         self._time.on_update(lambda event: self._seek(self._time.value) if event.client is not None else None)
-        self._speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
         self.projector = Projector(self.server)
         with gui.add_folder("Show", expand_by_default=False):
             self.projector.cameras.add_choice()
@@ -154,24 +117,7 @@ class ReplayPage:
         self._plots: dict[str, Plot] = {}
         self._folder = gui.add_folder(None)
         self._load(recording)
-        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
-        self._thread.start()
-
-    def wait(self) -> None:
-        """Blocks until the page is closed or the program is interrupted."""
-        while not self._closed.wait(0.2):
-            pass
-
-    def close(self) -> None:
-        """Closes the page. Idempotent."""
-        if not self._closed.is_set():
-            self._closed.set()
-            self._thread.join(10.0)
-            close_page(self.server)
-
-    def play(self, playing: bool) -> None:
-        """Runs or pauses the replay."""
-        self.playing, self._play.label = playing, "Pause" if playing else "Run"
+        self.start()
 
     def _choose(self, title: str) -> None:
         self._status.content = "Loading …"
@@ -201,12 +147,12 @@ class ReplayPage:
             index = min(len(self.recording.moments) - 1, round(self.seconds / self.recording.dt))
             moment = self.projector.show(index)
             self._time.value = index * self.recording.dt
-            self._status.content = _caption(moment)
+            self._status.content = caption_of(moment)
 
     def _run(self) -> None:
         last = time.monotonic()
         while not self._closed.wait(1 / FRAMES):
             now = time.monotonic()
             if self.playing:
-                self._show(self.seconds + (now - last) * self._speed.value)
+                self._show(self.seconds + (now - last) * self.speed)
             last = now

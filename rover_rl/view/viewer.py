@@ -10,7 +10,6 @@ Example:
 from __future__ import annotations
 
 import queue
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -30,7 +29,7 @@ from rover_rl.sims.robots import ROBOTS
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import world_names
 from rover_rl.view.cameras import Cameras
-from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
+from rover_rl.view.page import HOST, PORT, Page, check_address
 from rover_rl.view.panels import Panels, episode_table
 from rover_rl.view.pilot import Pilot
 from rover_rl.view.recorder import Recorder
@@ -53,7 +52,7 @@ def named_policy(name: str) -> Policy | None:
     return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
 
 
-class Viewer:
+class Viewer(Page):
     """Page in the browser with the rovers of an environment. It runs in the background until :meth:`close`.
 
     The page shows terrain, rovers, lidar, goals and paths, pauses and steps the simulation, sets goals by clicks on the
@@ -101,30 +100,20 @@ class Viewer:
         if policy is not None:
             self._given[name] = policy
         self.session = Session(env, policy)
-        self.server = open_page(host, port)
-        self.address, self.error = address(self.server), ""
-        self.playing, self.speed, self.frames, self._policy = True, 1.0, 0, name
+        super().__init__(host, port)
+        self.error, self.frames, self._policy = "", 0, name
         self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
-        self._closed = threading.Event()
         self._training: TrainingPanel | None = None
         self.stage = Stage(self.server)
         self.cameras = Cameras(self.server)
         self._make_page(name)
         self._show_world()
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
-        self._thread.start()
-
-    def wait(self) -> None:
-        """Blocks until the viewer is closed or the program is interrupted."""
-        while not self._closed.wait(0.2):
-            pass
+        self.start()
 
     def close(self) -> None:
         """Closes the page and the environment. Idempotent."""
         if not self._closed.is_set():
-            self._closed.set()
-            self._thread.join(10.0)
-            close_page(self.server)
+            super().close()
             self.session.close()
 
     def request(self, *acts: Callable[[], Any]) -> None:
@@ -134,8 +123,8 @@ class Viewer:
 
     def play(self, playing: bool) -> None:
         """Runs or pauses the simulation."""
-        self.playing, self.error = playing, "" if playing else self.error
-        self._play.label = "Pause" if playing else "Run"
+        self.error = "" if playing else self.error
+        super().play(playing)
 
     def _make_page(self, policy: str) -> None:
         gui = self.server.gui
@@ -160,13 +149,9 @@ class Viewer:
 
     def _make_drive_tab(self, policy: str) -> None:
         gui, session = self.server.gui, self.session
-        self._play = gui.add_button("Pause", hint="Space")
-        self._play.on_click(lambda _: self.play(not self.playing))
+        self._add_play()
         gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
         gui.add_button("Reset").on_click(lambda _: self.request(session.reset, self._moved))
-        gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
-        speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
-        speed.on_update(lambda _: setattr(self, "speed", speed.value))
         explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
         explore.on_update(lambda _: setattr(session, "exploring", explore.value))
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
