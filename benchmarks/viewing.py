@@ -1,4 +1,4 @@
-"""Cost of a page: speed of training with and without ``--view``, measured alternately, with a page open.
+"""Cost of a page: speed of training with the page of ``--view`` open and closed, measured alternately in one training.
 
 ``python -m benchmarks.viewing``. It needs the extra ``view``. The page is one on another machine: it gets everything
 and draws nothing. A browser on the same machine without a GPU draws on the cores that train.
@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,24 +33,22 @@ CAMERA: dict[str, Any] = {
     "up_direction": (0.0, 0.0, 1.0),
 }
 """What a page says first."""
-LOAD = 0.4
-"""Share of each training after which its speed is measured: the page is open by then."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Measure training with and without a page, and 64 rovers on a page."""
 
-    minutes: float = 1.0
-    """Duration of each training, minutes."""
-    rounds: int = 3
-    """Number of pairs of trainings."""
+    start: float = 40.0
+    """Time in which a training and its page begin, s."""
+    rounds: int = 9
+    """Number of comparisons."""
     world: str = "moon"
     """World."""
     rovers: int = 64
     """Number of rovers on a page."""
-    seconds: float = 20.0
-    """Duration of the measurement of a page with many rovers, s."""
+    seconds: float = 6.0
+    """Duration of a measurement, s."""
 
 
 @contextmanager
@@ -80,18 +78,38 @@ def open_page(port: int) -> Iterator[None]:
         thread.join()
 
 
-def speed_of_training(options: Options, view: bool) -> float:
-    """Trains, and returns the steps per second after the start, with or without an open page."""
+def ratios_of_training(options: Options) -> list[float]:
+    """Trains with ``--view``. Opens and closes the page again and again, and returns the ratios of the speeds."""
     with TemporaryDirectory() as folder:
         port = check_address("127.0.0.1", 0)
         command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "train"]
-        command += ["--world", options.world, "--max-minutes", str(options.minutes), "--runs", folder, "--name", "run"]
-        command += ["--view", "--port", str(port)] if view else []
-        with open_page(port) if view else nullcontext():
-            subprocess.run(command, stdout=subprocess.DEVNULL, check=True)
-        columns = read_progress(Path(folder, "run", "progress.csv"))
-    first = next(index for index, minutes in enumerate(columns["minutes"]) if minutes > LOAD * options.minutes)
-    steps, minutes = (columns[name][-1] - columns[name][first] for name in ("steps", "minutes"))
+        # Short batches, so that there are many rows to measure by.
+        command += ["--world", options.world, "--rollout-length", "4", "--total-steps", "1000000000"]
+        command += ["--runs", folder, "--name", "run", "--view", "--port", str(port)]
+        training = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        path, ratios = Path(folder, "run", "progress.csv"), []
+        try:
+            # The page is loaded when it is opened for the first time.
+            with open_page(port):
+                time.sleep(options.start)
+            for _ in range(options.rounds):
+                without = speed(path, options.seconds)
+                with open_page(port):
+                    viewed = speed(path, options.seconds)
+                ratios.append(2 * viewed / (without + speed(path, options.seconds)))
+                print(f"training: {without:,.0f} steps/s, with a page {viewed:,.0f}: {ratios[-1]:.3f}", flush=True)
+        finally:
+            training.terminate()
+            training.wait()
+    return ratios
+
+
+def speed(path: Path, seconds: float) -> float:
+    """Returns the steps per second that a training takes in the next seconds."""
+    before = read_progress(path)
+    time.sleep(seconds)
+    after = read_progress(path)
+    steps, minutes = (after[name][-1] - before[name][-1] for name in ("steps", "minutes"))
     return steps / (60 * minutes)
 
 
@@ -113,11 +131,7 @@ def many_rovers(options: Options) -> tuple[float, float]:
 
 def main(options: Options) -> None:
     """Measures, and prints the results."""
-    ratios = []
-    for _ in range(options.rounds):
-        without, viewed = (speed_of_training(options, view) for view in (False, True))
-        ratios.append(viewed / without)
-        print(f"training: {without:,.0f} steps/s, with a page {viewed:,.0f}: ratio {ratios[-1]:.3f}", flush=True)
+    ratios = ratios_of_training(options)
     print(f"median ratio {statistics.median(ratios):.3f}", flush=True)
     real_time, frames = many_rovers(options)
     print(f"{options.rovers} rovers on a page: {real_time:.2f} times real time, {frames:.1f} frames/s")
