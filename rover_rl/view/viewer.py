@@ -36,7 +36,7 @@ from rover_rl.view.recorder import Recorder
 from rover_rl.view.runs import Load, TrainingPanel
 from rover_rl.view.stage import MAP, Stage
 
-FRAMES, BACKGROUND_FRAMES = 30, 10  # number of updates of the page, 1/s
+FRAMES, BACKGROUND_FRAMES = 30, 5  # number of updates of the page, 1/s
 PANELS_EVERY = 6  # number of frames after which the panels change
 TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
