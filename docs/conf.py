@@ -27,6 +27,7 @@ extensions = [
     "command_help",
     "gallery",
     "docstrings",
+    "replay",
 ]
 exclude_patterns = ["_build", "gallery/**/*.ipynb", "gallery/**/*.py", "gallery/**/*.md5"]
 # Listed by the navigation of the gallery alone.

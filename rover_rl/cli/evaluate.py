@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
+from rover_rl.cli.replays import write_worst
 from rover_rl.sims.robots import get_robots
 
 if TYPE_CHECKING:
@@ -65,6 +67,9 @@ class Evaluate:
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
+    html: Path | None = None
+    """Page to write: the drives of each policy that went worst and two usual ones, with a time slider, in one file that
+    opens offline (needs the extra view)."""
 
     def __call__(self) -> int:
         """Runs the command."""
@@ -72,7 +77,11 @@ class Evaluate:
         from rover_rl.algos.evaluation.evaluate import check_options
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
+        from rover_rl.algos.evaluation.results import Evaluation
 
+        if self.html is not None:
+            # Says first if the extra is missing.
+            import_module("rover_rl.view")
         check_columns(self.columns)
         given = {"seconds": self.seconds, "action_repeat": self.action_repeat}
         check_options(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
@@ -104,6 +113,10 @@ class Evaluate:
         by_world = ", evaluation-worlds.csv" if any(episodes.several_worlds for episodes in sets.values()) else ""
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv (episodes), evaluation-summary.csv{by_world}")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
+        if self.html is not None:
+            shown = [result for result in results if isinstance(result, Evaluation) and result.backend != "ros2"]
+            count = write_worst(shown, policies, out / "evaluation.json", self.html)
+            print(f"Replay of {count} drives: {self.html}")
         return 0
 
     def _backends(self, policies: list[ResolvedPolicy]) -> list[str | None]:

@@ -42,6 +42,8 @@ class Film:
     """File to write: .mp4 (needs the extra video) or .gif."""
     html: Path | None = None
     """Page to write in place of a film: one file that opens offline, with a time slider (needs the extra view)."""
+    rrd: Path | None = None
+    """File for Rerun to write in place of a film, .rrd (needs rerun-sdk)."""
     episode: int | None = None
     """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a log: the drive in it;
     default: the last one."""
@@ -90,7 +92,9 @@ class Film:
 
     def _check(self) -> None:
         """Checks the settings before the drive, which takes seconds."""
-        self._style.check(self.out if self.html is None else Path("page.gif"))
+        self._style.check(self.out if self._exported is None else Path("page.gif"))
+        if self.html is not None and self.rrd is not None:
+            raise ValueError("give --html or --rrd, not both")
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
@@ -100,8 +104,8 @@ class Film:
                 raise ValueError(f"{name} belongs to films without --episode, --failures and logs")
         if self.episode is not None and self.failures:
             raise ValueError("give --episode or --failures, not both")
-        if self.html is not None and self.rewards is not None:
-            raise ValueError("--rewards belongs to films without --html")
+        if self._exported is not None and self.rewards is not None:
+            raise ValueError("--rewards belongs to films without --html and --rrd")
         if self.failures and self.policy.endswith(LOG):
             raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
 
@@ -115,10 +119,10 @@ class Film:
         from rover_rl.algos.video.film import film_recording
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
-        if self.html is not None:
+        if self._exported is not None:
             # Those of several failures have numbers, as films have.
-            out = self.html.with_stem(out.stem.replace(self.out.stem, self.html.stem))
-            _write_page(shown, out)
+            out = self._exported.with_stem(out.stem.replace(self.out.stem, self._exported.stem))
+            self._export(shown, out)
         else:
             film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
@@ -185,8 +189,8 @@ class Film:
         # Each rover meets movers of its own, of which a film shows those of the first one.
         alone = self.view == "chase" or bool(WorldPool(world)[0].movers)
         rows = self.rovers or (1 if alone else 16)
-        if self.html is not None:
-            self._write_endless(policy, world, rows)
+        if self._exported is not None:
+            self._export_endless(policy, world, rows)
             return
         rollout = film(
             policy.module,
@@ -207,33 +211,39 @@ class Film:
             draw_reward_components(rollout, self.rewards)
             print(f"Rewards: {self.rewards}")
 
-    def _write_endless(self, policy: ResolvedPolicy, world: str, rows: int) -> None:
-        """Writes a page of rovers that drive from goal to goal."""
+    def _export_endless(self, policy: ResolvedPolicy, world: str, rows: int) -> None:
+        """Writes a page, or a file for Rerun, of rovers that drive from goal to goal."""
         from rover_rl.algos.video.recording import record_endless
 
-        assert self.html is not None
+        assert self._exported is not None
         seconds = FILMED if self.seconds is None else self.seconds
         env = self.environment.description(policy.module, self.backend)
         recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
-        _write_page(recording, self.html)
-        print(f"Page: {self.html}")
+        self._export(recording, self._exported)
+        print(f"{'Page' if self.html else 'Recording'}: {self._exported}")
 
+    @property
+    def _exported(self) -> Path | None:
+        """File to write in place of a film, if there is one."""
+        return self.html or self.rrd
 
-def _write_page(recording: Recording, path: Path) -> None:
-    # Importing viser takes seconds.
-    from rover_rl.view.replay import write_replay
+    def _export(self, recording: Recording, path: Path) -> None:
+        if self.html is None:
+            from rover_rl.algos.video.rerun_export import write_rrd
 
-    write_replay(recording, path)
+            write_rrd(recording, path)
+            return
+        # Importing viser takes seconds.
+        from rover_rl.view.replay import write_replay
+
+        write_replay([recording], path)
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:
     """Drives an episode of an evaluation again, and says so if it ends otherwise."""
-    from rover_rl.algos.video.recording import record_episodes
+    from rover_rl.algos.video.recording import record_stored
 
-    episodes = stored.to_drive(episode)
-    options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
-    wanted = [episode - episodes.offset]
-    (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
+    driven = record_stored(policy.module, stored, episode)
     ending, seconds = stored.endings[episode], stored.durations[episode]
     if (driven.ending, round(driven.seconds, 3)) != (ending, seconds):
         print(f"Episode {episode} ended otherwise in the evaluation: {ending} after {seconds:.1f} s", flush=True)

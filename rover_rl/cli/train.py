@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,6 +26,7 @@ from rover_rl.algos.config import (
 )
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
+from rover_rl.cli.training_page import TrainingPage
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.sims.backends import name_of
 
@@ -68,6 +70,12 @@ class Train:
     The same command continues runs that were interrupted."""
     randomize: bool = False
     """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
+    view: bool = False
+    """Open a page with the learning curve and a few rovers that drive with the newest policy (needs the extra view)."""
+    host: str = "127.0.0.1"
+    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
+    port: int = 8080
+    """Port of the page; 0 takes a free one."""
     run: Annotated[RunOptions, FLAT] = field(default_factory=RunOptions)
     env: Annotated[EnvConfig, FLAT] = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, FLAT] = field(default_factory=NetworkConfig)
@@ -89,13 +97,18 @@ class Train:
         config = self.config
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
-        if not self.seeds:
-            return train_one(config, self.resume, "To evaluate it: rover-rl evaluate {}")
-        if self.resume is not None:
+        if self.seeds and self.resume is not None:
             raise ValueError("--resume continues one run; several --seeds are continued by the command that began them")
-        return self._train_seeds(config)
+        with ExitStack() as stack:
+            page = None
+            if self.view:
+                page = stack.enter_context(TrainingPage(self.host, self.port))
+                print(f"Page: {page.address}, in some seconds", flush=True)
+            if self.seeds:
+                return self._train_seeds(config, page)
+            return train_one(config, self.resume, "To evaluate it: rover-rl evaluate {}", page)
 
-    def _train_seeds(self, config: TrainingConfig) -> int:
+    def _train_seeds(self, config: TrainingConfig, page: TrainingPage | None) -> int:
         """Trains a policy for each seed. A run that diverges does not keep the others from being trained."""
         from rover_rl.algos.experiments.seeds import seed_runs
 
@@ -104,7 +117,7 @@ class Train:
         for number, (run, folder) in enumerate(runs, 1):
             print(f"Run {number} of {len(runs)}, seed {run.seed}:", flush=True)
             try:
-                code = train_one(run, folder)
+                code = train_one(run, folder, page=page)
             except FloatingPointError as error:
                 print(f"rover-rl: {error}", file=sys.stderr)
                 code, failed = 0, FAILED
@@ -118,12 +131,14 @@ class Train:
         return failed
 
 
-def train_one(config: TrainingConfig, folder: Path | None, advice: str | None = None) -> int:
+def train_one(
+    config: TrainingConfig, folder: Path | None, advice: str | None = None, page: TrainingPage | None = None
+) -> int:
     """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary."""
     from rover_rl.algos.experiments.curves import draw_learning_curve
     from rover_rl.algos.train import train
 
-    summary = train(config, folder)
+    summary = train(config, folder, begun=None if page is None else page.show)
     print(format_summary(summary), flush=True)
     draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
     if advice:

@@ -10,12 +10,15 @@ import tyro
 
 from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
 from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, RANDOM, EnvOptions, resolve_policy
+from rover_rl.cli.replays import drives_of_evaluation, drives_of_log
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.view.replay import ReplayPage
     from rover_rl.view.viewer import Viewer
 
-_POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} A run may still be training.")
+_HELP = f"{ONE_POLICY} A run may still be training. Or a log of rover-rl drive ({LOG}), which is replayed."
+_POLICY = tyro.conf.arg(metavar="POLICY", help=_HELP)
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class View:
     policy: Annotated[tyro.conf.Positional[str], _POLICY] = "pretrained:anywhere"
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon."""
+    evaluation: Path | None = None
+    """evaluation.json, or its folder: replays the episodes of the policy's evaluation, failures first."""
     rovers: int = 1
     """Number of rovers."""
     agents: int = 1
@@ -46,7 +51,7 @@ class View:
         """Runs the command until Ctrl-C."""
         check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
         check_seed(self.seed)
-        viewer = self._open()
+        viewer = self._open_replay() if self.evaluation or self.policy.endswith(LOG) else self._open()
         print(f"Page: {viewer.address} (Ctrl-C ends it)", flush=True)
         try:
             viewer.wait()
@@ -55,6 +60,23 @@ class View:
         finally:
             viewer.close()
         return 0
+
+    def _open_replay(self) -> ReplayPage:
+        """Opens the page of the drives of an evaluation or a log."""
+        from rover_rl.view.page import check_address
+        from rover_rl.view.replay import ReplayPage
+
+        check_address(self.host, self.port)
+        from rover_rl.algos.evaluation.stored import read_evaluation
+
+        if self.policy.endswith(LOG):
+            drives = dict(drives_of_log(Path(self.policy), self.world))
+        else:
+            assert self.evaluation is not None
+            policy = resolve_policy(self.policy, (), self.environment.robot)
+            stored = read_evaluation(self.evaluation, policy.name, self.world, self.backend)
+            drives = dict(drives_of_evaluation(policy, stored))
+        return ReplayPage(drives, self.host, self.port)
 
     def _open(self) -> Viewer:
         """Opens the page."""
@@ -66,8 +88,6 @@ class View:
         from rover_rl.algos.experiments.run_files import RunFiles
         from rover_rl.envs.make import make_env
 
-        if self.policy.endswith(LOG):
-            raise ValueError(f"a log is shown by rover-rl film {self.policy} --out drive.html")
         run = RunFiles.find(Path(self.policy))
         word = RANDOM if run is not None and not run.policies() else self.policy
         if run is not None and run.policies():

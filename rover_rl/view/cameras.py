@@ -5,7 +5,8 @@ The follow camera moves the world, not the camera: the pages stay free to orbit 
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.region import union
 from rover_rl.view.stage import ROOT
 
+Vector: TypeAlias = Sequence[float] | np.ndarray
 Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
 BEHIND, OVER_WALLS = (2.8, 1.5), (2.0, 3.4)
@@ -72,9 +74,9 @@ class Cameras:
         far = abs(position[2] + self._offset[2]) > 1.0
         self._move(np.array((-position[0], -position[1], -position[2] if far else height)))
 
-    def ground_at(self, world: World, event: viser.SceneClickEvent) -> tuple[float, float] | None:
-        """Returns the point of the ground that was clicked on, x and y (m); ``None`` for the sky."""
-        start, direction = np.array(event.ray_origin) - self._offset, np.array(event.ray_direction)
+    def ground_at(self, world: World, eye: Vector, toward: Vector) -> tuple[float, float] | None:
+        """Returns the point of the ground in a direction from the camera, x and y (m); ``None`` for the sky."""
+        start, direction = np.array(eye) - self._offset, np.array(toward) / np.linalg.norm(toward)
         points = torch.from_numpy(start + np.arange(0, SIGHT, _STEP)[:, None] * direction)
         (left, right), (bottom, top) = world.terrain.extent
         x, y, z = points.unbind(-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -18,14 +17,14 @@ from rover_rl.envs import RoverEnv
 from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import Cameras
-from rover_rl.view.page import HOST, PORT, address, close_page, open_page
+from rover_rl.view.page import HOST, PORT, Page
 from rover_rl.view.pilot import Pilot
 from rover_rl.view.stage import Stage
 
 FRAMES = 15  # number of updates of the page, 1/s
 
 
-class LivePage:
+class LivePage(Page):
     """Page of a live rover. A context manager.
 
     The stop button calls ``on_stop`` in the loop of the server, which waits for nothing else: neither for the
@@ -41,8 +40,8 @@ class LivePage:
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
-        self.server = open_page(host, port)
-        self.address, self.stopped = address(self.server), False
+        super().__init__(host, port)
+        self.stopped = False
         self.on_stop: Callable[[], Any] = lambda: None
         gui = self.server.gui
         stop = gui.add_button("STOP", color="red", hint="Escape. The drive ends, and the rover stands.")
@@ -55,17 +54,6 @@ class LivePage:
         self._cameras.add_choice()
         self._stage.add_checkboxes()
         self._latest: tuple[RoverEnv, Moment, Status] | None = None
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
-
-    def __enter__(self) -> LivePage:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._closed.set()
-        self._thread.join(2.0)
-        close_page(self.server)
 
     async def _stop(self, _: object) -> None:
         if self.stopped:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import viser
 from torch import Tensor
@@ -19,44 +20,7 @@ DIRECTIONS = {"▲": (1.0, 0.0), "◀": (0.0, 1.0), "▼": (-1.0, 0.0), "▶": (
 """Buttons, and the shares of the top speed forward and of the largest turn to the left that they command."""
 TURN = math.radians(60)  # offset of the heading that a turn commands, rad
 
-_KEYS = """
-(() => {
-  const keys = {KeyW: '▲', KeyA: '◀', KeyS: '▼', KeyD: '▶'};
-  Object.assign(keys, {ArrowUp: '▲', ArrowLeft: '◀', ArrowDown: '▼', ArrowRight: '▶'});
-  const find = (label) => [...document.querySelectorAll('button')].find((one) => one.textContent.trim() === label);
-  const held = new Set();
-  const send = (label, kind) => {
-    const button = find(label);
-    if (button) button.dispatchEvent(new PointerEvent(kind, {bubbles: true, button: 0}));
-  };
-  const release = () => { held.forEach((code) => send(keys[code], 'pointerup')); held.clear(); };
-  const listen = (kind, act) => window.addEventListener(kind, (event) => {
-    const writes = ['INPUT', 'TEXTAREA'].includes(event.target.tagName) && event.target.type !== 'checkbox';
-    if (!keys[event.code] || writes || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    event.stopPropagation();
-    act(event.code);
-  }, true);
-  if (!window.roverKeys) {
-    window.roverKeys = true;
-    listen('keydown', (code) => { if (!held.has(code)) { held.add(code); send(keys[code], 'pointerdown'); } });
-    listen('keyup', (code) => { held.delete(code); send(keys[code], 'pointerup'); });
-    window.addEventListener('blur', release);
-    document.addEventListener('visibilitychange', release);
-  }
-  const arrange = () => {
-    const buttons = ['▲', '◀', '▼', '▶'].map(find);
-    if (buttons.some((one) => !one)) return setTimeout(arrange, 200);
-    buttons.forEach((one, i) => {
-      one.parentElement.style.display = 'inline-block';
-      one.parentElement.style.width = 'calc(33% - 8px)';
-      one.parentElement.style.margin = i ? '0 4px' : '0 33%';
-    });
-  };
-  arrange();
-})()
-"""
-"""Script of the page: keys press the buttons of the pad, and the buttons lie as the arrows of a keyboard do."""
+_KEYS = Path(__file__).with_name("pilot.js")
 
 
 class Pilot:
@@ -71,7 +35,7 @@ class Pilot:
             button.on_hold(self._presser(label), callback_hz=HOLD_RATE)
         self._wheel = gui.add_button("Take over", color="orange")
         self._wheel.on_click(lambda _: self.give_back() if self.active else self.take_over())
-        script = " ".join(_KEYS.split()).replace('"', "&quot;")
+        script = _KEYS.read_text().partition("\n")[2].replace('"', "&quot;")
         gui.add_html(f'<img src="data:," style="display:none" onerror="{script}">')
 
     def _presser(self, label: str) -> Callable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -24,16 +24,22 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers.shapes import KINDS
 
+Color: TypeAlias = tuple[int, int, int]
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
 RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
 """Colors of lidar rays, hits, the driven path and the shortest path."""
+PLANNED = (200, 40, 200)
+"""Color of the route that a policy plans on its map."""
+MARKED = ((150, 20, 40), (235, 90, 60), (250, 190, 60))
+"""Colors of the cells of a map: occupied, too close to that for the rover, and narrow."""
 MAX_RAYS = 64  # number of lidar rays that are shown at most
 MAX_HITS = 20_000  # number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown
 FEW = 128  # number of copies up to which distant ones are drawn as finely as near ones
 OTHERS = 0.4  # size of the goals of rovers that are not followed
 MAX_PATH = 4_000  # number of points of the driven path that are kept
-LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers")
-"""What checkboxes show and hide."""
+MAP = "map of the policy"
+LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers", MAP)
+"""What checkboxes show and hide. The map is hidden at first."""
 _LIFT = 0.04  # height of paths above the ground, m
 _SPACING = 0.05  # distance between two points of the driven path, m
 _JUMP = 1.0  # distance of a rover from the last point of its path from which it was put elsewhere, m
@@ -48,13 +54,14 @@ class Stage:
         self._server = server
         self.world: World | None = None
         self._robot: Robot | None = None
-        self._shown = dict.fromkeys(LAYERS, True)
+        self._shown: dict[str, bool] = {}
+        self.on_drag: Callable[[viser.SceneNodeDragEvent], None] | None = None
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         self._forms: dict[Form, int] = {}
         self._path: list[np.ndarray] = []
         server.scene.add_frame(ROOT, show_axes=False)
         for layer in LAYERS:
-            server.scene.add_frame(self._name(layer), show_axes=False)
+            self.show_layer(layer, layer != MAP)
 
     def enter(self, world: World, robot: Robot, ray_angles: Tensor) -> None:
         """Shows a world for a robot, with the direction of each lidar beam in its frame, ``[beams]``, rad."""
@@ -68,7 +75,8 @@ class Stage:
         meshes = world_meshes(world)
         for name in ("ground", "land", "obstacles"):
             if name in meshes:
-                self._server.scene.add_mesh_trimesh(f"{ROOT}/{name}", meshes[name])
+                # Its shadows are in its colors.
+                self._server.scene.add_mesh_trimesh(f"{ROOT}/{name}", meshes[name], cast_shadow=False)
             else:
                 self._server.scene.remove_by_name(f"{ROOT}/{name}")
         self._forget("movers/")
@@ -88,8 +96,12 @@ class Stage:
     def add_checkboxes(self) -> None:
         """Adds a checkbox for each layer to the page."""
         for layer in LAYERS:
-            box = self._server.gui.add_checkbox(layer, True)
+            box = self._server.gui.add_checkbox(layer, self._shown[layer])
             box.on_update(lambda _, layer=layer, box=box: self.show_layer(layer, box.value))
+
+    def shows(self, layer: str) -> bool:
+        """Returns whether a layer is shown."""
+        return self._shown[layer]
 
     def show_layer(self, layer: str, shown: bool) -> None:
         """Shows or hides a layer."""
@@ -124,8 +136,22 @@ class Stage:
     def show_route(self, points: Tensor) -> None:
         """Shows the shortest path, ``[points, 2]``, m."""
         assert self.world is not None
-        line = torch.cat((points, self.world.height_at(points.double()).float()[:, None] + _LIFT), -1)
-        self._lines("shortest path", torch.stack((line[:-1], line[1:]), 1).numpy(), SHORTEST, 0.05)
+        line = self._on_ground(points)
+        self._lines("shortest path", np.stack((line[:-1], line[1:]), 1), SHORTEST, 0.05)
+
+    def show_map(self, seen: tuple[Tensor, Tensor] | None) -> None:
+        """Shows what a policy has seen, and its route: see :meth:`~rover_rl.algos.video.session.Session.seen_map`."""
+        assert self.world is not None
+        cells, route = seen or (torch.zeros(0, 3), torch.zeros(0, 2))
+        for level, color in enumerate(MARKED):
+            self._cloud(f"{MAP}/{level}", self._on_ground(cells[cells[:, 2] == level, :2]), color, 0.06)
+        line = self._on_ground(route)
+        self._lines(f"{MAP}/route", np.stack((line[:-1], line[1:]), 1), PLANNED, 0.05)
+
+    def _on_ground(self, places: Tensor) -> np.ndarray:
+        """Returns points just above the ground, ``[n, 3]``, at ``places [n, 2]``, m."""
+        assert self.world is not None
+        return torch.cat((places, self.world.height_at(places.double()).float()[:, None] + _LIFT), -1).numpy()
 
     def _name(self, layer: str) -> str:
         return f"{ROOT}/{layer.replace(' ', '_')}"
@@ -138,8 +164,7 @@ class Stage:
             return
         if step > _JUMP:
             self._path.clear()
-        ground = self.world.height_at(torch.from_numpy(position[None, :2]).double()).item()
-        self._path = [*self._path[-MAX_PATH:], np.array((*position[:2], ground + _LIFT))]
+        self._path = [*self._path[-MAX_PATH:], self._on_ground(torch.from_numpy(position[None, :2]))[0]]
         points = np.array(self._path)
         self._lines("driven path", np.stack((points[:-1], points[1:]), 1), DRIVEN, 0.05)
 
@@ -149,13 +174,7 @@ class Stage:
         stride = max(1, -(-len(rows) * len(self._angles) // MAX_HITS))
         starts, ends = lidar_beams(moment.rover[rows], moment.scan[rows, ::stride], self._robot, self._angles[::stride])
         points = ends[ends.isfinite().all(-1)].numpy()
-        if isinstance(cloud := self._nodes.get("lidar hits"), viser.PointCloudHandle):
-            cloud.points = points
-        else:
-            name = f"{self._name('lidar hits')}/points"
-            style: dict[str, Any] = {"point_size": 0.04, "point_shape": "circle", "precision": "float32"}
-            cloud = self._server.scene.add_point_cloud(name, points, HIT, point_shading="flat", **style)
-            self._nodes["lidar hits"] = cloud
+        self._cloud("lidar hits", points, HIT, 0.04)
         own = rows.tolist().index(row)
         hit = ends[own].isfinite().all(-1)
         rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit][:: -(-len(self._angles) // MAX_RAYS)]
@@ -176,7 +195,16 @@ class Stage:
             key = f"form{self._forms.setdefault(form, len(self._forms))}"
             self._many("movers", key, partial(part_surface, form), position, turn[:, [3, 0, 1, 2]])
 
-    def _lines(self, layer: str, points: np.ndarray, color: tuple[int, int, int], thickness: float) -> None:
+    def _cloud(self, layer: str, points: np.ndarray, color: Color, size: float) -> None:
+        """Shows points ``[n, 3]``, m."""
+        if isinstance(cloud := self._nodes.get(layer), viser.PointCloudHandle):
+            cloud.points = points
+            return
+        style: dict[str, Any] = {"point_size": size, "point_shape": "circle", "precision": "float32"}
+        name = f"{self._name(layer)}/points"
+        self._nodes[layer] = self._server.scene.add_point_cloud(name, points, color, point_shading="flat", **style)
+
+    def _lines(self, layer: str, points: np.ndarray, color: Color, thickness: float) -> None:
         """Shows line segments ``[n, 2, 3]``, m. Segments without a length fill them up, so that few numbers occur."""
         filled = np.zeros((-(-(len(points) + 1) // _SEGMENTS) * _SEGMENTS, 2, 3), dtype=np.float32)
         filled[: len(points)] = points
@@ -206,6 +234,7 @@ class Stage:
         lod: Any = "off" if len(position) <= FEW else "auto"
         options: dict[str, Any] = {"batched_scales": scales, "lod": lod}
         mesh, name = solid(surface()), f"{self._name(layer)}/{key}"
-        self._nodes[f"{layer}/{key}"] = self._server.scene.add_batched_meshes_trimesh(
-            name, mesh, wxyz, position, **options
-        )
+        node = self._server.scene.add_batched_meshes_trimesh(name, mesh, wxyz, position, **options)
+        self._nodes[f"{layer}/{key}"] = node
+        if layer == "rovers" and self.on_drag is not None:
+            node.on_drag(self.on_drag)

@@ -10,7 +10,6 @@ Example:
 from __future__ import annotations
 
 import queue
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -26,16 +25,18 @@ from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
+from rover_rl.sims.robots import ROBOTS
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import world_names
 from rover_rl.view.cameras import Cameras
-from rover_rl.view.page import HOST, PORT, address, check_address, close_page, open_page
+from rover_rl.view.page import HOST, PORT, Page, check_address
 from rover_rl.view.panels import Panels, episode_table
 from rover_rl.view.pilot import Pilot
-from rover_rl.view.runs import TrainingPanel
-from rover_rl.view.stage import Stage
+from rover_rl.view.recorder import Recorder
+from rover_rl.view.runs import Load, TrainingPanel
+from rover_rl.view.stage import MAP, Stage
 
-FRAMES = 30  # number of updates of the page, 1/s
+FRAMES, BACKGROUND_FRAMES = 30, 5  # number of updates of the page, 1/s
 PANELS_EVERY = 6  # number of frames after which the panels change
 TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
@@ -51,7 +52,7 @@ def named_policy(name: str) -> Policy | None:
     return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
 
 
-class Viewer:
+class Viewer(Page):
     """Page in the browser with the rovers of an environment. It runs in the background until :meth:`close`.
 
     The page shows terrain, rovers, lidar, goals and paths, pauses and steps the simulation, sets goals by clicks on the
@@ -65,6 +66,7 @@ class Viewer:
         port: port of the page; 0 takes a free one.
         find_policy: function that returns the policy of a name.
         run: run whose learning curve and snapshots the page shows.
+        background: whether other work is more important: fewer updates of the page, and no step while none is open.
 
     Attributes:
         address: address of the page.
@@ -86,9 +88,11 @@ class Viewer:
         port: int = PORT,
         find_policy: Callable[[str], Policy | None] = named_policy,
         run: RunFiles | None = None,
+        background: bool = False,
     ) -> None:
         check_address(host, port)
-        self._find, self._run_folder = find_policy, run
+        self._find, self._run_folder, self._background = find_policy, run, background
+        self._frame_time = 1 / (BACKGROUND_FRAMES if background else FRAMES)
         self._given: dict[str, Policy] = {}
         if isinstance(policy, str):
             name, policy = policy, find_policy(policy)
@@ -96,30 +100,20 @@ class Viewer:
         if policy is not None:
             self._given[name] = policy
         self.session = Session(env, policy)
-        self.server = open_page(host, port)
-        self.address, self.error = address(self.server), ""
-        self.playing, self.speed, self.frames = True, 1.0, 0
+        super().__init__(host, port)
+        self.error, self.frames, self._policy = "", 0, name
         self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
-        self._closed = threading.Event()
         self._training: TrainingPanel | None = None
         self.stage = Stage(self.server)
         self.cameras = Cameras(self.server)
         self._make_page(name)
         self._show_world()
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
-        self._thread.start()
-
-    def wait(self) -> None:
-        """Blocks until the viewer is closed or the program is interrupted."""
-        while not self._closed.wait(0.2):
-            pass
+        self.start()
 
     def close(self) -> None:
         """Closes the page and the environment. Idempotent."""
         if not self._closed.is_set():
-            self._closed.set()
-            self._thread.join(10.0)
-            close_page(self.server)
+            super().close()
             self.session.close()
 
     def request(self, *acts: Callable[[], Any]) -> None:
@@ -129,8 +123,8 @@ class Viewer:
 
     def play(self, playing: bool) -> None:
         """Runs or pauses the simulation."""
-        self.playing, self.error = playing, "" if playing else self.error
-        self._play.label = "Pause" if playing else "Run"
+        self.error = "" if playing else self.error
+        super().play(playing)
 
     def _make_page(self, policy: str) -> None:
         gui = self.server.gui
@@ -141,6 +135,7 @@ class Viewer:
         with tabs.add_tab("Show"):
             self.cameras.add_choice()
             self.stage.add_checkboxes()
+            Recorder(gui)
         with tabs.add_tab("Inside"):
             self.panels = Panels(self.server, gui.add_folder(None))
         with tabs.add_tab("Episodes"):
@@ -150,16 +145,15 @@ class Viewer:
                 self._training = TrainingPanel(self.server, self._run_folder, self._drive_with)
         self.server.scene.on_click()(self._on_click)
         self.server.scene.on_click(modifier="shift")(self._on_click)
+        self.stage.on_drag = self._on_drag
 
     def _make_drive_tab(self, policy: str) -> None:
         gui, session = self.server.gui, self.session
-        self._play = gui.add_button("Pause", hint="Space")
-        self._play.on_click(lambda _: self.play(not self.playing))
+        self._add_play()
         gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
         gui.add_button("Reset").on_click(lambda _: self.request(session.reset, self._moved))
-        gui.add_command("Pause or run", hotkey="space").on_trigger(lambda _: self.play(not self.playing))
-        speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, 1.0, hint="times real time")
-        speed.on_update(lambda _: setattr(self, "speed", speed.value))
+        explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
+        explore.on_update(lambda _: setattr(session, "exploring", explore.value))
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
         chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
         chosen.on_update(lambda _: self.request(lambda: self.set_policy(chosen.value)))
@@ -170,16 +164,20 @@ class Viewer:
         if session.can_change and isinstance(backend, str):
             backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
             backends.on_update(lambda _: self.request(lambda: self._change(backend=backends.value)))
+        robot = session.config.robot
+        if session.can_change and isinstance(robot, str):
+            robots = gui.add_dropdown("Robot", list(dict.fromkeys((robot, *ROBOTS))), initial_value=robot)
+            robots.on_update(lambda _: self.request(lambda: self.set_robot(robots.value)))
         if session.rovers.num_envs > 1:
             row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
             row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
-        gui.add_markdown("Click on the ground: goal. Shift-click: rover.")
+        gui.add_markdown("Click on the ground: goal. Shift-click: rover. A rover can be dragged, too.")
         self.pilot = Pilot(gui)
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
         session, row = self.session, self.session.row
-        place = self.cameras.ground_at(session.rovers.worlds[row], event)
+        place = self.cameras.ground_at(session.rovers.worlds[row], event.ray_origin, event.ray_direction)
         if place is None:
             return
         if event.modifier == "shift":
@@ -187,13 +185,30 @@ class Viewer:
         else:
             self.request(lambda: session.set_goal(row, place), self._show_route)
 
+    def _on_drag(self, event: viser.SceneNodeDragEvent) -> None:
+        """Puts a rover that was dragged to the ground under the pointer."""
+        if event.phase != "end" or event.instance_index is None:
+            return
+        session = self.session
+        row, eye = int(session.neighbors()[event.instance_index]), event.client.camera.position
+        place = self.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
+        if place is not None:
+            self.request(lambda: session.put(row, place), self._moved)
+
     def set_policy(self, name: str) -> None:
         """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
         self.session.set_policy(self._given.get(name) or self._find(name))
+        self._policy = name
         self._moved()
 
-    def _drive_with(self, load: Callable[[], Policy]) -> None:
-        self.request(lambda: self.session.set_policy(load()), self._moved)
+    def set_robot(self, name: str) -> None:
+        """Lets another robot drive. Raises an error if the policy is for one robot: a baseline drives any."""
+        policy = self._given.get(self._policy) or self._find(self._policy)
+        self.session.set_robot(name, make_baseline(self._policy, name) if self._policy in BASELINES else policy)
+        self._moved()
+
+    def _drive_with(self, load: Load) -> None:
+        self.request(lambda: self.session.set_policy(*load()), self._moved)
 
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
@@ -229,6 +244,10 @@ class Viewer:
         due, last = 0.0, time.monotonic()
         frame = last
         while not self._closed.is_set():
+            if self._background and not self.server.get_clients():
+                last = frame = time.monotonic()
+                self._closed.wait(0.2)
+                continue
             began = time.monotonic()
             try:
                 while not self._requests.empty():
@@ -248,7 +267,7 @@ class Viewer:
                 self.play(False)
                 self._show_status()
             # A frame that comes late does not delay those after it.
-            frame = max(frame + 1 / FRAMES, time.monotonic() - 1 / FRAMES)
+            frame = max(frame + self._frame_time, time.monotonic() - self._frame_time)
             self._closed.wait(max(0.002, frame - time.monotonic()))
 
     def _step_once(self) -> None:
@@ -299,6 +318,7 @@ class Viewer:
         lidar = session.observation.get("lidar", None)
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
         dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
-        self.panels.show(session.history, dt, readings, max_range, session.inside())
+        self.panels.show(session.history, dt, readings, max_range, session.inside(), session.action_spread())
+        self.stage.show_map(session.seen_map() if self.stage.shows(MAP) else None)
         if session.episodes:
             self._episodes.content = episode_table(session.episodes)

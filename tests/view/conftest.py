@@ -23,9 +23,9 @@ SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enab
 """Options of a browser that draws without a GPU."""
 
 
-def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
+def until(condition: Callable[[], object]) -> None:
     """Waits until a condition holds."""
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.02)
@@ -35,7 +35,7 @@ def settle(viewer: Viewer) -> None:
     """Waits until the simulation has ended the step that it is in, and has done what was requested before."""
     done = threading.Event()
     viewer.request(done.set)
-    assert done.wait(30.0), "the simulation does not answer"
+    assert done.wait(60.0), "the simulation does not answer"
 
 
 @pytest.fixture
@@ -75,8 +75,11 @@ def open_page(browser: Browser) -> Iterator[Callable[[str], Page]]:
     def start(address: str) -> Page:
         page = browser.new_page(viewport={"width": 640, "height": 420})
         pages.append(page)
+        page.set_default_timeout(60_000)
         page.goto(address)
-        page.get_by_role("button", name="▲").wait_for(timeout=60_000)
+        page.get_by_role("button", name="▲").wait_for()
+        # From here on, the page hears keys.
+        page.wait_for_function("window.roverKeys")
         return page
 
     yield start

@@ -32,10 +32,15 @@ def test_a_click_on_the_ground_sets_the_goal(open_viewer, open_page):
     viewer.play(False)
     page = open_page(viewer.address)
     before = viewer.session.rovers.goal.clone()
-    until(lambda: page.locator("canvas").count() > 0)
-    page.wait_for_timeout(3000)
-    page.mouse.click(160, 300)
-    until(lambda: not viewer.session.rovers.goal.equal(before))
+    page.locator("canvas").first.wait_for()
+
+    def moved() -> bool:
+        # The page hears clicks some time after it is there.
+        page.mouse.click(160, 300)
+        page.wait_for_timeout(300)
+        return not viewer.session.rovers.goal.equal(before)
+
+    until(moved)
     # The click is in front of the camera, which is behind the rover.
     assert torch.dist(viewer.session.rovers.goal[0], viewer.session.rovers.rover_state.position[0, :2]) < 5
 
@@ -52,7 +57,7 @@ def test_keys_take_over_and_the_rover_stops_when_they_are_released_or_the_page_i
     until(lambda: viewer.pilot.command() == (1.0, 0.0))
     until(lambda: viewer.session.rovers.rover_state.linear_velocity.item() > 0.3)
     page.close()
-    until(lambda: viewer.pilot.command() == (0.0, 0.0), seconds=2)
+    until(lambda: viewer.pilot.command() == (0.0, 0.0))
     until(lambda: abs(viewer.session.rovers.rover_state.linear_velocity.item()) < 0.1)
 
 
@@ -87,7 +92,7 @@ def test_the_stop_button_of_a_live_rover_works_as_it_goes_down(open_page):
         button = page.get_by_role("button", name="STOP")
         button.wait_for()
         button.dispatch_event("pointerdown", {"button": 0})
-        until(lambda: stopped, seconds=5)
+        until(lambda: stopped)
         with pytest.raises(InterruptedError, match="the stop button was pressed"):
             live.check()
 
@@ -97,7 +102,8 @@ def test_a_replay_opens_without_a_server(browser, tmp_path):
     from rover_rl.algos.video.recording import record_endless
     from rover_rl.view.replay import write_replay
 
-    write_replay(record_endless(ScriptedPolicy(), "moon", seconds=1, rows=2, seed=0, env=None), tmp_path / "drive.html")
+    drive = record_endless(ScriptedPolicy(), "moon", seconds=1, rows=2, seed=0, env=None)
+    write_replay([drive], tmp_path / "drive.html")
     page = browser.new_page()
     requests: list[str] = []
     page.on("request", lambda request: requests.append(request.url))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import socket
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,14 +21,18 @@ from rover_rl import RoverEnv
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import FOLDER
+from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, spread_bars
+from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
-from rover_rl.cli import main
+from rover_rl.cli import main, training_page
+from rover_rl.cli.training_page import TrainingPage, open_viewer
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
-from rover_rl.view.panels import bars, lidar_picture
 from rover_rl.view.pilot import TURN
+from rover_rl.view.replay import ReplayPage, write_replay
 from tests.view.conftest import settle, until
 
 
@@ -102,6 +110,42 @@ def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(
     assert session.rovers.goal[0].tolist() == [1.0, 2.0]
 
 
+def test_a_rover_that_is_dragged_is_put_where_it_is_dropped(open_viewer):
+    viewer = paused(open_viewer(num_envs=2))
+    # The camera is above the point, and the world is where the follow camera has moved it.
+    above = viewer.cameras._offset + np.array((1.0, -2.0, 20.0))
+    client = SimpleNamespace(camera=SimpleNamespace(position=above))
+    event = {"instance_index": 1, "client": client, "end_position": above - np.array((0.0, 0.0, 1.0))}
+    before = viewer.session.rovers.rover_state.position.clone()
+    viewer._on_drag(SimpleNamespace(phase="start", **event))
+    settle(viewer)
+    assert viewer.session.rovers.rover_state.position.equal(before)
+    viewer._on_drag(SimpleNamespace(phase="end", **event))
+    settle(viewer)
+    assert viewer.session.rovers.rover_state.position[1, :2].tolist() == pytest.approx([1.0, -2.0])
+    assert viewer.session.rovers.rover_state.position[0].equal(before[0])
+
+
+def test_a_robot_is_chosen_for_a_baseline_and_refused_for_a_policy_of_another(open_viewer):
+    viewer = paused(open_viewer("gridplanner"))
+    viewer.request(lambda: viewer.set_robot("jackal"))
+    until(lambda: viewer.session.rovers.robot.name == "jackal" or viewer.error)
+    assert not viewer.error
+    viewer.request(viewer._step_once)
+    settle(viewer)
+    assert not viewer.error
+    # The planner's map of what it has seen, around the rover, and its route.
+    cells, route = viewer.session.seen_map()
+    rover = viewer.session.rovers.rover_state.position[0, :2]
+    assert len(cells) > 20
+    assert (cells[:, :2] - rover).norm(dim=-1).max() < 20
+    assert route[0].equal(rover)
+    viewer.stage.show_map((cells, route))
+    viewer.request(lambda: viewer.set_policy("pretrained:anywhere"), lambda: viewer.set_robot("husky"))
+    until(lambda: viewer.error)
+    assert "the policy was made for the robot" in viewer.error
+
+
 def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):
     viewer = paused(open_viewer(num_envs=2))
     action = torch.ones(2, 2)
@@ -119,7 +163,7 @@ def test_an_environment_without_a_batch_is_rejected():
         Viewer(RoverEnv(world="maze", num_envs=None, backend="warp"), port=0)
 
 
-def test_a_taken_port_is_one_sentence(capsys):
+def test_a_taken_port_is_one_sentence(capsys, tmp_path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -127,7 +171,10 @@ def test_a_taken_port_is_one_sentence(capsys):
         with pytest.raises(OSError, match=f"cannot open a page on 127.0.0.1:{port}"):
             check_address("127.0.0.1", port)
         assert main(["view", "scripted", "--port", str(port)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+        # Before the training begins.
+        assert main(["train", "--view", "--port", str(port), "--runs", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("choose another --port\n") == 2
+    assert not [*tmp_path.iterdir()]
 
 
 def test_without_the_extra_there_is_a_sentence_and_nothing_imports_viser(tmp_path):
@@ -157,10 +204,14 @@ def test_pictures_of_lidar_and_rewards():
     picture = lidar_picture(np.array([0.2, 30.0, 1.0]), 12.0)
     assert picture.count("<path") == 4
     assert "3 readings up to 12 m" in picture
-    text = bars({"goal": 100.0, "idle": 0.0, "turn": -1.0}, {"norm of state": 2.0})
+    text = reward_bars({"goal": 100.0, "idle": 0.0, "turn": -1.0}, {"norm of state": 2.0})
     assert "goal" in text
     assert "idle" not in text
     assert "norm of state: 2" in text
+    # The center of the second part is that of its bounds.
+    bar = spread_bars(torch.tensor([[-1.0, -0.5, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.5, 2.0]]))
+    assert bar.count('x="49.5"') == 2
+    assert bar.count('width="50.0"') == 2
 
 
 @pytest.fixture
@@ -181,6 +232,7 @@ def test_a_killed_run_shows_what_it_has_written(run):
     assert steps.tolist() == [1000, 2000]
     assert curves["success rate"].tolist() == [0.25, 0.75]
     assert curves["goals in 2000 steps"].tolist() == [2, 6]
+    assert run.critic() is None
     assert run.policies() == []
     assert RunFiles.find(run.folder / "nothing") is None
 
@@ -201,6 +253,72 @@ def test_the_newest_policy_of_a_run_drives(run, open_viewer):
     Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
     until(lambda: viewer.error)
     assert "checkpoint" in viewer.error
+
+
+def test_the_distribution_of_the_action_is_within_its_bounds(open_viewer):
+    session = paused(open_viewer("pretrained:anywhere")).session
+    session.decide()
+    spread = session.action_spread()
+    assert (spread.diff(dim=-1) >= 0).all()
+    center = session.decide()[0].tolist()
+    assert spread[:, 2].tolist() == pytest.approx(center, abs=1e-5)
+    session.exploring = True
+    # An action is held for some steps.
+    assert [session.decide() for _ in range(session._runner.action_repeat)][-1][0].tolist() != center
+    session.set_policy(ScriptedPolicy())
+    session.decide()
+    assert session.action_spread() is None
+
+
+def test_the_page_of_a_training_rests_until_somebody_looks(run):
+    viewer = open_viewer(run.folder, "127.0.0.1", 0)
+    try:
+        assert viewer.session.rovers.num_envs == 4
+        assert viewer.session.rovers.config.world == run.env.world
+        time.sleep(0.3)
+        assert not viewer.frames
+    finally:
+        viewer.close()
+
+
+def test_a_training_goes_on_without_its_page(run, monkeypatch):
+    # The page ends at once, as one that is killed.
+    monkeypatch.setattr(training_page, "_PROGRAM", "")
+    with TrainingPage("127.0.0.1", 0) as page:
+        page._process.wait()
+        page.show(run.folder)
+        page.show(run.folder)
+    # A page ends when its training does, of which it knows by its input.
+    monkeypatch.setattr(training_page, "_PROGRAM", "import sys; sys.exit(len(sys.stdin.readlines()))")
+    with TrainingPage("127.0.0.1", 0) as page:
+        page.show(run.folder)
+    assert page._process.returncode == 1
+
+
+def _missing() -> Recording:
+    raise FileNotFoundError("no such world")
+
+
+def test_drives_are_replayed_in_a_file_and_on_a_page(tmp_path):
+    drive = record_endless(ScriptedPolicy(), "maze", seconds=0.5, rows=1, seed=0, env=None)
+    write_replay([drive, drive.last(0.2)], tmp_path / "drives.html", ["first", "second"])
+    page = (tmp_path / "drives.html").read_text()
+    captions = json.loads(page.partition("const captions = ")[2].partition("];")[0] + "]")
+    assert [caption.split(" ")[0] for caption in captions] == ["first"] * 6 + ["second"] * 3
+    replay = ReplayPage({"one": lambda: drive, "two": lambda: replace(drive, dt=0.1), "none": _missing}, port=0)
+    try:
+        replay._seek(0.2)
+        assert not replay.playing
+        assert replay.projector.stage._path
+        until(lambda: replay._status.content.startswith("0.2 s"))
+        replay._choose("two")
+        assert replay._time.max == pytest.approx(1.0)
+        replay._choose("none")
+        assert replay._status.content == "**none**: no such world"
+        replay.play(True)
+        until(lambda: replay.seconds > 0.2)
+    finally:
+        replay.close()
 
 
 def test_after_a_stop_no_action_reaches_a_live_rover(open_viewer):

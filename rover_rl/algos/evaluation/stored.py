@@ -39,6 +39,19 @@ class StoredEvaluation:
         """Indices of the episodes that did not reach their goal."""
         return [index for index, ending in enumerate(self.endings) if ending != "goal"]
 
+    def telling(self, worst: int, good: int) -> list[int]:
+        """Returns the indices of some episodes that are worth seeing.
+
+        They are the ``worst`` ones, failures or else those that took longest, and ``good`` ones that took as long as
+        most.
+        """
+        failed, all_ones = set(self.failures), range(len(self.endings))
+        # Failures first, in their order, then the others by their duration.
+        order = sorted(all_ones, key=lambda one: (one not in failed, 0.0 if one in failed else -self.durations[one]))
+        usual = [one for one in order[worst:] if one not in failed]
+        middle = max(0, (len(usual) - good) // 2)
+        return order[:worst] + usual[middle : middle + good]
+
     def to_drive(self, episode: int) -> EpisodeSet:
         """Returns the episodes to drive for the same drive as in the evaluation: the episode alone if possible.
 

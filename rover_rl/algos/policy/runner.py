@@ -82,6 +82,8 @@ class PolicyRunner:
         self.action_repeat = default_action_repeat(policy, action_repeat, self._dt)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
+        self._route: Tensor | None = None
+        self._distribution: tuple[Tensor, Tensor] | None = None
         # Rows whose episode begins, and number of steps that each row's action has been held for.
         self._is_init, self._held = torch.ones(0, dtype=torch.bool), torch.zeros(0, dtype=torch.int64)
         self.reset()
@@ -90,7 +92,7 @@ class PolicyRunner:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
-            self._seen = None
+            self._seen = self._route = self._distribution = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -99,6 +101,19 @@ class PolicyRunner:
     def state(self) -> dict[str, Tensor]:
         """Memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision."""
         return dict(self._state)
+
+    @property
+    def distribution(self) -> tuple[Tensor, Tensor] | None:
+        """Center and standard deviation, ``[N, k]`` each, of the normal distribution behind the last decision.
+
+        It is before squashing. ``None`` before the first decision, and for a policy without a distribution.
+        """
+        return self._distribution
+
+    @property
+    def seen_map(self) -> tuple[SeenMap, Tensor] | None:
+        """Maps that the runner keeps for the policy, and the last routes on them, ``[N, 5]``; ``None`` if none."""
+        return None if self._seen is None or self._route is None else (self._seen, self._route)
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
@@ -144,7 +159,7 @@ class PolicyRunner:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
         if self._seen is not None:
-            inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
+            self._route = inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
         if BOUNDS in getattr(self.policy, "in_keys", ()):
             inputs[BOUNDS] = self._bounds(observation)
         if self._keys:
@@ -156,6 +171,8 @@ class PolicyRunner:
         if rows < self._min_rows:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)
+        if "loc" in getattr(self.policy, "out_keys", ()):
+            self._distribution = outputs["loc"][:rows], outputs["scale"][:rows]
         return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
 
     def _bounds(self, observation: TensorDictBase) -> Tensor:

@@ -8,9 +8,10 @@ Example:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rover_rl.algos.config import TrainingConfig, training_config
 from rover_rl.progress import ProgressDisplay
@@ -21,12 +22,15 @@ if TYPE_CHECKING:
 __all__ = ["train", "training_config"]
 
 
-def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
+def train(
+    config: TrainingConfig, folder: Path | None = None, begun: Callable[[Path], Any] | None = None
+) -> TrainingSummary:
     """Trains a policy with the algorithm of ``config``.
 
     Args:
         config: settings of the training run.
         folder: folder of a run to continue; ``None`` starts a new run.
+        begun: function that is called with the folder of the run before the first step.
 
     Raises:
         ValueError: for a setting out of range, or an unknown world, robot, reward or backend.
@@ -42,6 +46,8 @@ def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary
             config = prepare(config)
             learner = learner_type(config)
         with TrainingRun(config, learner, folder) as run:
+            if begun is not None:
+                begun(run.folder)
             for batch in run.batches():
                 run.record(learner.update(batch, run.share, run.stopwatch))
     return run.summary

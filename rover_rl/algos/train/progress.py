@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import harmonic_mean
@@ -21,6 +21,7 @@ from rover_rl.files import errors_name, written_whole
 from rover_rl.progress import ProgressDisplay
 
 EPISODE_STEPS = EnvConfig.length  # number of steps of a full episode in the contract
+TIME = "time_"  # prefix of the columns that hold the shares of the session's time so far
 _LINE_INTERVAL = 6.0  # longest time between two lines if the output is not a terminal, s
 _RECENT_STEPS = 80_000  # number of latest steps over which the progress bar averages
 
@@ -93,6 +94,11 @@ class Stopwatch:
         elapsed = self.elapsed
         shares = {name: seconds / elapsed for name, seconds in self._seconds.items()}
         return shares | {"other": 1 - sum(shares.values())}
+
+
+def time_columns(shares: Mapping[str, float]) -> dict[str, float]:
+    """Returns the shares of a session's time by column of the table, such as ``time_gradient_steps``."""
+    return {TIME + name.replace(" ", "_"): share for name, share in shares.items()}
 
 
 class ProgressLog:

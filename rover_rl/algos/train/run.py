@@ -28,7 +28,7 @@ from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.fine_tuning import load_source
-from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics
+from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, time_columns
 from rover_rl.algos.train.run_folder import STATE, RunRecord, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
@@ -249,7 +249,8 @@ class TrainingRun:
         """Logs the current batch and saves snapshots and checkpoints that are due."""
         self.steps, self.updates = self._collected, self.updates + 1
         counters = {"updates": self.updates, "minutes": self.minutes, "steps": self.steps}
-        self._trackers.add(self._log.add({**counters, **self._batch_statistics, **learned}))
+        shares = time_columns(self.stopwatch.shares())
+        self._trackers.add(self._log.add({**counters, **self._batch_statistics, **learned, **shares}))
         self._require_finite()
         snapshot = int(self.share * self.config.run.snapshots)
         if snapshot > self._last_snapshot:

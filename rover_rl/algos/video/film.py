@@ -161,6 +161,11 @@ def film_recording(recording: Recording, path: Path, style: Style) -> None:
         write(temporary, _held(pictures, round(HOLD * fps) if recording.ending else 0), fps)
 
 
+def write_film(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
+    """Writes pictures, uint8 ``[height, width, 3]`` each, to a ``.mp4`` or a ``.gif`` file."""
+    _writer(path)[0](path, pictures, fps)
+
+
 _VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "top": TopView}
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -18,6 +19,7 @@ from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
+from rover_rl.algos.evaluation.stored import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import PolicyRunner
@@ -36,6 +38,8 @@ NO_WORLD = "none"
 """Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
 _MARGIN = 12.0
 """Size of that ground around the drive, m."""
+SHOWN = 5.0
+"""Distance up to which the nearest lidar reading is plotted, m."""
 State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
 """State and scan of a rover, and the movers around it."""
 
@@ -160,6 +164,25 @@ def record_episodes(
         where = episodes.offset + index
         drives.append(Recording(moments, episodes.worlds[index], evaluation.robots[index], angles, dt, ending, where))
     return drives
+
+
+def record_stored(policy: Policy | None, stored: StoredEvaluation, episode: int) -> Recording:
+    """Drives an episode of an evaluation again, and records it."""
+    episodes = stored.to_drive(episode)
+    options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
+    wanted = [episode - episodes.offset]
+    (driven,) = record_episodes(policy, episodes, name=f"episode {episode}", wanted=wanted, **options)
+    return driven
+
+
+def curves_of(recording: Recording) -> dict[str, np.ndarray]:
+    """Returns speed, distance to the goal and the nearest lidar reading of the first rover, ``[moments]`` each."""
+    moments = recording.moments
+    distances = [torch.dist(one.rover.position[0, :2].cpu(), one.goal[0].cpu()).item() for one in moments]
+    nearest = [one.scan[0].nan_to_num(nan=torch.inf).clamp(0, SHOWN).min().item() for one in moments]
+    speeds = [one.rover.linear_velocity[0].item() for one in moments]
+    named = {"speed, m/s": speeds, "distance to the goal, m": distances, "nearest lidar reading, m": nearest}
+    return {name: np.array(values) for name, values in named.items()}
 
 
 def moments_of(states: Sequence[State], goal: Tensor, dt: float, ending: str) -> list[Moment]:

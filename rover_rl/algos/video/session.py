@@ -6,8 +6,9 @@ A person may change the policy, the world and the goals between two steps.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import TensorDictBase
@@ -23,6 +24,8 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.envs.make import RewardedEnv, make_env
+from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers.shown import parts_of
@@ -31,8 +34,14 @@ from rover_rl.sims.worlds import World
 
 KEPT = 600
 """Number of steps that are kept."""
+VALUE = "value"
+"""Name of the record of the estimated value."""
 KEPT_EPISODES = 12
 """Number of rows of the table of episodes."""
+FREE = 3
+"""Level of the cells of a map from which on they are free."""
+Critic: TypeAlias = Callable[[TensorDictBase], float]
+"""Estimates the value of an observation ``[1]``."""
 _OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
 """Settings of an environment that a policy was made for."""
 
@@ -87,11 +96,16 @@ class Session:
     Args:
         env: environment, with a reward or without.
         policy: policy that drives; ``None`` acts at random.
+
+    Attributes:
+        row: rover that is followed.
+        exploring: whether the policy draws its actions, as in training, rather than takes the best ones.
     """
 
     def __init__(self, env: EnvBase, policy: Policy | None) -> None:
         self._set_env(env)
-        self.row, self._policy = 0, policy
+        self.row, self._policy, self.exploring = 0, policy, False
+        self._critic: Critic | None = None
         self.set_policy(policy)
         self.reset()
 
@@ -115,14 +129,22 @@ class Session:
         new = make_env(replace(self.config, **changes))
         self.env.close()
         self._set_env(new)
-        self.set_policy(self._policy)
+        self.set_policy(self._policy, self._critic)
         self.reset()
 
-    def set_policy(self, policy: Policy | None) -> None:
+    def set_robot(self, robot: str, policy: Policy | None) -> None:
+        """Lets another robot drive, with a policy for it. Raises ``ValueError`` if the policy is for another robot."""
+        if made_for := getattr(policy, "made_for", None):
+            require_match(made_for, replace(made_for, robot=robot))
+        self._policy, self._critic = policy, None
+        self.change(robot=robot)
+
+    def set_policy(self, policy: Policy | None, critic: Critic | None = None) -> None:
         """Lets another policy drive. If it was made for another environment, makes the environment anew for it.
 
-        Raises ``ValueError`` if the environment cannot be made anew.
+        ``critic`` estimates values from observations. Raises ``ValueError`` if the environment cannot be made anew.
         """
+        self._critic = critic
         if made_for := getattr(policy, "made_for", None):
             try:
                 require_match(made_for, self.rovers.config)
@@ -168,7 +190,8 @@ class Session:
 
     def decide(self) -> Tensor:
         """Returns the actions of the policy, ``[N, 2]``."""
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        way = ExplorationType.RANDOM if self.exploring else ExplorationType.DETERMINISTIC
+        with torch.no_grad(), set_exploration_type(way):
             return self._runner(self.observation)
 
     def advance(self, action: Tensor, by_hand: int | None = None) -> None:
@@ -210,6 +233,11 @@ class Session:
             "speed command": action[row, 0].item(),
             "turn command": action[row, 1].item(),
         }
+        if self._critic is not None:
+            seen = self.observation[row : row + 1]
+            if self._runner.seen_map is not None:
+                seen = seen.copy().set(ROUTE, self._runner.seen_map[1][row : row + 1])
+            values[VALUE] = self._critic(seen)
         components = after.get("reward_components", None)
         if components is not None:
             values |= {f"reward {name}": components[name][row].item() for name in sorted(components.keys())}
@@ -235,6 +263,42 @@ class Session:
             self._distances = world, PathDistances([world], self.rovers.robot)
         position, goal = self.rovers.rover_state.position[row, :2].cpu(), self.rovers.goal[row].cpu()
         return self._distances[1].path(0, position, goal)
+
+    def action_spread(self) -> Tensor | None:
+        """Returns the distribution of the followed rover's action; ``None`` if the policy has none.
+
+        It is the lower bound, one standard deviation below the center, the center, one above it, and the upper bound of
+        each part, ``[k, 5]``.
+        """
+        if self._runner.distribution is None:
+            return None
+        loc, scale = (one[self.row].cpu()[:, None] for one in self._runner.distribution)
+        bounds = action_bounds(self.config.action, self.config.robot)
+        low, high = (torch.tensor(one)[:, None] for one in (bounds.low, bounds.high))
+        inner = (low + high) / 2 + (high - low) / 2 * (loc + scale * torch.tensor((-1.0, 0.0, 1.0))).tanh()
+        return torch.cat((low, inner, high), -1)
+
+    def seen_map(self) -> tuple[Tensor, Tensor] | None:
+        """Returns the map that the policy has of what the followed rover has seen, and its route on it.
+
+        Returns:
+            Cells that are not free, ``[cells, 3]``: x, y (m), and the level of
+            :meth:`~rover_rl.envs.seen_map.seen_map.SeenMap.levels`. And the points of the route from the rover on,
+            ``[3, 2]``, m. ``None`` if the runner keeps no map for the policy.
+        """
+        if self._runner.seen_map is None:
+            return None
+        seen, route = self._runner.seen_map
+        (levels, corner), row, rovers = seen.levels(), self.row, self.rovers
+        cell = seen.cell[row].item()
+        marked = (levels[row] < FREE).nonzero()
+        places = corner[row] + cell * (marked.flip(-1) + 0.5)
+        cells = torch.cat((places, levels[row][marked[:, 0], marked[:, 1], None]), -1).cpu()
+        position = rovers.rover_state.position[row, :2]
+        distance, angle = route[row, [0, 2]], route[row, [1, 3]]
+        angle = angle + quaternion_to_euler(rovers.rover_state.orientation[row : row + 1])[0, 2]
+        corners = position + distance[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
+        return cells, torch.cat((position[None], corners)).cpu()
 
     def inside(self) -> dict[str, float]:
         """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""

@@ -165,6 +165,11 @@ class SeenMap:
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
         return route_in_meters(unit, relative_route(self._corners, self._lengths, place, imu))
 
+    @property
+    def cell(self) -> Tensor:
+        """Size of a cell of each row's map, ``[N, 1]``, m."""
+        return CELL * self._units[self._fleet.index]
+
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
 
@@ -178,9 +183,7 @@ class SeenMap:
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * (
-            CELL * self._units[self._fleet.index]
-        )
+        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
     def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
         """Returns what the map takes from a scan."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train.progress import TIME
 from rover_rl.algos.train.run import TrainingSummary, prepare
-from rover_rl.envs import EnvConfig
+from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.config import Randomization
 from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of, run, state_of
 
@@ -40,6 +43,16 @@ def test_a_run_writes_settings_progress_and_policies_that_can_be_evaluated(
     assert columns["learning_rate"][0] == config.algorithm.learning_rate > columns["learning_rate"][-1]
     assert sorted(file.name for file in (folder / "snapshots").iterdir()) == ["000000128.pt", "000000256.pt"]
     assert sum(summary.shares.values()) == pytest.approx(1)
+    files = RunFiles(folder)
+    assert files.env == read_config(folder / "config.yaml").env
+    steps, curves = files.curves()
+    assert steps[-1] == 256
+    assert sum(curves[TIME + name.replace(" ", "_")][-1] for name in summary.shares) == pytest.approx(1, abs=1e-4)
+    critic = files.critic()
+    assert (critic is not None) == (config.algo == "ppo")
+    if critic is not None:
+        values = [critic(RoverEnv(replace(config.env, num_envs=1, seed=seed)).reset()) for seed in (0, 1)]
+        assert values[0] != values[1]
     assert all(share >= 0 for share in summary.shares.values())
     checkpoint = Checkpoint.load(summary.checkpoint)
     assert (checkpoint.config.algo, checkpoint.steps) == (config.algo, 256)

@@ -63,6 +63,15 @@ def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: P
         assert drive.moments[-1].event[0] == {"goal": "goal reached"}.get(drive.ending, drive.ending)
 
 
+def test_some_episodes_are_worth_seeing(tmp_path: Path) -> None:
+    evaluated(tmp_path)
+    stored = replace(read_evaluation(tmp_path, "scripted"), endings=["goal", "stuck", "goal", "goal", "goal", "goal"])
+    stored = replace(stored, durations=[5.0, 9.0, 1.0, 2.0, 30.0, 3.0])
+    assert stored.telling(3, 2) == [1, 4, 0, 5, 3]
+    assert stored.telling(9, 2) == [1, 4, 0, 5, 3, 2]
+    assert replace(stored, endings=["stuck"] * 6).telling(2, 2) == [0, 1]
+
+
 @pytest.mark.slow
 def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = evaluated(tmp_path)
