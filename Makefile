@@ -10,6 +10,9 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 
+# Processes of a target share what they compile, also where the environment says that nothing is written.
+export PYTHONDONTWRITEBYTECODE :=
+
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq

@@ -63,7 +63,7 @@ def module_name(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
 
 
-MODULES = {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def nodes(node: ast.AST, in_package: bool, types: bool) -> Iterator[ast.AST]:
@@ -102,8 +102,8 @@ def imports(types: bool = False) -> list[tuple[str, str]]:
     """Pairs of a module and one that it imports, also in functions, and with ``types`` also for types alone."""
     found = [
         (module, resolve(name))
-        for module, tree in MODULES.items()
-        for node in nodes(tree, module.endswith("__init__"), types)
+        for module, path in MODULES.items()
+        for node in nodes(ast.parse(path.read_text(encoding="utf-8")), module.endswith("__init__"), types)
         for name in imported_names(node)
     ]
     return [(importer, imported) for importer, imported in dict.fromkeys(found) if imported is not None]

@@ -177,7 +177,8 @@ def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
     assert evaluation["env"]["robot"] == "my_package.robot:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
     assert evaluation["env"]["sensors"] == [SENSOR]
-    assert main(["film", run, "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png"]) == 0
+    small = ["--seconds", "0.5", "--width", "80", "--height", "60"]
+    assert main(["film", run, "--out", "own.gif", *small, "--rewards", "rewards.png"]) == 0
     assert main(["export", run, "--format", "torch", "--out", "own.pt2"]) == 0
     assert min((folder / name).stat().st_size for name in ("own.gif", "rewards.png", "own.pt2")) > 1000
     capsys.readouterr()

@@ -75,11 +75,12 @@ class RewardComponent(Transform):
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """Adds the component to the reward spec."""
-        parent = self.parent
+        # Not those of `parent`, for which TorchRL builds an environment anew in each transform.
+        shape, device = reward_spec.shape, reward_spec.device
         components = reward_spec.get("reward_components", None)
         if components is None:
-            components = Composite(shape=parent.batch_size, device=parent.device)
-        components[self.name] = Unbounded(shape=(*parent.batch_size, 1), device=parent.device)
+            components = Composite(shape=shape, device=device)
+        components[self.name] = Unbounded(shape=(*shape, 1), device=device)
         reward_spec["reward_components"] = components
         return reward_spec
 

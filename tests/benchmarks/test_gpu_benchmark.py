@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 
 from benchmarks import gpu
-from benchmarks.gpu import kernels
+from benchmarks.gpu import kernels, speed, training, tuning
 from benchmarks.gpu.counters import METRICS, read_counters
 from benchmarks.options import Options
 
@@ -41,7 +41,12 @@ def shown(table: Any) -> str:
 
 
 @pytest.mark.slow
-def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: Path) -> None:
+def test_a_rehearsal_on_the_cpu_measures_everything(
+    options: Options, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(speed, "DRIVEN", 4)
+    monkeypatch.setattr(training, "BATCHES", 1)
+    monkeypatch.setattr(tuning, "LANES", (1, 8))
     results = gpu.measure(options)
     assert results is not None
     assert json.loads((tmp_path / "gpu.json").read_text()) == results
@@ -53,7 +58,7 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
         assert row["step_s"] > 0
     assert all(row["steps_per_s"] > 0 for row in results["training"])
     assert {row["map"] for row in results["training"]} == {True, False}
-    assert {row["lanes"] for row in results["tuning"]} == {1, 2, 4, 8, 16, 32}
+    assert {row["lanes"] for row in results["tuning"]} == {1, 8}
     assert all(row["physics"] > 0 and row["lidar"] > 0 for row in results["tuning"])
     assert results["processors"][0]["gpu_speedup"] > 0
     assert results["machine"]["bytes_per_s"] > 0

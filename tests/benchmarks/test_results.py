@@ -18,9 +18,10 @@ from rover_rl.algos.pretrained import load_pretrained
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes trainings and evaluations in endless mode short, and runs them in this process."""
     pretrained = load_pretrained("moon-ppo")
-    config = with_settings(pretrained.config, world="maze", backend="bullet", num_envs=4, rollout_length=4, hidden=(8,))
+    config = with_settings(pretrained.config, world="maze", backend="warp", num_envs=4, rollout_length=4, hidden=(8,))
     for module in ("rover_rl.algos.workers", "rover_rl.algos.evaluation.cores"):
         monkeypatch.setattr(f"{module}.usable_cores", lambda: 1)
+    monkeypatch.setattr(results, "OTHER_MAZES", ("maze:10001",))
     monkeypatch.setattr(results, "load_pretrained", lambda name: replace(pretrained, config=config))
     monkeypatch.setattr(results, "evaluate_endless", partial(evaluate_endless, steps=20))
 

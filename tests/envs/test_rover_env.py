@@ -146,12 +146,12 @@ def test_moving_to_another_device_is_refused_with_the_alternative(env):
 
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
 def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
-    env = RoverEnv(world_n=world, num_envs=60, seed=11, lidar_beams=32)
+    env = RoverEnv(world_n=world, num_envs=40, seed=11, lidar_beams=32)
     td = env.reset()
     assert (td["lidar"] >= 0.4).all()
     before = td["pose"].clone()
     for _ in range(20):
-        td = env.step(td.set("action", torch.zeros(60, 2)))["next"]
+        td = env.step(td.set("action", torch.zeros(40, 2)))["next"]
         assert not td["done"].any()
         assert not td["outcome", "collision"].any()
     assert (td["pose"] - before).norm(dim=-1).max() < 0.02

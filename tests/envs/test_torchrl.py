@@ -31,7 +31,8 @@ OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "t
 
 
 def make(num_envs=3, **settings):
-    return make_env(**{"world_n": "maze", "num_envs": num_envs, "seed": 0, "length": 10, **settings})
+    settings = {"world_n": "maze", "backend": "warp", "seed": 0, "length": 10, **settings}
+    return make_env(num_envs=num_envs, **settings)
 
 
 def rollout(env, steps=25):
@@ -104,7 +105,7 @@ def test_serial_env_takes_it(num_envs):
 @pytest.mark.parametrize("build", [make_env, RoverEnv])
 def test_rollouts_within_and_after_a_collectors_loop(build, num_envs):
     """The collector closes its environment before it hands out the last batch."""
-    env = build(world_n="maze", num_envs=num_envs, length=7, seed=0)
+    env = build(world_n="maze", num_envs=num_envs, length=7, seed=0, backend="warp")
     frames = 6 * env.numel()
     batches = 0
     for batch in Collector(env, env.rand_action, frames_per_batch=frames, total_frames=4 * frames):
@@ -176,6 +177,7 @@ def make_vec(mode, **settings):
         num_envs=3,
         vectorization_mode="vector_entry_point",
         world_n="maze",
+        backend="warp",
         length=5,
         time_limit="truncated",
         autoreset_mode=mode,

@@ -22,7 +22,8 @@ from tests.envs.test_goal_pay import Tilt
 
 def make(num_envs, **settings):
     reward = [*contract_reward(), Tilt()]
-    return make_env(**{"world_n": "maze", "num_envs": num_envs, "seed": 3, "length": 15, "reward": reward, **settings})
+    settings = {"world_n": "maze", "backend": "warp", "seed": 3, "length": 15, "reward": reward, **settings}
+    return make_env(num_envs=num_envs, **settings)
 
 
 def rollout(env, steps=40, **options) -> TensorDictBase:
@@ -66,9 +67,9 @@ def test_the_environment_matches_its_specs(settings):
         {},
         {"world_n": "moon", "randomization": Randomization.typical()},
         {"end_on_goal": True, "lidar_beams": 64, "lidar_points": 16},
-        {"backend": "warp"},
+        {"backend": "bullet"},
     ],
-    ids=["maze", "randomized", "ends on goal", "warp"],
+    ids=["maze", "randomized", "ends on goal", "bullet"],
 )
 def test_it_equals_a_batch_of_one(settings):
     single, batch = make(None, **settings), make(1, **settings)
@@ -140,13 +141,14 @@ def test_it_takes_the_transforms_of_the_package():
 def test_the_gymnasium_wrappers_take_it(make_bare):
     traces = []
     for num_envs in (None, 1):
-        env = GymWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5))
+        env = GymWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5, backend="warp"))
         assert env.action_space == gymnasium.spaces.Box(np.float32([-1, -np.pi]), np.float32([1, np.pi]))
         assert env.observation_space["lidar"].shape == (32,)
         env.reset(seed=1, options={"start": [0.5, 0.5, 0.0], "goal": [2.0, 2.0]})
         traces.append([env.step([0.5, 0.3]) for _ in range(4)] + [env.current_yaw, env.total_steps])
         env.close()
-        envs = GymVectorWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5), autoreset_mode="Disabled")
+        env = make_bare(world_n="maze", num_envs=num_envs, length=5, backend="warp")
+        envs = GymVectorWrapper(env, autoreset_mode="Disabled")
         assert envs.observation_space["lidar"].shape == (1, 32)
         traces[-1] += [envs.reset(seed=2)] + [envs.step([[0.5, 0.3]]) for _ in range(5)]
         traces[-1] += [envs.reset(options={"reset_mask": np.array([True])})]
@@ -159,7 +161,7 @@ def test_stable_baselines3_takes_it():
 
     traces = []
     for num_envs in (None, 1):
-        envs = SB3VecEnv(make_env(world_n="maze", num_envs=num_envs, seed=0, length=5))
+        envs = SB3VecEnv(make_env(world_n="maze", num_envs=num_envs, seed=0, length=5, backend="warp"))
         traces.append([envs.reset()] + [envs.step(np.array([[0.5, 0.3]], np.float32)) for _ in range(8)])
         envs.close()
     np.testing.assert_equal(*traces)

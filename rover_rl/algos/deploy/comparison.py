@@ -37,13 +37,15 @@ def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy
     else:
         observations = random_observations(checkpoint, CHECKED)
     runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, policy.state_size)
-    differences = []
+    rows, differences = TensorDict(observations).auto_batch_size_(1), []
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        for row in TensorDict(observations).auto_batch_size_(1).split(1):
+        # Only a policy with a state decides on one observation after another.
+        expected = torch.cat([runner(part) for part in rows.split(1 if policy.state_size else len(rows))])
+        for row, original in zip(rows.split(1), expected, strict=True):
             action = exported({**row, STATE_IN: state})
             if policy.state_size:
                 action, state = action
-            differences.append((action - runner(row)).abs().max())
+            differences.append((action - original).abs().max())
     share = EQUAL_SHARE if BOUNDS in policy.inputs else 1.0
     return float(torch.stack(differences).quantile(share, interpolation="lower"))
 

@@ -83,7 +83,8 @@ class _Points:
         """Fills the list with ``points [P, 3]`` and returns it. It is valid until :meth:`clear`."""
         self._rows.extend([] for _ in range(len(points) - len(self._rows)))
         self._points[:] = self._rows[: len(points)]
-        for row, values in zip(self._points, points.tolist(), strict=True):
+        # Column by column: a list of each point would wake the garbage collector again and again.
+        for row, values in zip(self._points, zip(*points.T.tolist(), strict=True), strict=True):
             row[:] = values
         return self._points
 

@@ -49,7 +49,7 @@ def program_file(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def few_checks(monkeypatch) -> None:
-    """Exported policies are compared on 100 observations: other tests compare them on all."""
+    """Exported policies are compared on 100 observations: the files of the module are compared on all."""
     monkeypatch.setattr(comparison, "CHECKED", 100)
 
 
@@ -165,6 +165,7 @@ def test_the_command_exports(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_original(tmp_path):
     network = {"hidden": (16,), "north_up": True, "mirror_augmentation": False}
     config = training_config("ppo", world="maze", action=ActionConfig(min_speed=0.0), max_std=0.4, **network)
@@ -204,10 +205,11 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_checks")
 @pytest.mark.parametrize("memory", ["gru", "lstm"])
 def test_a_program_with_memory_acts_as_the_original_over_an_episode(memory, tmp_path):
     checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.pt2"
-    # The difference is the largest one in an episode of 1,000 decisions.
+    # The difference is the largest one in an episode of 100 decisions.
     assert export(checkpoint, path, "torch") <= exporting.TOLERANCE
     act, rows = program_function(path), TensorDict(random_observations(checkpoint, 3), batch_size=[3]).split(1)
     runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, SIZES[memory])
@@ -226,13 +228,14 @@ SIZES = {"gru": 12, "lstm": 24}
 
 @pytest.mark.slow
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 @pytest.mark.parametrize("memory", ["gru", "lstm"])
 def test_an_onnx_policy_with_memory_drives_as_the_original(memory, tmp_path):
     checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.onnx"
     assert export(checkpoint, path) <= exporting.TOLERANCE
     state, sizes = [1, SIZES[memory]], {"lidar": [1, 32], "imu": [1, 3], "target": [1, 2], "velocities": [1, 2]}
     assert shapes(path) == ({"state_in": state, **sizes}, {"action": [1, 2], "state_out": state})
-    policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("moon").first(3)
+    policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("maze").first(3)
     # Fewer rows than episodes, whose memory is cleared when the next one begins.
     ours, theirs = (evaluate(each, episodes, seconds=2.0, rows=2) for each in (checkpoint.make_actor(), policy))
     assert ours.action_repeat == theirs.action_repeat == 4

@@ -125,7 +125,7 @@ def run(tmp_path: Path, *options: str) -> int:
 
 
 def test_backends_drive_the_same_episodes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert run(tmp_path, "--backend", "bullet", SLIPPERY, "--count", "4", "--seconds", "10") == 0
+    assert run(tmp_path, "--backend", "bullet", SLIPPERY, "--count", "1", "--seconds", "5") == 0
     results = json.loads((tmp_path / "evaluation.json").read_text())
     assert [entry["backend"] for entry in results] == ["bullet", SLIPPERY]
     starts = [[(episode["start"], episode["goal"]) for episode in entry["episodes"]] for entry in results]

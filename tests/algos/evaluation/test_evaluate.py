@@ -68,12 +68,12 @@ def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str) -> N
     torch.manual_seed(0)
     plain: dict[str, Policy | None] = {"rule": straight, "network": make_actor(), "random": None}
     policy = plain[kind] if kind in plain else recurrent_checkpoint(kind).make_actor()
-    together = evaluate(policy, MANY, seconds=1.5, rows=9)
-    for rows in (1, 4, 8):
-        assert_same(evaluate(policy, MANY, seconds=1.5, rows=rows).trajectories, together.trajectories)
+    together = evaluate(policy, MANY, seconds=0.6, rows=9)
+    for rows in (1, 4):
+        assert_same(evaluate(policy, MANY, seconds=0.6, rows=rows).trajectories, together.trajectories)
     if kind != "random":  # which draws for the number of an episode
         turned = EpisodeSet("field", FIELD, 1, MANY.start.flip(0), MANY.goal.flip(0), MANY.shortest.flip(0))
-        backwards = evaluate(policy, turned, seconds=1.5, rows=4)
+        backwards = evaluate(policy, turned, seconds=0.6, rows=8)
         assert_same(backwards.trajectories[::-1], together.trajectories)
 
 
@@ -208,14 +208,14 @@ def test_a_policy_may_drive_in_other_worlds_with_randomization_and_other_rewards
 
 
 def test_goals_keep_coming() -> None:
-    endless = evaluate_endless(straight, FIELD, rows=2, seed=1, steps=600)
+    endless = evaluate_endless(straight, FIELD, rows=2, seed=1, steps=360, env=EnvConfig(backend="warp"))
     goals = [int(trajectory.goal.sum()) for trajectory in endless.trajectories]
-    assert [len(trajectory) for trajectory in endless.trajectories] == [600, 600]
+    assert [len(trajectory) for trajectory in endless.trajectories] == [360, 360]
     assert min(goals) >= 2
     assert endless.metrics["goals_per_episode"].value == sum(goals) / 2
-    assert endless.metrics["seconds_per_goal"].value == pytest.approx(60 / sum(goals))
+    assert endless.metrics["seconds_per_goal"].value == pytest.approx(36 / sum(goals))
     assert endless.metrics["ended_early"].value == 0
-    first = {"goals": goals[0], "ending": "time limit", "seconds": 30.0, "contacts": 0, "collisions": 0}
+    first = {"goals": goals[0], "ending": "time limit", "seconds": 18.0, "contacts": 0, "collisions": 0}
     assert endless.to_json()["episodes"][0] == first
 
 

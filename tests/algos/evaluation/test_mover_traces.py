@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ CROSSING = World("crossing", Terrain.flat((12.0, 12.0)), movers=[Mover(LINE, Per
 LEGEND = "<!-- mover at the end, its last 3 s -->"
 
 
+@cache
 def driven(track_movers: bool | float, seconds: float = 4.0) -> Evaluation:
     """A rover that stands still while movers pass by."""
     options = {"seconds": seconds, "name": "standing", "env": EnvConfig(backend="warp")}

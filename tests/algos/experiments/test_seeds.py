@@ -54,13 +54,13 @@ def test_seeds_are_checked() -> None:
 @pytest.mark.slow
 def test_one_command_trains_all_seeds_and_one_compares_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = ["train", *TINY, "--total-steps", "192", "--logger", "csv", "--runs", str(tmp_path), "--name", "mine"]
-    assert main([*line, "--seeds", "0", "1"]) == 0
+    assert main([*line, "--seeds", "0"]) == 0
     rows = (tmp_path / "mine-seed0" / "progress.csv").read_bytes()
     assert "To compare them with others: rover-rl compare " + str(tmp_path / "mine\n") in capsys.readouterr().out
     # The same command with one more seed does not train the others again.
-    assert main([*line, "--seeds", "0", "1", "2"]) == 0
+    assert main([*line, "--seeds", "0", "1"]) == 0
     assert (tmp_path / "mine-seed0" / "progress.csv").read_bytes() == rows
-    assert (tmp_path / "mine-seed2" / "csv" / "scalars" / "loss_critic.csv").is_file()
+    assert (tmp_path / "mine-seed1" / "csv" / "scalars" / "loss_critic.csv").is_file()
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "mine"), "--out", str(tmp_path / "compared")]) == 0
     assert "mine" in capsys.readouterr().out

@@ -14,6 +14,7 @@ from torch import Tensor
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, drive_towards, steer
+from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 
 CLEAR = torch.full((1, 32), 12.0)
@@ -111,6 +112,6 @@ def test_actions_are_always_within_their_bounds(lidar: list[float], distance: fl
 
 @pytest.mark.slow
 def test_it_finds_most_goals_in_the_maze_without_a_collision() -> None:
-    driven = evaluate(ScriptedPolicy(), draw_episodes("maze", 6, seed=1), seconds=20)
+    driven = evaluate(ScriptedPolicy(), draw_episodes("maze", 6, seed=1), env=EnvConfig(backend="warp"), seconds=20)
     assert driven.success_rate >= 5 / 6
     assert driven.metrics["collisions"].value == 0

@@ -25,7 +25,7 @@ from rover_rl.sims.worlds import Terrain, World, box
 FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
 """Worlds that are quick to prepare and to simulate."""
 SMALL: dict[str, Any] = {
-    **{"world": "maze", "backend": "bullet", "total_steps": 256, "num_envs": 4, "workers": 1},
+    **{"world": "maze", "backend": "warp", "total_steps": 256, "num_envs": 4, "workers": 1},
     **{"minibatch": 8, "hidden": (16,), "snapshots": 2},
 }
 PPO = training_config("ppo", **SMALL, rollout_length=4, epochs=2)

@@ -93,7 +93,7 @@ def test_the_prior_of_a_mirror_image_is_the_mirror_image_of_the_prior(observatio
 @pytest.mark.slow
 def test_the_imitated_actions_are_those_of_the_driver(tmp_path: Path) -> None:
     """Imitation alone makes the policy similar to the driver that follows the route."""
-    summary = train(config(tmp_path, imitation=1.0, expert="route", learning_rate=3e-3, total_steps=8192))
+    summary = train(config(tmp_path, imitation=1.0, expert="route", learning_rate=3e-3, total_steps=4096))
     actor = Checkpoint.load(summary.checkpoint).make_actor()
     angles = torch.linspace(-1.0, 1.0, 9)
     seen = TensorDict(

@@ -6,6 +6,7 @@ import inspect
 import math
 import sys
 import warnings
+from functools import partial
 from types import SimpleNamespace as Message
 
 import gymnasium
@@ -19,6 +20,7 @@ from torchrl.envs import CatTensors, TransformedEnv
 from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.gym import RoverEnv
+from rover_rl.envs.make import add_reward
 
 
 @pytest.fixture(scope="module")
@@ -345,19 +347,22 @@ def test_callbacks_pass_messages_to_a_live_backend_alone(env, monkeypatch):
 # Wrapped environments and rewards
 
 
+flat = partial(BatchedRoverEnv, world_n="maze", backend="warp")
+
+
 @pytest.mark.parametrize(
     ("make_inner", "options", "error", "message"),
     [
         (object, {}, TypeError, r"rover_rl\.RoverEnv.* is needed; got object"),
-        (lambda: BatchedRoverEnv(num_envs=2), {}, ValueError, "num_envs=2; use GymVectorWrapper"),
-        (make_env, {"reward": "contract"}, ValueError, "has its reward already"),
-        (lambda: TransformedEnv(BatchedRoverEnv(), CatTensors(["imu"], "vector")), {}, ValueError, r"lacks \['imu'\]"),
-        (BatchedRoverEnv, {"time_limit": "never"}, ValueError, "time_limit must be one of .* got 'never'"),
-        (BatchedRoverEnv, {"render_mode": "film"}, ValueError, "render_mode must be one of .* got 'film'"),
-        (BatchedRoverEnv, {"camera": "left"}, ValueError, "camera must be one of .* got 'left'"),
-        (BatchedRoverEnv, {"action_repeat": 0}, ValueError, "repeat must be at least 1 step, got 0"),
-        (BatchedRoverEnv, {"reward_scale": 0.0}, ValueError, "reward_scale"),
-        (BatchedRoverEnv, {"reward_scal": 0.1}, TypeError, r"\['reward_scal'\]; use some of \['action_repeat'"),
+        (lambda: flat(num_envs=2), {}, ValueError, "num_envs=2; use GymVectorWrapper"),
+        (lambda: add_reward(flat()), {"reward": "contract"}, ValueError, "has its reward already"),
+        (lambda: TransformedEnv(flat(), CatTensors(["imu"], "vector")), {}, ValueError, r"lacks \['imu'\]"),
+        (flat, {"time_limit": "never"}, ValueError, "time_limit must be one of .* got 'never'"),
+        (flat, {"render_mode": "film"}, ValueError, "render_mode must be one of .* got 'film'"),
+        (flat, {"camera": "left"}, ValueError, "camera must be one of .* got 'left'"),
+        (flat, {"action_repeat": 0}, ValueError, "repeat must be at least 1 step, got 0"),
+        (flat, {"reward_scale": 0.0}, ValueError, "reward_scale"),
+        (flat, {"reward_scal": 0.1}, TypeError, r"\['reward_scal'\]; use some of \['action_repeat'"),
     ],
 )
 def test_other_environments_and_options_are_refused(make_inner, options, error, message):

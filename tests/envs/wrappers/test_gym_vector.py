@@ -22,13 +22,13 @@ ENDING_TOGETHER = {"length": 3}
 
 
 def native(mode=AutoresetMode.NEXT_STEP, rows=ROWS, time_limit="terminated", **kwargs) -> GymVectorWrapper:
-    env = BatchedRoverEnv(world_n="maze", num_envs=rows, seed=0, **kwargs)
+    env = BatchedRoverEnv(world_n="maze", num_envs=rows, seed=0, backend="warp", **kwargs)
     return GymVectorWrapper(env, autoreset_mode=mode, time_limit=time_limit)
 
 
 def one_by_one(mode, time_limit="terminated", **kwargs) -> SyncVectorEnv:
     def make():
-        return RoverEnv(world_n="maze", seed=0, time_limit=time_limit, **kwargs)
+        return RoverEnv(world_n="maze", seed=0, time_limit=time_limit, backend="warp", **kwargs)
 
     return SyncVectorEnv([make] * ROWS, autoreset_mode=mode)
 

@@ -20,7 +20,7 @@ ROWS = 3
 
 
 def make_vec(id_: str = "rover_rl/Rover-v0", rows: int = ROWS, **kwargs):
-    kwargs = {"world_n": "maze", "seed": 0, **kwargs}
+    kwargs = {"world_n": "maze", "seed": 0, "backend": "warp", **kwargs}
     return gymnasium.make_vec(id_, num_envs=rows, vectorization_mode="vector_entry_point", **kwargs)
 
 
@@ -40,7 +40,7 @@ def test_a_step_is_several_steps_with_the_sum_of_their_rewards() -> None:
 
 def test_goals_within_a_step_count() -> None:
     """The goal is so near that one is reached in every step of the simulation."""
-    env = RoverEnv(world_n="maze", seed=0, action_repeat=4, task=TaskConfig(success_distance=50.0))
+    env = RoverEnv(world_n="maze", seed=0, backend="warp", action_repeat=4, task=TaskConfig(success_distance=50.0))
     env.reset(seed=0)
     *_, info = env.step([0.0, 0.0])
     assert info["goals"] == 4
@@ -59,8 +59,8 @@ def test_scaled_observations_are_one_vector_with_the_features_of_the_encoder() -
 
 def test_rows_equal_single_rovers_also_after_they_end() -> None:
     ending = {"length": 24, "end_on_goal": True, "task": TaskConfig(success_distance=2.5), "time_limit": "truncated"}
-    envs = make_vec(LEARNING_ENV_ID, backend="bullet", autoreset_mode="SameStep", **ending)
-    ending |= {"world_n": "maze", "backend": "bullet"}
+    envs = make_vec(LEARNING_ENV_ID, autoreset_mode="SameStep", **ending)
+    ending |= {"world_n": "maze"}
     single = [gymnasium.make(LEARNING_ENV_ID, seed=row, **ending) for row in range(ROWS)]
     np.testing.assert_array_equal(envs.reset(seed=0)[0], [env.reset(seed=i)[0] for i, env in enumerate(single)])
     rng, endings = np.random.default_rng(0), 0

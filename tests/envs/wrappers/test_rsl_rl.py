@@ -29,13 +29,14 @@ def adapter(monkeypatch: pytest.MonkeyPatch):
 
 
 def make(adapter, length: int = 40, **kwargs):
-    return adapter(RoverEnv(world_n="maze", num_envs=ROWS, length=length, seed=0, **kwargs), **OPTIONS)
+    return adapter(RoverEnv(world_n="maze", num_envs=ROWS, length=length, seed=0, backend="warp", **kwargs), **OPTIONS)
 
 
 def test_it_equals_the_environment_with_transforms(adapter) -> None:
     ending = {"task": TaskConfig(success_distance=2.0), "end_on_goal": True}
     envs = make(adapter, **ending)
-    same = make_env(world_n="maze", num_envs=ROWS, length=40, seed=0, **ending).append_transform(ActionRepeat(4))
+    same = make_env(world_n="maze", num_envs=ROWS, length=40, seed=0, backend="warp", **ending)
+    same = same.append_transform(ActionRepeat(4))
     root, generator, ended = same.reset(), torch.Generator().manual_seed(0), 0
     for _ in range(25):
         actions = torch.rand(ROWS, 2, generator=generator) * 2 - 1

@@ -23,7 +23,7 @@ ROWS = 3
 
 
 def make(rows: int = ROWS, length: int = 5, time_limit: str = "truncated", **kwargs) -> SB3VecEnv:
-    env = BatchedRoverEnv(world_n="maze", num_envs=rows, length=length, seed=0)
+    env = BatchedRoverEnv(world_n="maze", num_envs=rows, length=length, seed=0, backend="warp")
     return SB3VecEnv(env, time_limit=time_limit, **kwargs)
 
 
@@ -43,7 +43,7 @@ def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
     """Compares observations, rewards, dones and the infos of ended rows over several episodes."""
 
     def single():
-        return RoverEnv(world_n="maze", length=5, time_limit="truncated")
+        return RoverEnv(world_n="maze", length=5, time_limit="truncated", backend="warp")
 
     single_envs = DummyVecEnv([single] * ROWS)
     rng = np.random.default_rng(0)
@@ -66,7 +66,8 @@ def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
     ("time_limit", "threshold"), [("truncated", 0.0), ("terminated", 1.48)], ids=["flip", "contract"]
 )
 def test_a_termination_in_the_last_step_is_no_time_limit(time_limit, threshold):
-    tilted = BatchedRoverEnv(world_n="moon", num_envs=ROWS, length=1, seed=0, task=TaskConfig(flip_threshold=threshold))
+    settings = {"num_envs": ROWS, "length": 1, "seed": 0, "backend": "warp"}
+    tilted = BatchedRoverEnv(world_n="moon", task=TaskConfig(flip_threshold=threshold), **settings)
     envs = SB3VecEnv(tilted, time_limit=time_limit)
     envs.reset()
     _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))

@@ -99,9 +99,10 @@ def test_a_car_starts_with_a_free_way_ahead_of_it(make):
     robot = make()
     world = get_world(fitting_worlds("maze:10000", robot))
     space, radius = free_space(world, robot), robot.drive.min_radius(robot.wheels)
-    poses = draw_episodes("maze:10000", 200, robot=robot).start
-    ahead = torch.stack((poses[:, 2].cos(), poses[:, 2].sin()), -1)
+    env = RoverEnv(world_n="maze:10000", robot=robot, num_envs=200, seed=0, backend="warp")
+    yaw = env.reset()["imu"][:, 2]
+    starts, ahead = env.rover_state.position[:, :2], torch.stack((yaw.cos(), yaw.sin()), -1)
     for share in (0.25, 0.5, 0.75, 1.0):
         # A start is up to half a cell from the cell's center.
-        assert space.contains(poses[:, :2] + share * (radius - 0.1) * ahead).float().mean() > 0.97
+        assert space.contains(starts + share * (radius - 0.1) * ahead).float().mean() > 0.97
     assert len(space.spawn_cells) > 0.5 * len(space.goal_cells)

@@ -39,8 +39,9 @@ def circling(rows: int, seed: int, step: int) -> Tensor:
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda motion: type(motion).__name__)
-@pytest.mark.parametrize("rows", [7, 64])
-def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion, rows: int) -> None:
+def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion) -> None:
+    # Some rows fill the processor's vectors, and the last one is left over.
+    rows = 33
     world = yard([Mover(motion, Cylinder(0.3))] * 5, 12.0, pillars())
     # Other rows have more movers, of other motions, too.
     crowded = yard([Mover(Waypoints([(0.0, 1.0, 1.0, 0.0)])), *[Mover(motion, Cylinder(0.2))] * 7], 14.0)
@@ -50,8 +51,8 @@ def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion, rows: int) -> None:
     again = torch.zeros(rows, 1, dtype=torch.bool)
     again[::2] = True
     again[row] = False
-    for step in range(300):
-        if step == 100:
+    for step in range(200):
+        if step == 70:
             batch.reset(again, torch.arange(rows)[:, None], circling(rows, 0, step))
         alone.advance(None, rovers_at(circling(1, row, step)))
         batch.advance(None, rovers_at(circling(rows, 0, step)))

@@ -38,7 +38,7 @@ def distance_to_obstacles(world: World, points: Tensor) -> Tensor:
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda motion: type(motion).__name__)
 def test_movers_do_not_enter_walls(motion: Motion) -> None:
     maze = replace(get_world("maze"), movers=[Mover(motion, Cylinder(0.3))] * 20)
-    points = walk(begun([maze], 4), 2000).reshape(-1, 2)
+    points = walk(begun([maze], 4), 1000).reshape(-1, 2)
     assert distance_to_obstacles(maze, points).min() > 0.28
     (x_low, x_high), (y_low, y_high) = maze.bounds
     assert (abs(points[:, 0] - (x_low + x_high) / 2).max()) < (x_high - x_low) / 2 - 0.28
