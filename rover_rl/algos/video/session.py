@@ -273,7 +273,7 @@ class Session:
         if self._runner.distribution is None:
             return None
         loc, scale = (one[self.row].cpu()[:, None] for one in self._runner.distribution)
-        bounds = action_bounds(self.config.action, self.config.robot)
+        bounds = action_bounds(self.config.bounded_action)
         low, high = (torch.tensor(one)[:, None] for one in (bounds.low, bounds.high))
         inner = (low + high) / 2 + (high - low) / 2 * (loc + scale * torch.tensor((-1.0, 0.0, 1.0))).tanh()
         return torch.cat((low, inner, high), -1)
