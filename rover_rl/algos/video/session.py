@@ -33,7 +33,7 @@ KEPT = 600
 """Number of steps that are kept."""
 KEPT_EPISODES = 12
 """Number of rows of the table of episodes."""
-_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
+_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
 """Settings of an environment that a policy was made for."""
 
 
