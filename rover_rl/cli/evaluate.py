@@ -201,7 +201,7 @@ def _pictures(
     pictures: dict[Path, list[Evaluation]] = {}
     for evaluation in driven:
         world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
-        parts = filter(None, ("paths", world, backend, evaluation.imperfection))
-        name = "-".join(parts).replace(":", "-").replace("*", "x")
+        parts = ("paths", world, backend, evaluation.imperfection)
+        name = "-".join(part for part in parts if part).replace(":", "-").replace("*", "x")
         pictures.setdefault(out / f"{name}.png", []).append(evaluation)
     return pictures

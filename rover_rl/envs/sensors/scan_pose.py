@@ -40,6 +40,12 @@ class ScanPose(Sensor):
         return torch.cat((value[..., :2], value[..., 5:]), -1) * 5
 
 
+def scan_pose_now(imu: Tensor) -> Tensor:
+    """Returns the entry of scans that are as new as the pose, ``[N, 6]``, of the entry ``imu [N, 3]``."""
+    zeros = torch.zeros_like(imu)
+    return torch.cat((zeros, imu[:, :2], zeros[:, :1]), -1)
+
+
 def taken_at(observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor] | None:
     """Returns where the scan of an observation was taken: ``pose [N, 3]`` (m) and ``imu [N, 3]`` (rad) of its time.
 
