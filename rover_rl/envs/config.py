@@ -250,9 +250,18 @@ class RewardConfig:
         clearance_distance: Lidar reading below which the clearance penalty applies, m.
         action_rate_penalty: Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the
             component out.
+        mover_contact_penalty: Reward for each step in contact with a mover that the rover drove into: it was not
+            standing still before. This and the next four leave their components out if all of them are 0.
+        struck_penalty: Reward for each step in contact with a mover that ran into the standing rover.
+        intrusion_penalty: Reward for each step at a mover. It falls linearly to nothing at the intrusion distance.
+        haste_penalty: Reward for each step at 1 m/s at a mover, in proportion to the speed. It falls in the same way.
+        risk_penalty: Reward for each step within the risk distance of a mover.
+        intrusion_distance: Distance from the center of the rover to the surface of a mover from which on it does not
+            intrude, m.
+        risk_distance: Distance from the center of the rover to the surface of a mover within which it is at risk, m.
 
     Raises:
-        ValueError: if ``clearance_distance`` is not positive.
+        ValueError: if a distance is not positive.
     """
 
     goal_reward: float = 100.0
@@ -271,10 +280,18 @@ class RewardConfig:
     clearance_penalty: float = 0.0
     clearance_distance: float = 0.5
     action_rate_penalty: float = 0.0
+    mover_contact_penalty: float = 0.0
+    struck_penalty: float = 0.0
+    intrusion_penalty: float = 0.0
+    haste_penalty: float = 0.0
+    risk_penalty: float = 0.0
+    intrusion_distance: float = 1.2
+    risk_distance: float = 0.5
 
     def __post_init__(self) -> None:
-        if not self.clearance_distance > 0:
-            raise ValueError(f"clearance_distance must be positive, got {self.clearance_distance}")
+        for name in ("clearance_distance", "intrusion_distance", "risk_distance"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,8 @@ def _noise(dt: float) -> Imperfection:
 
 
 def _all(dt: float) -> Imperfection:
-    late = _steps(0.075, 0.075, dt)
+    # With steps of 50 ms, half of the episodes have 50 ms, and half 100 ms.
+    late = math.floor(0.075 / dt + 1e-6), math.ceil(0.075 / dt - 1e-6)
     noise = Randomization(
         range_noise=0.015,
         dropout=0.025,
