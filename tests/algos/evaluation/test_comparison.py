@@ -62,7 +62,7 @@ def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation)
     assert "in one backend and not in another" in table(firm, missed)
     moved = replace(EPISODES, start=EPISODES.start + 0.1)
     changes = ({"name": "another"}, {"seconds": 30.0}, {"action_repeat": 2}, {"episodes": moved})
-    for other in (*(replace(missed, **change) for change in changes), copied(missed, "bullet", [])):
+    for other in (*(replace(missed, **changed) for changed in changes), copied(missed, "bullet", [])):
         assert "in one backend and not in another" not in table(firm, other)
 
 
