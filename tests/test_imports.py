@@ -22,6 +22,7 @@ LAYERS = (
         "sims.native",
         "sims.robots",
         "sims.rotations",
+        "sims.served",
         "sims.settings",
         "sims.timing",
         "sims.worlds",

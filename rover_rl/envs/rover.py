@@ -23,7 +23,7 @@ from rover_rl.envs.delays import CommandDelay, SensorDelays
 from rover_rl.envs.emergency_brake import EmergencyBrake
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.groups import Groups, first_of_group
-from rover_rl.envs.perception import Localization, Perception, rovers_of
+from rover_rl.envs.perception import Localization, Perception, SensedPose, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.row_limits import RowLimits
@@ -131,6 +131,7 @@ class RoverEnv(EnvBase):
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
         scanner: its lidar, which scans what does not move, in a full turn.
+        delays: delays of the sensors. ``None`` if there are none.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -220,7 +221,7 @@ class RoverEnv(EnvBase):
         )
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         delays = config.randomization, config.lidar.period, self.num_envs, device
-        self._delays = SensorDelays(*delays) if config.late_scans else None
+        self.delays = SensorDelays(*delays) if config.late_scans else None
         self._known_scan: Tensor | None = None
         self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
@@ -294,6 +295,18 @@ class RoverEnv(EnvBase):
         """State of every rover as reported by its sensors, including sensor noise, without delay, unclipped."""
         self._require_started("sensed_state")
         return self._state.sensed.rover
+
+    @property
+    def sensed_pose(self) -> SensedPose:
+        """Pose of every rover as reported by its sensors, with its error, without delay, unclipped."""
+        self._require_started("sensed_pose")
+        return self._state.pose
+
+    @property
+    def sensed_yaw(self) -> Tensor:
+        """Heading of every rover by :attr:`sensed_state`, without the error of the pose, ``[N, 1]``, rad."""
+        self._require_started("sensed_yaw")
+        return self._state.sensed.yaw
 
     @property
     def scan(self) -> Tensor:
@@ -449,8 +462,8 @@ class RoverEnv(EnvBase):
             self._dynamics = draw_dynamics(self.randomization, self._keys)
         self.movers.reset(begins, keys, poses[:, :2])
         self._delay.begin(self._keys)
-        if self._delays is not None:
-            self._delays.begin(self._keys)
+        if self.delays is not None:
+            self.delays.begin(self._keys)
         if self._limits is not None:
             self._limits.begin(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
@@ -495,7 +508,25 @@ class RoverEnv(EnvBase):
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:], sensed.yaw, sensed.rover.dt, active)
         command = self.robots.limited(torch.cat((action[:, :1], turn, action[:, 2:]), -1))
-        command = command.masked_fill(invalid, 0.0)
+        return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
+
+    def step_commands(self, command: Tensor) -> TensorDictBase:
+        """Takes a step with commands in place of actions, as those that a simulated robot receives over ROS 2.
+
+        Args:
+            command: forward speed (m/s), yaw rate (rad/s) and, with ``max_sideways``, speed to the left (m/s),
+                ``[N, A]``.
+
+        Returns:
+            The result of the step.
+        """
+        self._require_open("step_commands")
+        self._require_started("step_commands")
+        return self._follow(command, torch.zeros_like(self._row_keys, dtype=torch.bool), None)
+
+    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None) -> TensorDictBase:
+        """Takes a step with commands. ``invalid`` are rows whose action is not finite, bool ``[N, 1]``."""
+        sensed = self._state.sensed
         if self._brake is not None:
             command = self._brake(command, sensed.ranges if self._known_scan is None else self._known_scan)
         if self._limits is not None:
@@ -537,7 +568,7 @@ class RoverEnv(EnvBase):
         if self.simulator.device != self._tensor_device:
             rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
         state.truth = Perception(rover, ranges, self.lidar)
-        scan_step = None if self._delays is None else self._delays.scan_step
+        scan_step = None if self.delays is None else self.delays.scan_step
         noise = config.randomization
         state.sensed = self._observer.sense(noise, state.truth, self._keys, steps, self.lidar, scan_step)
         state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
@@ -556,9 +587,9 @@ class RoverEnv(EnvBase):
     def _scanning(self, rows: Tensor | None, steps: Tensor) -> Tensor | None:
         """Returns which of the ``rows`` scan after ``steps`` steps of their episodes."""
         period = self.config.lidar.period
-        if self._delays is None and period == 1:
+        if self.delays is None and period == 1:
             return rows
-        due = (steps % period == 0).squeeze(-1) if self._delays is None else self._delays.scans(self._keys, steps)
+        due = (steps % period == 0).squeeze(-1) if self.delays is None else self.delays.scans(self._keys, steps)
         due = due.to(self.simulator.device)
         return due if rows is None else due & rows
 
@@ -566,12 +597,12 @@ class RoverEnv(EnvBase):
         """Returns the observation, in which ``rows`` (bool ``[N]``) are new."""
         state, goal = self._state, self._state.task.goal
         known, scan_pose = state.pose, None
-        if self._delays is not None:
+        if self.delays is not None:
             steps = state.task.steps
-            known, scan_pose = self._delays.poses(state.pose, state.sensed.euler, steps)
+            known, scan_pose = self.delays.poses(state.pose, state.sensed.euler, steps)
             if self._brake is not None:
-                self._known_scan = self._delays.late("scan", state.sensed.ranges, steps, self._delays.scan)
-        same = state.sensed is state.reference and self.config.pose.source == "truth" and self._delays is None
+                self._known_scan = self.delays.late("scan", state.sensed.ranges, steps, self.delays.scan)
+        same = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         inputs = SensorInput(
             truth=state.truth,
             sensed=state.sensed,
@@ -584,7 +615,7 @@ class RoverEnv(EnvBase):
             rows=rows,
             scan_pose=scan_pose,
         )
-        observation: dict[str, Any] = self._observer(inputs, self._delays)
+        observation: dict[str, Any] = self._observer(inputs, self.delays)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps
