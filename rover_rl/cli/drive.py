@@ -18,7 +18,7 @@ from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
-from rover_rl.envs.config import GuardConfig
+from rover_rl.envs.config import SCAN_POSE, GuardConfig
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
@@ -245,6 +245,8 @@ class Drive:
         described = replace(
             made_for,
             world=policy.worlds[0],
+            # Scans are added to maps where they were taken, by their stamps.
+            sensors=(*made_for.sensors, *(() if SCAN_POSE in made_for.sensors else (SCAN_POSE,))),
             robot=self.robot or made_for.robot,
             robot_options=self.robot_options,
             backend=settings,

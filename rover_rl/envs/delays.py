@@ -13,7 +13,7 @@ from torch import Tensor
 from rover_rl.envs.config import Randomization
 from rover_rl.envs.perception import SensedPose
 from rover_rl.rng import random_bits, to_unit, whole_between
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
 
 _LATENCY, _SCAN_LATENCY, _STATE_LATENCY, _SCAN_PERIOD, _LOST_SCANS = 3, 18, 19, 20, 21
 """Streams of random numbers."""
@@ -128,20 +128,28 @@ class SensorDelays:
         self.scan_step = torch.where(taken, steps, self.scan_step)
         return taken.squeeze(-1)
 
-    def poses(self, pose: SensedPose, euler: Tensor, steps: Tensor) -> tuple[SensedPose, Tensor]:
+    def poses(
+        self, pose: SensedPose, euler: Tensor, steps: Tensor, stamped: tuple[Tensor, Tensor] | None = None
+    ) -> tuple[SensedPose, Tensor]:
         """Stores the sensed pose, and returns the one that is known, and where the known scan was taken from it.
 
         Args:
             pose: pose that the sensors report, without delay.
             euler: roll, pitch and yaw of the rover by its sensors, ``[N, 3]``, rad.
             steps: number of steps of each row's episode, int64 ``[N, 1]``.
+            stamped: position ``[N, 3]`` (m) and orientation ``[N, 4]`` at which the scans were taken, of a live rover,
+                whose stamps tell. ``None``: those at which this object let them scan.
 
         Returns:
             The late pose, and the pose of the scan relative to it, ``[N, 6]``: ahead, left and up (m), pitch, roll, and
             the change of the heading (rad). Pitch and roll are those of the scan.
         """
         now = torch.cat((pose.position, euler[:, 1:2], euler[:, :1], pose.yaw), -1)
-        self._scan_pose = torch.where(self.scan_step == steps, now, self._scan_pose)
+        if stamped is None:
+            self._scan_pose = torch.where(self.scan_step == steps, now, self._scan_pose)
+        else:
+            roll, pitch, yaw = quaternion_to_euler(stamped[1]).split(1, -1)
+            self._scan_pose = torch.cat((stamped[0], pitch, roll, yaw), -1)
         known = self.late("known pose", now, steps, self.state)
         scan = self.late("pose of the scan", self._scan_pose, steps, self.scan)
         return SensedPose(known[:, :3], known[:, 5:]), relative_pose(known, scan)

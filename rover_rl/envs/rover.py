@@ -36,7 +36,16 @@ from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
-from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, RobotChanger, Scanner, View, WorldChanger
+from rover_rl.sims.base import (
+    Capability,
+    DynamicsChanger,
+    MoverCarrier,
+    RobotChanger,
+    Scanner,
+    StampedScans,
+    View,
+    WorldChanger,
+)
 from rover_rl.sims.field_of_view import in_view
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.robot_groups import RobotGroups
@@ -599,7 +608,8 @@ class RoverEnv(EnvBase):
         known, scan_pose = state.pose, None
         if self.delays is not None:
             steps = state.task.steps
-            known, scan_pose = self.delays.poses(state.pose, state.sensed.euler, steps)
+            stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedScans) else None
+            known, scan_pose = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
             if self._brake is not None:
                 self._known_scan = self.delays.late("scan", state.sensed.ranges, steps, self.delays.scan)
         same = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None

@@ -191,6 +191,7 @@ class Ros2Simulator:
         moved_to = target if self._placer.moves else None
         self._limiter.reset()
         self._pose_estimator.start_episode(self._sensors.pose, self._sensors.imu_orientation, moved_to, ground)
+        self._sensors.forget_poses()
         self._dt = self.control_dt
         return self.state()
 
@@ -276,6 +277,12 @@ class Ros2Simulator:
     def close(self) -> None:
         """Stops the rover and closes the connection. Idempotent."""
         self._finalizer()
+
+    def scan_pose(self) -> tuple[Tensor, Tensor]:
+        """Returns where the rover was at the time of the latest scan: see :class:`~rover_rl.sims.base.StampedScans`."""
+        stamp = 0.0 if self._scan is None else self._scan.value.stamp
+        position, orientation = self._sensors.pose_at(stamp)
+        return position[None], orientation[None]
 
     def _world_pose(self) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from rover_rl.envs import EnvConfig, LidarConfig
+from rover_rl.envs import EnvConfig, LidarConfig, Randomization
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims import make_simulator
 from rover_rl.sims.connection import Connection
@@ -155,13 +155,22 @@ class Rover:
 
 
 class SimulatedRobot:
-    """The node of a rover in PyBullet. ``driven`` has its x after each step."""
+    """The node of a rover in PyBullet. ``driven`` has its x after each step, ``poses`` place and yaw by the time."""
 
-    def __init__(self, wire: Wire, world: World, start: tuple[float, float, float], view: float = 2 * math.pi) -> None:
+    def __init__(
+        self,
+        wire: Wire,
+        world: World,
+        start: tuple[float, float, float],
+        view: float = 2 * math.pi,
+        randomization: Randomization = Randomization(),  # noqa: B008  (it is frozen)
+    ) -> None:
         kind = replace(get_robot("rover_zero"), lidar_view=view)
-        self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=LidarConfig(beams=128), seed=0))
+        lidar = LidarConfig(beams=128)
+        self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, randomization=randomization))
         self._node = RobotNode(self.rover, wire, world, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
+        self.poses: dict[float, tuple[torch.Tensor, float]] = {}
         wire.rovers.append(self._step)
 
     @property
@@ -170,6 +179,8 @@ class SimulatedRobot:
 
     def _step(self) -> None:
         self._node.step()
+        rover = self.rover.env.rover_state
+        self.poses[round(rover.stamp.item(), 3)] = (rover.position[0], yaw_of(rover))
         self.driven.append(self.position[0].item())
 
 
