@@ -445,10 +445,24 @@ class Randomization:
 
     @classmethod
     def typical(cls) -> Randomization:
-        """Returns typical ranges for a skid-steer rover with low-cost sensors: those of :func:`imperfect`."""
-        from rover_rl.envs.imperfections import IMPERFECTIONS
-
-        return IMPERFECTIONS["typical"](CONTROL_DT).randomization
+        """Returns typical ranges for a skid-steer rover with low-cost sensors, with delays in steps of 50 ms."""
+        bias = math.radians(0.1)
+        return cls(
+            friction=(0.7, 1.3),
+            chassis_mass=(0.9, 1.3),
+            motor_torque=(0.7, 1.0),
+            latency=(0, 2),
+            range_noise=0.01,
+            dropout=0.01,
+            odometry_noise=0.02,
+            imu_noise=0.01,
+            scan_latency=(0, 2),
+            state_latency=(0, 1),
+            lost_scans=0.01,
+            odometry_scale=(0.98, 1.02),
+            yaw_bias=(-bias, bias),
+            severity=(0.0, 1.0),
+        )
 
     def severity_of(self, keys: Tensor) -> Tensor | float:
         """Returns the factors of noise and errors, ``[N, 1]``, of episodes with random ``keys``, or that of all."""

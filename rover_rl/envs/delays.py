@@ -94,7 +94,8 @@ class SensorDelays:
         device: device of the readings.
 
     Attributes:
-        scan, state: current delays of each row, control steps, int64 ``[N, 1]``.
+        scan: current delay of the scans of each row, control steps, int64 ``[N, 1]``.
+        state: current delay of its other sensors, control steps, int64 ``[N, 1]``.
         scan_step: step at which the last scan was taken that is not lost, int64 ``[N, 1]``.
     """
 

@@ -36,21 +36,11 @@ def _steps(low: float, high: float, dt: float) -> tuple[int, int]:
 
 
 def _typical(dt: float) -> Imperfection:
-    noise = Randomization(
-        friction=(0.7, 1.3),
-        chassis_mass=(0.9, 1.3),
-        motor_torque=(0.7, 1.0),
+    noise = replace(
+        Randomization.typical(),
         latency=_steps(0.0, 0.1, dt),
-        range_noise=0.01,
-        dropout=0.01,
-        odometry_noise=0.02,
-        imu_noise=0.01,
         scan_latency=_steps(0.0, 0.1, dt),
         state_latency=_steps(0.0, 0.05, dt),
-        lost_scans=0.01,
-        odometry_scale=(0.98, 1.02),
-        yaw_bias=(-math.radians(0.1), math.radians(0.1)),
-        severity=(0.0, 1.0),
     )
     pose = PoseConfig("either", drift=0.03, drift_heading=0.01, jump=0.05, jump_rate=0.2, jump_heading=0.02)
     return Imperfection(noise, pose, LimitsConfig(apply=True))
