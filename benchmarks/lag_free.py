@@ -33,10 +33,11 @@ from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
+from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
+from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
 from rover_rl.sims.worlds import World
 
@@ -92,8 +93,8 @@ class LagFreeRovers:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
         self.control_dt = DT
         self._world, self._robot, self._settings = worlds[0], robot, settings
-        limits = Ros2Settings().limits(robot)
-        self._limiters = [CommandLimiter(limits) for _ in worlds] if settings.limited else []
+        self._limits = torch.tensor([CommandLimits.of(robot, Ros2Settings())])
+        self._limiter = CommandLimiter(Ros2Settings().min_reversal, self.num_envs) if settings.limited else None
         self._pose = torch.zeros(self.num_envs, 3, dtype=torch.float64)
         self._twist = torch.zeros(self.num_envs, 2)
 
@@ -101,8 +102,8 @@ class LagFreeRovers:
         """Places rovers at ``poses``, at rest."""
         self._pose = torch.where(mask[:, None], poses.double(), self._pose)
         self._twist = self._twist.masked_fill(mask[:, None], 0.0)
-        for row in mask.nonzero().flatten().tolist() if self._limiters else ():
-            self._limiters[row].reset()
+        if self._limiter is not None:
+            self._limiter.reset(mask[:, None])
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
@@ -116,9 +117,9 @@ class LagFreeRovers:
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Executes the commands for one control step."""
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
-        for row in active.nonzero().flatten().tolist() if self._limiters else ():
-            last, desired = tuple(self._twist[row].tolist()), tuple(commands[row].tolist())
-            commands[row] = torch.tensor(self._limiters[row](last, desired, DT))
+        if self._limiter is not None:
+            dt = torch.full((self.num_envs, 1), DT)
+            commands = self._limiter(self._twist, commands, dt, self._limits, active[:, None])
         self._settings.commands.append(commands.masked_fill(~active[:, None], math.nan))
         self._twist = torch.where(active[:, None], commands, self._twist)
         speed, yaw_rate = commands.double().unbind(-1)

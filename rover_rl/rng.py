@@ -61,6 +61,16 @@ def to_index(bits: Tensor, size: Tensor) -> Tensor:
     return (_shift(bits, 32) * size) >> 32
 
 
+def whole_between(bits: Tensor, ends: tuple[int, int]) -> Tensor:
+    """Returns uniform integers from the first to the last of a range."""
+    return ends[0] + to_index(bits, torch.full_like(bits, ends[1] - ends[0] + 1))
+
+
+def between(bits: Tensor, ends: tuple[float, float]) -> Tensor:
+    """Returns uniform numbers in a range, float32."""
+    return ends[0] + (ends[1] - ends[0]) * to_unit(bits)
+
+
 def to_unit(bits: Tensor) -> Tensor:
     """Returns uniform numbers in [0, 1) from the lower 24 bits, float32, in steps of 2^-24."""
     return (bits & 0xFFFFFF).to(torch.float32) * 2.0**-24

@@ -21,6 +21,8 @@ from rover_rl.algos.video.film import film_to_goal
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.policies import NO_POLICY
+from rover_rl.cli.train import train_defaults
+from rover_rl.envs import EnvConfig, Randomization, imperfect
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
 
@@ -469,3 +471,14 @@ def test_parts_and_settings_that_do_not_work_are_one_sentence(
     monkeypatch.syspath_prepend(tmp_path)
     assert message in failed(capsys, "train", *options.split(), "--runs", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
+
+
+def test_training_is_randomized_by_the_name_of_a_preset() -> None:
+    def env(*given: str) -> EnvConfig:
+        return train_defaults(["train", "--world", "maze", *given]).config.env
+
+    assert env().randomization == Randomization()
+    assert env("--randomize") == imperfect(env(), "typical")
+    assert env("--randomize", "harsh").randomization.scan_latency == (0, 4)
+    with pytest.raises(ValueError, match="--randomize takes one name, got late noise"):
+        env("--randomize", "late", "noise")

@@ -18,12 +18,14 @@ from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
+from rover_rl.envs.config import SCAN_POSE, GuardConfig
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
+    from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.cli.policies import ResolvedPolicy
     from rover_rl.envs.config import EnvConfig
     from rover_rl.view.live import LivePage
@@ -69,13 +71,16 @@ class Drive:
     seconds: float = 60.0
     """Time limit for each goal, s."""
     max_speed: float | None = None
-    """Largest forward speed of a command, m/s. Default: that of the robot (Rover Zero: 1)."""
+    """Largest forward speed of a command, m/s. Default of the four limits: what the policy was trained with, else that
+    of the robot (Rover Zero: 1)."""
     max_yaw_rate: float | None = None
-    """Largest yaw rate of a command, rad/s. Default: that of the robot (Rover Zero: 7)."""
+    """Largest yaw rate of a command, rad/s (Rover Zero: 7)."""
     max_acceleration: float | None = None
-    """Largest forward acceleration, m/s^2. Default: that of the robot (Rover Zero: 5). Stops are sent immediately."""
+    """Largest forward acceleration, m/s^2 (Rover Zero: 5). Stops are sent immediately."""
     max_yaw_acceleration: float | None = None
-    """Largest yaw acceleration, rad/s^2. Default: that of the robot (Rover Zero: 4)."""
+    """Largest yaw acceleration, rad/s^2 (Rover Zero: 4)."""
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    """Emergency brake: --guard.deceleration 2 brakes before what the scan shows in the way (docs/driving.md)."""
     allow_unseen: bool = False
     """Accept a lidar with a smaller field of view than in training."""
     allow_other_world: bool = False
@@ -128,7 +133,7 @@ class Drive:
 
             policy = self._policy()
             assert policy.module is not None
-            goals, settings = self._goals(policy.worlds[0]), self._settings()
+            goals, settings = self._goals(policy.worlds[0]), self._settings(policy.module)
             described = self._description(policy, settings)
             checks = [raise_if_interrupted]
             page = self._open_page(stack) if self.view else None
@@ -220,11 +225,15 @@ class Drive:
     def _robot(self) -> str | None:
         return None if self.robot is None else with_options(self.robot, self.robot_options)
 
-    def _settings(self) -> Ros2Settings:
-        """Returns the settings of the connection to the rover."""
+    def _settings(self, policy: Policy | None = None) -> Ros2Settings:
+        """Returns the settings of the connection to the rover, with the limits that a policy was trained with."""
         command: Command = "twist_stamped" if self.stamped else "twist"
         options = {field.name: getattr(self, field.name) for field in fields(Ros2Settings) if hasattr(self, field.name)}
         given = Ros2Settings(**options)  # the options of the same names
+        trained: EnvConfig | None = getattr(policy, "made_for", None)
+        if trained is not None and trained.limits.apply:
+            limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
+            given = replace(given, **{name: value for name, value in limits.items() if options.get(name) is None})
         return replace(given, command="none" if self.dry_run else command, reset="none", step_timeout=SENSOR_TIMEOUT)
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
@@ -236,10 +245,13 @@ class Drive:
         described = replace(
             made_for,
             world=policy.worlds[0],
+            # Scans are added to maps where they were taken, by their stamps.
+            sensors=(*made_for.sensors, *(() if SCAN_POSE in made_for.sensors else (SCAN_POSE,))),
             robot=self.robot or made_for.robot,
             robot_options=self.robot_options,
             backend=settings,
             randomization=Randomization(),
+            guard=self.guard,
             connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),
             length=UNLIMITED,
             end_on_goal=True,

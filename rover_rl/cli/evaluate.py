@@ -14,6 +14,7 @@ import tyro
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
 from rover_rl.cli.replays import write_worst
+from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.sims.robots import get_robots
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import EnvConfig
+
+EXACT = "exact"
+"""Name of exact sensors beside those of imperfections."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,9 @@ class Evaluate:
     backend: tuple[str, ...] = ()
     """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.
     Default: that of --env, else bullet."""
+    imperfect: tuple[str, ...] = ()
+    """Imperfections of sensors to drive with, too: late, jumps, odometry, noise, all (of these at half), typical or
+    harsh (docs/randomization.md). They are compared with exact sensors on the same episodes."""
     agents: int | None = None
     """Number of rovers that drive at once in the same world, in which they see and push one another.
     Default: that of --env, else 1."""
@@ -83,6 +90,7 @@ class Evaluate:
             # Says first if the extra is missing.
             import_module("rover_rl.view")
         check_columns(self.columns)
+        check_imperfections(self.imperfect)
         given = {"seconds": self.seconds, "action_repeat": self.action_repeat}
         check_options(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
@@ -141,9 +149,10 @@ class Evaluate:
                     self.environment.description(policy.module, name)
         return [*names] or [None]
 
-    def _env(self, policy: Policy | None, backend: str | None) -> EnvConfig:
-        """Returns the environment for a policy, in a backend."""
+    def _env(self, policy: Policy | None, backend: str | None, imperfection: str = "") -> EnvConfig:
+        """Returns the environment for a policy, in a backend, with an imperfection or as it is."""
         env = self.environment.description(policy, backend)
+        env = imperfect(env, imperfection) if imperfection else env
         return env if self.agents is None else replace(env, agents=self.agents)
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
@@ -165,31 +174,39 @@ class Evaluate:
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> list[Evaluation | EndlessEvaluation]:
-        """Evaluates the policies in each world and backend."""
+        """Evaluates the policies in each world and backend, with each imperfection."""
         from rover_rl.algos.evaluation.evaluate import usual_seconds
         from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
         requests: list[GoalRequest | EndlessRequest] = []
+        names: list[str] = []
         for world, episodes in sets.items():
-            runs: list[tuple[ResolvedPolicy, dict[str, Any]]] = []
-            for policy, backend in product(policies, backends):
+            runs: list[tuple[ResolvedPolicy, str, dict[str, Any]]] = []
+            for policy, backend, name in product(policies, backends, ("", *dict.fromkeys(self.imperfect))):
                 if world in (policy.worlds or sets):
-                    env = self._env(policy.module, backend)
-                    runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            for policy, settings in runs:
+                    env = self._env(policy.module, backend, name)
+                    runs.append((policy, name, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
+            for policy, name, settings in runs:
                 seconds = usual_seconds(settings["env"]) if self.seconds is None else self.seconds
                 options = {**settings, "seconds": seconds, "track_movers": TRACE}
                 requests.append(GoalRequest(policy.module, episodes, options))
-            if self.endless:
-                requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
-        return evaluate_all(requests, self.workers)
+                names.append(name)
+            for policy, name, settings in runs if self.endless else ():
+                requests.append(EndlessRequest(policy.module, world, {**settings, "jam": self.jam}))
+                names.append(name)
+        results = evaluate_all(requests, self.workers)
+        # The name of an environment with exact sensors is needed only beside others.
+        return [
+            replace(result, imperfection=name or EXACT) if self.imperfect else result
+            for result, name in zip(results, names, strict=True)
+        ]
 
 
 def _pictures(
     results: list[Evaluation | EndlessEvaluation], out: Path, several_backends: bool
 ) -> dict[Path, list[Evaluation]]:
-    """Returns the evaluations to draw in each picture: one picture per world and backend."""
+    """Returns the evaluations to draw in each picture: one picture per world, backend and imperfection."""
     from rover_rl.algos.evaluation.results import Evaluation
 
     driven = [result for result in results if isinstance(result, Evaluation)]
@@ -197,6 +214,7 @@ def _pictures(
     pictures: dict[Path, list[Evaluation]] = {}
     for evaluation in driven:
         world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
-        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-").replace("*", "x")
+        parts = ("paths", world, backend, evaluation.imperfection)
+        name = "-".join(part for part in parts if part).replace(":", "-").replace("*", "x")
         pictures.setdefault(out / f"{name}.png", []).append(evaluation)
     return pictures

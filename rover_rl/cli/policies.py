@@ -13,7 +13,7 @@ import tyro
 
 from rover_rl.algos.config_files import read_yaml
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
-from rover_rl.envs.config import EnvConfig, env_from_plain
+from rover_rl.envs.config import EnvConfig, GuardConfig, env_from_plain
 from rover_rl.registry import perhaps
 from rover_rl.sims.robots.options import RobotOptions, with_options
 
@@ -135,6 +135,8 @@ class EnvOptions:
     """What a URDF does not tell of the robot."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    """Emergency brake. Default: that of --env."""
 
     @property
     def given_robot(self) -> str | None:
@@ -149,6 +151,8 @@ class EnvOptions:
         options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
         changes["robot_options"] = self.robot_options
+        if self.guard != GuardConfig():
+            changes["guard"] = self.guard
         return environment_for(policy, replace(config, **changes))
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
@@ -47,6 +48,9 @@ class RobotCommand:
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
+    harsh: bool = False
+    """Delay, drop and distort what is published, delay the commands, and vary friction, mass and motors, as
+    rover-rl train --randomize harsh does (docs/randomization.md)."""
     lidar_view: float | None = None
     """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
@@ -71,7 +75,7 @@ class RobotCommand:
         check_seed(self.seed)
         described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
-        from rover_rl.sims import make_scanner, make_simulator
+        from rover_rl.envs.served_rover import ServedRover
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.ros2.robot import RobotNode
         from rover_rl.sims.ros2.transport import make_transport
@@ -86,19 +90,14 @@ class RobotCommand:
         world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
-        rate = described.control_rate
-        simulator = make_simulator(
-            described.backend, worlds=[world], robot=robot, physics=described.preset, control_rate=rate
-        )
-        scanner = make_scanner(simulator, [world], robot, self.lidar_beams)
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
         view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
+        lidar, kind = replace(described.lidar, beams=self.lidar_beams), replace(robot, lidar_view=view)
+        rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
         try:
-            node = RobotNode(
-                simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view
-            )
+            node = RobotNode(rover, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
             print(
                 f"Rover in {described.world_names[0]} on ROS 2: publishes {connection.scan_topic}, receives "
                 f"{connection.cmd_vel_topic}",
@@ -107,7 +106,7 @@ class RobotCommand:
             node.run(self.rate, stop)
         finally:
             transport.close()
-            simulator.close()
+            rover.close()
         return 0
 
     def _environment(self) -> EnvConfig:
@@ -118,4 +117,5 @@ class RobotCommand:
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         connection = replace(config.connection, **given)
-        return replace(config, connection=connection, robot_options=self.robot_options, **changes)
+        described = replace(config, connection=connection, robot_options=self.robot_options, **changes)
+        return imperfect(described, "harsh") if self.harsh else described

@@ -27,7 +27,8 @@ from rover_rl.algos.config import (
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.cli.training_page import TrainingPage
-from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.sims.backends import name_of
 
 if TYPE_CHECKING:
@@ -68,8 +69,10 @@ class Train:
     seeds: tuple[int, ...] = ()
     """Train once for each seed, one run after another, in folders NAME-seed0 and so on, for rover-rl compare.
     The same command continues runs that were interrupted."""
-    randomize: bool = False
-    """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
+    randomize: tuple[str, ...] | None = None
+    """Train with imperfections of real rovers: of a typical one, or harsh ones with --randomize harsh, or one of late,
+    jumps, odometry, noise, all (docs/randomization.md). The options of --randomization, --pose and --limits override
+    them."""
     view: bool = False
     """Open a page with the learning curve and a few rovers that drive with the newest policy (needs the extra view)."""
     host: str = "127.0.0.1"
@@ -154,14 +157,21 @@ def train_defaults(args: Sequence[str]) -> Train:
     config = _starting_settings(given)
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
-    if given.randomize:
-        config = with_settings(config, randomization=Randomization.typical())
+    if given.randomize is not None:
+        config = replace(config, env=imperfect(config.env, _imperfection(given.randomize)))
     parts = {part: getattr(config, part) for part in PARTS} | {"run": RunOptions(**vars(config.run))}
     settings = None if isinstance(config.env.backend, str) else config.env.backend
     if settings is not None:
         parts["env"] = replace(config.env, backend=name_of(settings))
     # tyro makes options of the fields that the default has: those of the algorithm.
     return Train(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
+
+
+def _imperfection(names: Sequence[str]) -> str:
+    """Returns the imperfection that --randomize names: that of a typical rover if it names none."""
+    if len(names) > 1:
+        raise ValueError(f"--randomize takes one name, got {' '.join(names)}")
+    return names[0] if names else "typical"
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:
@@ -171,7 +181,7 @@ def _early_options(args: Sequence[str]) -> argparse.Namespace:
         parser.add_argument(option, nargs="?")
     parser.add_argument("--from", dest="source", nargs="?")
     parser.add_argument("--world", nargs="*")
-    parser.add_argument("--randomize", action="store_true")
+    parser.add_argument("--randomize", nargs="*")
     return parser.parse_known_args(args[1:] if args[:1] == ["train"] else [])[0]
 
 

@@ -16,10 +16,11 @@ Parts of ``RoverEnv``:
     ``specs``: TorchRL specs of observation, action, reward and done flags.
     ``inputs``: validation of actions, start poses and goals.
     ``control``: heading controller, from an action to a velocity command.
+    ``row_limits``, ``emergency_brake``, ``delays``: limits, brake and delay of commands; delay of sensors.
     ``perception``: state of the environment between two steps.
     ``navigation``, ``task``: goals, events, outcome and end of an episode.
     ``placement``: random start poses and goals in free space.
-    ``randomization``: domain randomization.
+    ``imperfections``: imperfections of real rovers by name.
     ``privileged``: privileged observation for critics and experts.
     ``rng``: reproducible random numbers per row.
     ``rows``, ``devices``: views of unbatched tensordicts, and validation of devices.
@@ -36,14 +37,17 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import (
         ActionConfig,
         EnvConfig,
+        GuardConfig,
         HeadingGains,
         LidarConfig,
+        LimitsConfig,
         PoseConfig,
         Randomization,
         RewardConfig,
         TaskConfig,
     )
     from rover_rl.envs.control import HeadingController
+    from rover_rl.envs.imperfections import IMPERFECTIONS, imperfect
     from rover_rl.envs.make import RewardedEnv, add_reward, make_env
     from rover_rl.envs.rewards import RewardComponent, TotalReward, contract_reward, register_reward
     from rover_rl.envs.rover import RoverEnv
@@ -56,13 +60,16 @@ _HOMES = {
     "config": (
         "ActionConfig",
         "EnvConfig",
+        "GuardConfig",
         "HeadingGains",
         "LidarConfig",
+        "LimitsConfig",
         "PoseConfig",
         "Randomization",
         "RewardConfig",
         "TaskConfig",
     ),
+    "imperfections": ("IMPERFECTIONS", "imperfect"),
     "control": ("HeadingController",),
     "make": ("RewardedEnv", "add_reward", "make_env"),
     "rewards": ("RewardComponent", "TotalReward", "contract_reward", "register_reward"),
@@ -75,12 +82,15 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "IMPERFECTIONS",
     "ActionConfig",
     "Bounds",
     "EnvConfig",
+    "GuardConfig",
     "HeadingController",
     "HeadingGains",
     "LidarConfig",
+    "LimitsConfig",
     "PoseConfig",
     "Randomization",
     "RewardComponent",
@@ -94,6 +104,7 @@ __all__ = [
     "TotalReward",
     "add_reward",
     "contract_reward",
+    "imperfect",
     "make_env",
     "register_reward",
     "register_sensor",

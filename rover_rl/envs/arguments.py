@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import (
         ActionConfig,
         BackendLike,
+        GuardConfig,
         HeadingGains,
         LidarConfig,
+        LimitsConfig,
         OutcomeSource,
         PoseConfig,
         Randomization,
@@ -58,6 +60,8 @@ class EnvSettings(TypedDict, total=False):
     end_on_goal: bool
     task: TaskConfig | None
     heading_gains: HeadingGains | None
+    limits: LimitsConfig | None
+    guard: GuardConfig | None
     randomization: Randomization | None
     action: ActionConfig | None
     outcome_from: OutcomeSource

@@ -24,9 +24,10 @@ from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import names_several
 from rover_rl.sims.robots.options import RobotOptions, with_options
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
 
 if TYPE_CHECKING:
+    from torch import Tensor
     from torchrl.envs import Transform
 
     from rover_rl.envs.sensors.base import Sensor
@@ -48,10 +49,12 @@ else:
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
-PoseSource: TypeAlias = Literal["truth", "odometry", "localized"]
+PoseSource: TypeAlias = Literal["truth", "odometry", "localized", "either"]
 """Where the sensed pose comes from."""
 CollisionSource: TypeAlias = Literal["lidar", "contact"]
 """What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
+SCAN_POSE = "scan_pose"
+"""Name of the pose at which the scan was taken, which an environment has if asked for, or if its scans can be late."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 
@@ -59,6 +62,10 @@ MAX_RATE = 1000.0
 """Highest control rate, Hz."""
 
 _UNCHANGED = (1.0, 1.0)
+_SEVERITY = 22
+"""Stream of random numbers."""
+_FACTORS = ("friction", "chassis_mass", "motor_torque", "odometry_scale", "limits")
+_LATENCIES = ("latency", "scan_latency", "state_latency")
 
 
 @dataclass(frozen=True)
@@ -93,14 +100,16 @@ class PoseConfig:
     - ``odometry``: dead reckoning from the start of the episode, by the speed of the wheels and the attitude of the
       IMU. It drifts where wheels slip, and with the noise of both.
     - ``localized``: the true pose with an error that drifts and jumps, as that of a localization does.
+    - ``either``: each episode draws odometry or localized.
 
     Args:
-        source: Where the pose comes from: truth, odometry or localized.
+        source: Where the pose comes from: truth, odometry, localized or either.
         drift: Standard deviation of the drifting error of x and y each, m.
         drift_heading: Standard deviation of the drifting error of the heading, rad.
         drift_time: Time in which the drifting error forgets all but 1/e of itself, s.
         jump: Standard deviation of the error of x and y each that each jump draws anew, m.
         jump_rate: Mean number of jumps per second.
+        jump_heading: Standard deviation of the error of the heading that each jump draws anew, rad.
 
     Raises:
         ValueError: if the source is unknown, or a number is negative or not finite, or ``drift_time`` is 0.
@@ -112,12 +121,13 @@ class PoseConfig:
     drift_time: float = 10.0
     jump: float = 0.1
     jump_rate: float = 0.05
+    jump_heading: float = 0.0
 
     def __post_init__(self) -> None:
         if self.source not in get_args(PoseSource):
             raise ValueError(f"source of the pose must be one of {get_args(PoseSource)}, got {self.source!r}")
         check_at_least(0, MAX_NUMBER, drift=self.drift, drift_heading=self.drift_heading, jump=self.jump)
-        check_at_least(0, MAX_NUMBER, jump_rate=self.jump_rate)
+        check_at_least(0, MAX_NUMBER, jump_rate=self.jump_rate, jump_heading=self.jump_heading)
         check_positive(MAX_NUMBER, drift_time=self.drift_time)
 
 
@@ -246,9 +256,18 @@ class RewardConfig:
         clearance_distance: Lidar reading below which the clearance penalty applies, m.
         action_rate_penalty: Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the
             component out.
+        mover_contact_penalty: Reward for each step in contact with a mover that the rover drove into: it was not
+            standing still before. This and the next four leave their components out if all of them are 0.
+        struck_penalty: Reward for each step in contact with a mover that ran into the standing rover.
+        intrusion_penalty: Reward for each step at a mover. It falls linearly to nothing at the intrusion distance.
+        haste_penalty: Reward for each step at 1 m/s at a mover, in proportion to the speed. It falls in the same way.
+        risk_penalty: Reward for each step within the risk distance of a mover.
+        intrusion_distance: Distance from the center of the rover to the surface of a mover from which on it does not
+            intrude, m.
+        risk_distance: Distance from the center of the rover to the surface of a mover within which it is at risk, m.
 
     Raises:
-        ValueError: if ``clearance_distance`` is not positive.
+        ValueError: if a distance is not positive.
     """
 
     goal_reward: float = 100.0
@@ -267,10 +286,18 @@ class RewardConfig:
     clearance_penalty: float = 0.0
     clearance_distance: float = 0.5
     action_rate_penalty: float = 0.0
+    mover_contact_penalty: float = 0.0
+    struck_penalty: float = 0.0
+    intrusion_penalty: float = 0.0
+    haste_penalty: float = 0.0
+    risk_penalty: float = 0.0
+    intrusion_distance: float = 1.2
+    risk_distance: float = 0.5
 
     def __post_init__(self) -> None:
-        if not self.clearance_distance > 0:
-            raise ValueError(f"clearance_distance must be positive, got {self.clearance_distance}")
+        for name in ("clearance_distance", "intrusion_distance", "risk_distance"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -291,10 +318,70 @@ class HeadingGains:
 
 
 @dataclass(frozen=True)
+class LimitsConfig:
+    """Limits of the commands: those that ``rover-rl drive`` applies to a live rover, in simulation too.
+
+    ``rover-rl drive`` applies by default what a policy was trained with, if ``apply``, else the defaults below. In
+    simulation, the drive of the robot lags besides.
+
+    Args:
+        apply: Limit the commands in simulation, too.
+        max_speed: Largest speed, m/s. None: that of the robot.
+        max_yaw_rate: Largest yaw rate, rad/s. None: that of the robot.
+        max_acceleration: Largest change of the speed, m/s^2. None: that of the robot.
+        max_yaw_acceleration: Largest change of the yaw rate, rad/s^2. None: that of the robot.
+        min_reversal: Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning.
+
+    Raises:
+        ValueError: if a limit is not positive and finite, or ``min_reversal`` is negative.
+    """
+
+    apply: bool = False
+    max_speed: float | None = None
+    max_yaw_rate: float | None = None
+    max_acceleration: float | None = None
+    max_yaw_acceleration: float | None = None
+    min_reversal: float = MIN_REVERSAL
+
+    def __post_init__(self) -> None:
+        check_at_least(0, MAX_NUMBER, min_reversal=self.min_reversal)
+        names = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
+        check_positive(MAX_NUMBER, **{name: value for name in names if (value := getattr(self, name)) is not None})
+
+
+@dataclass(frozen=True)
+class GuardConfig:
+    """Emergency brake: limits the speed so that the rover stops before what the scan shows in its way.
+
+    The way is the arc of the command, swept by the outline of the robot. Of the free distance ``d`` on it, the rover
+    may use what is left by obstacles that come towards it at ``approach`` until it stands, as in the protective
+    separation distance of ISO/TS 15066: ``d = v reaction + v^2 / (2 deceleration) + approach (reaction + v /
+    deceleration)`` for the largest speed ``v``.
+
+    Args:
+        deceleration: Deceleration of the rover when it brakes, m/s^2. 0 leaves the brake out.
+        reaction: Time from a scan until the rover brakes, with the period of the lidar, s.
+        approach: Speed of obstacles towards the rover that it reckons with, m/s.
+        margin: Free distance around the outline, m.
+
+    Raises:
+        ValueError: if a number is negative or not finite.
+    """
+
+    deceleration: float = 0.0
+    reaction: float = 0.2
+    approach: float = 0.0
+    margin: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_at_least(0, MAX_NUMBER, **{item.name: getattr(self, item.name) for item in fields(self)})
+
+
+@dataclass(frozen=True)
 class Randomization:
     """Domain randomization. The defaults disable it.
 
-    Scale factors and latency are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
+    Factors, delays and biases are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
 
     Args:
         friction: Range of the scale factor of all friction coefficients.
@@ -305,6 +392,15 @@ class Randomization:
         dropout: Fraction of lidar beams without a return.
         odometry_noise: Relative standard deviation of the velocities from wheel odometry.
         imu_noise: Standard deviation of roll, pitch and yaw, rad.
+        scan_latency: Range of the delay of scans, control steps.
+        state_latency: Range of the delay of pose, IMU, wheel odometry and other sensors, control steps. A scan waits
+            for the pose of its time.
+        scan_period: Range of the number of steps from one scan to the next. None: that of the lidar.
+        lost_scans: Fraction of scans that never arrive. The last one stays.
+        odometry_scale: Range of the scale factor of the velocities from wheel odometry.
+        yaw_bias: Range of the error of the yaw rate that dead reckoning adds up, rad/s.
+        limits: Range of the scale factor of the limits of the commands.
+        severity: Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization.
 
     Raises:
         ValueError: if a range is not in ascending order, or a value is out of range.
@@ -321,24 +417,42 @@ class Randomization:
     dropout: float = 0.0
     odometry_noise: float = 0.0
     imu_noise: float = 0.0
+    scan_latency: tuple[int, int] = (0, 0)
+    state_latency: tuple[int, int] = (0, 0)
+    scan_period: tuple[int, int] | None = None
+    lost_scans: float = 0.0
+    odometry_scale: tuple[float, float] = _UNCHANGED
+    yaw_bias: tuple[float, float] = (0.0, 0.0)
+    limits: tuple[float, float] = _UNCHANGED
+    severity: tuple[float, float] = _UNCHANGED
 
     def __post_init__(self) -> None:
-        for name in ("friction", "chassis_mass", "motor_torque"):
+        for name in _FACTORS:
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
                 raise ValueError(f"{name} must be a range of positive factors (low, high), got {getattr(self, name)}")
-        low, high = self.latency
-        if not 0 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
-            raise ValueError(f"latency must be a range of control steps (low, high), got {self.latency}")
+        for name in _LATENCIES:
+            low, high = getattr(self, name)
+            if not 0 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
+                raise ValueError(f"{name} must be a range of control steps (low, high), got {getattr(self, name)}")
+        low, high = self.scan_period or (1, 1)
+        if not 1 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
+            raise ValueError(f"scan_period must be a range of at least 1 step (low, high), got {self.scan_period}")
         for name in ("range_noise", "odometry_noise", "imu_noise"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout must be at least 0 and less than 1, got {self.dropout}")
+        for name in ("dropout", "lost_scans"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 0 and less than 1, got {getattr(self, name)}")
+        if not -math.inf < self.yaw_bias[0] <= self.yaw_bias[1] < math.inf:
+            raise ValueError(f"yaw_bias must be a range (low, high), rad/s, got {self.yaw_bias}")
+        if not 0 <= self.severity[0] <= self.severity[1] < math.inf:
+            raise ValueError(f"severity must be a range of factors (low, high) of at least 0, got {self.severity}")
 
     @classmethod
     def typical(cls) -> Randomization:
-        """Returns typical ranges for a skid-steer rover with low-cost sensors."""
+        """Returns typical ranges for a skid-steer rover with low-cost sensors, with delays in steps of 50 ms."""
+        bias = math.radians(0.1)
         return cls(
             friction=(0.7, 1.3),
             chassis_mass=(0.9, 1.3),
@@ -348,12 +462,31 @@ class Randomization:
             dropout=0.01,
             odometry_noise=0.02,
             imu_noise=0.01,
+            scan_latency=(0, 2),
+            state_latency=(0, 1),
+            lost_scans=0.01,
+            odometry_scale=(0.98, 1.02),
+            yaw_bias=(-bias, bias),
+            severity=(0.0, 1.0),
         )
+
+    def severity_of(self, keys: Tensor) -> Tensor | float:
+        """Returns the factors of noise and errors, ``[N, 1]``, of episodes with random ``keys``, or that of all."""
+        if self.severity[0] == self.severity[1]:
+            return self.severity[0]
+        from rover_rl.rng import between, random_bits
+
+        return between(random_bits(keys, _SEVERITY, 0, 1), self.severity)
 
     @property
     def varies_dynamics(self) -> bool:
         """Whether friction, mass or motor torque are randomized."""
         return any(getattr(self, name) != _UNCHANGED for name in ("friction", "chassis_mass", "motor_torque"))
+
+    @property
+    def delays_sensors(self) -> bool:
+        """Whether what the sensors tell may be older than now, beyond the period of the lidar."""
+        return bool(self.scan_latency[1] or self.state_latency[1] or self.lost_scans or self.scan_period)
 
 
 @dataclass(frozen=True)
@@ -395,6 +528,10 @@ class EnvConfig:
     """Parameters of the contract's reward."""
     heading_gains: HeadingGains = field(default_factory=HeadingGains)
     """Gains of the heading PID."""
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    """Limits of the commands."""
+    guard: GuardConfig = field(default_factory=GuardConfig)
+    """Emergency brake."""
     randomization: Randomization = field(default_factory=Randomization)
     """Domain randomization."""
     outcome_from: OutcomeSource = "truth"
@@ -490,6 +627,12 @@ class EnvConfig:
         return (*get_robots(self.robot)[0].sensors, *self.sensors)
 
     @property
+    def late_scans(self) -> bool:
+        """Whether scans can be older than the pose, and where they were taken is told."""
+        asked = any(getattr(sensor, "name", sensor) == SCAN_POSE for sensor in self.own_sensors)
+        return asked or self.randomization.delays_sensors
+
+    @property
     def bounded_action(self) -> ActionConfig:
         """Bounds of the action for :attr:`robot`: see ``ActionConfig.for_robot``."""
         return self.action.for_robot(self.robot, self.heading_gains.kp)
@@ -522,6 +665,8 @@ _PARTS: dict[str, type] = {
     "task": TaskConfig,
     "contract_reward": RewardConfig,
     "heading_gains": HeadingGains,
+    "limits": LimitsConfig,
+    "guard": GuardConfig,
     "randomization": Randomization,
     "connection": Connection,
 }

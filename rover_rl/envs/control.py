@@ -1,4 +1,4 @@
-"""From an action to a velocity command: validation, heading controller and delay. Validation of starts and goals."""
+"""From an action to a velocity command: validation and heading controller. Validation of starts and goals."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import HeadingGains
-from rover_rl.rng import random_bits, to_index
 from rover_rl.sims.rotations import wrap_angle
-
-_LATENCY = 3
-"""Stream of random numbers."""
 
 
 def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
@@ -107,45 +103,3 @@ class HeadingController:
         self._error = error if active is None else torch.where(active, error, self._error)
         self._integral = integral if active is None else torch.where(active, integral, self._integral)
         return rate.clamp(-gains.max_output, gains.max_output)
-
-
-class CommandDelay:
-    """Delays each row's commands by a number of control steps.
-
-    Args:
-        latency: range of the delay, control steps.
-        num_envs: number of rows.
-        size: number of components of a command.
-        device: device of the commands.
-
-    Attributes:
-        steps: current delay of each row, control steps, int64 ``[N, 1]``.
-    """
-
-    def __init__(self, latency: tuple[int, int], num_envs: int, size: int, device: torch.device) -> None:
-        self._min, self._max = latency
-        self.steps = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
-        # Queue of commands, newest first.
-        self._pending = torch.zeros(num_envs, self._max + 1, size, device=device)
-
-    def reset(self, mask: Tensor, keys: Tensor) -> None:
-        """Draws a new delay for the rows of ``mask`` (bool ``[N, 1]``) and discards their pending commands."""
-        if not self._max:
-            return
-        span = torch.full_like(self.steps, self._max - self._min + 1)
-        drawn = self._min + to_index(random_bits(keys, _LATENCY, 0, 1), span)
-        self.steps = torch.where(mask, drawn, self.steps)
-        self._pending = self._pending.masked_fill(mask[..., None], 0.0)
-
-    def __call__(self, command: Tensor, active: Tensor | None) -> Tensor:
-        """Queues a command and returns the delayed command, ``[N, size]``.
-
-        Args:
-            command: forward speed (m/s), yaw rate (rad/s) and further components, ``[N, size]``.
-            active: rows to advance, bool ``[N, 1]``. No time passes for the others. ``None`` means all rows.
-        """
-        if not self._max:
-            return command
-        pending = torch.cat((command[:, None], self._pending[:, :-1]), 1)
-        self._pending = pending if active is None else torch.where(active[..., None], pending, self._pending)
-        return pending.gather(1, self.steps[..., None].expand(-1, 1, pending.shape[-1])).squeeze(1)

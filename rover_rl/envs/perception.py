@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rover_rl.envs.config import PoseConfig
-from rover_rl.rng import random_bits, to_normal, to_unit
+from rover_rl.envs.config import PoseConfig, Randomization
+from rover_rl.rng import between, random_bits, to_normal, to_unit
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
 from rover_rl.sims.worlds.movers.motions.base import Others
 
-_DRIFT, _JUMP, _JUMPS = 7, 8, 9
+_DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE = 7, 8, 9, 23, 24
 """Streams of random numbers."""
 
 
@@ -68,14 +68,15 @@ class Localization:
 
     Args:
         config: where the pose comes from.
+        randomization: range of the yaw bias of dead reckoning, and of the factor of the errors of a localization.
     """
 
-    def __init__(self, config: PoseConfig) -> None:
-        self._config = config
+    def __init__(self, config: PoseConfig, randomization: Randomization) -> None:
+        self._config, self._randomization = config, randomization
         self._steps: Tensor | None = None
         # Position and heading of dead reckoning.
         self._pose: tuple[Tensor, Tensor] | None = None
-        # Error of a localization that drifts (x, y, heading), and the one that jumps (x, y).
+        # Error of a localization that drifts, and the one that jumps: x, y and heading.
         self._error: tuple[Tensor, Tensor] | None = None
 
     def __call__(self, truth: Perception, sensed: Perception, keys: Tensor, steps: Tensor) -> SensedPose:
@@ -93,14 +94,24 @@ class Localization:
         begins = steps == 0
         moves = torch.ones_like(begins) if self._steps is None else (steps != self._steps) & ~begins
         self._steps = steps.clone()
+        given = keys, steps, begins, moves
         if self._config.source == "odometry":
-            return self._dead_reckoning(truth, sensed, begins, moves)
-        return self._localized(truth, sensed, keys, steps, begins, moves)
+            return self._dead_reckoning(truth, sensed, *given)
+        localized = self._localized(truth, sensed, *given)
+        if self._config.source == "localized":
+            return localized
+        odometry, by_odometry = self._dead_reckoning(truth, sensed, *given), random_bits(keys, _SOURCE, 0, 1) < 0
+        return SensedPose(*(torch.where(by_odometry, *pair) for pair in zip(odometry, localized, strict=True)))
 
-    def _dead_reckoning(self, truth: Perception, sensed: Perception, begins: Tensor, moves: Tensor) -> SensedPose:
+    def _dead_reckoning(
+        self, truth: Perception, sensed: Perception, keys: Tensor, steps: Tensor, begins: Tensor, moves: Tensor
+    ) -> SensedPose:
         """Adds the path of the wheels since the last step, along the mean of the headings at its start and its end."""
         rover = sensed.rover
         pitch, yaw = sensed.euler[:, 1:2], sensed.yaw
+        if any(self._randomization.yaw_bias):
+            bias = between(random_bits(keys, _YAW_BIAS, 0, 1), self._randomization.yaw_bias)
+            yaw = wrap_angle(yaw + bias * truth.rover.dt * steps)
         last, last_yaw = self._pose or (truth.rover.position, yaw)
         heading = last_yaw + wrap_angle(yaw - last_yaw) / 2
         forward = rover.dt * rover.linear_velocity
@@ -119,8 +130,10 @@ class Localization:
         """Adds the drifting error, and the one that jumps."""
         config, dt = self._config, truth.rover.dt
         deviations = dt.new_tensor((config.drift, config.drift, config.drift_heading))
-        drawn = deviations * to_normal(random_bits(keys, _DRIFT, steps, 3))
-        offset = config.jump * to_normal(random_bits(keys, _JUMP, steps, 2))
+        severity = self._randomization.severity_of(keys)
+        drawn = severity * deviations * to_normal(random_bits(keys, _DRIFT, steps, 3))
+        jumps_by = dt.new_tensor((config.jump, config.jump, config.jump_heading))
+        offset = severity * jumps_by * to_normal(random_bits(keys, _JUMP, steps, 3))
         last_drift, last_offset = self._error or (drawn, offset)
         kept = (-dt / config.drift_time).exp()
         drift = torch.where(moves, kept * last_drift + (1 - kept.square()).sqrt() * drawn, last_drift)
@@ -128,5 +141,6 @@ class Localization:
         drift = torch.where(begins, drawn, drift)
         offset = torch.where(begins | (moves & jumps), offset, last_offset)
         self._error = drift, offset
-        shift = pad(drift[:, :2] + offset, (0, 1))
-        return SensedPose(sensed.rover.position + shift, wrap_angle(sensed.yaw + drift[:, 2:]))
+        error = drift + offset
+        shift = pad(error[:, :2], (0, 1))
+        return SensedPose(sensed.rover.position + shift, wrap_angle(sensed.yaw + error[:, 2:]))

@@ -25,6 +25,8 @@ from rover_rl.registry import Registry
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.tensordicts import in_rows, unchecked_tensordict
 
+STANDSTILL = 0.05
+"""Speed below which a rover stands still, m/s."""
 _LAST_ACTION = "last_action"
 
 
@@ -282,6 +284,72 @@ class ActionRatePenalty(_ConfiguredComponent):
         return observation_spec
 
 
+@dataclass(eq=False, repr=False)
+class MoverContactPenalty(_ConfiguredComponent):
+    """Penalty for contacts with movers, by whose fault they are. Not a part of the contract.
+
+    A rover whose wheels turned by less than 0.05 m/s before the step has been run into. In worlds without movers, the
+    value is 0.
+
+    Args:
+        mover_contact_penalty: reward for each step in contact with a mover that the rover drove into.
+        struck_penalty: reward for each step in contact with a mover that ran into the standing rover.
+    """
+
+    name = "mover_contact"
+    mover_contact_penalty: float = RewardConfig.mover_contact_penalty
+    struck_penalty: float = RewardConfig.struck_penalty
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
+        """Returns the penalty of the contact, or 0 without one."""
+        contact = outcome.get("mover_contact", None)
+        if contact is None:
+            return 0.0
+        penalty = torch.where(self._speed.abs() < STANDSTILL, self.struck_penalty, self.mover_contact_penalty)
+        return torch.where(contact, penalty, 0.0)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        # The mover pushes the rover in the step of the contact.
+        self._speed = in_rows(tensordict).get("outcome").get("linear_velocity")
+        return super()._step(tensordict, next_tensordict)
+
+
+@dataclass(eq=False, repr=False)
+class MoverProximityPenalty(_ConfiguredComponent):
+    """Penalty for being close to movers, and for driving fast there. Not a part of the contract.
+
+    With the distance ``d`` from the center of the rover to the surface of the nearest mover, ``D`` the
+    ``intrusion_distance``, and the speed ``v`` of the wheels, the value is
+
+        ``(intrusion_penalty + haste_penalty |v|) max(0, 1 - d / D) + risk_penalty [d < risk_distance]``
+
+    in every step, and 0 in worlds without movers. People keep others out of 1.2 m (Hall, "The Hidden Dimension", 1966).
+
+    Args:
+        intrusion_penalty: reward for each step at a mover.
+        haste_penalty: reward for each step at a mover at 1 m/s.
+        risk_penalty: reward for each step within ``risk_distance``.
+        intrusion_distance: distance from which on the rover does not intrude, m.
+        risk_distance: distance within which it is at risk, m.
+    """
+
+    name = "mover_proximity"
+    intrusion_penalty: float = RewardConfig.intrusion_penalty
+    haste_penalty: float = RewardConfig.haste_penalty
+    risk_penalty: float = RewardConfig.risk_penalty
+    intrusion_distance: float = RewardConfig.intrusion_distance
+    risk_distance: float = RewardConfig.risk_distance
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
+        """Returns the penalty."""
+        distance = outcome.get("mover_distance", None)
+        if distance is None:
+            return 0.0
+        near = (1 - distance / self.intrusion_distance).clamp_min(0)
+        rate = self.intrusion_penalty + self.haste_penalty * outcome.get("linear_velocity").abs()
+        return rate * near + self.risk_penalty * (distance < self.risk_distance)
+
+
 class TotalReward(Transform):
     """Writes the sum of all reward components to ``reward``. Append it after the components."""
 
@@ -310,6 +378,10 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
         kinds.append(ClearancePenalty)
     if config.action_rate_penalty:
         kinds.append(ActionRatePenalty)
+    if config.mover_contact_penalty or config.struck_penalty:
+        kinds.append(MoverContactPenalty)
+    if config.intrusion_penalty or config.haste_penalty or config.risk_penalty:
+        kinds.append(MoverProximityPenalty)
     return [kind.from_config(config) for kind in kinds]
 
 

@@ -18,12 +18,15 @@ from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
-from rover_rl.envs.control import CommandDelay, HeadingController, checked_action, checked_place
+from rover_rl.envs.control import HeadingController, checked_action, checked_place
+from rover_rl.envs.delays import CommandDelay, SensorDelays
+from rover_rl.envs.emergency_brake import EmergencyBrake
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.groups import Groups, first_of_group
-from rover_rl.envs.perception import Localization, Perception, rovers_of
+from rover_rl.envs.perception import Localization, Perception, SensedPose, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
+from rover_rl.envs.row_limits import RowLimits
 from rover_rl.envs.row_robots import RowRobots
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensors.base import Observer, Rig, SensorInput, Surroundings
@@ -33,7 +36,16 @@ from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
-from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, RobotChanger, Scanner, View, WorldChanger
+from rover_rl.sims.base import (
+    Capability,
+    DynamicsChanger,
+    MoverCarrier,
+    RobotChanger,
+    Scanner,
+    StampedScans,
+    View,
+    WorldChanger,
+)
 from rover_rl.sims.field_of_view import in_view
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.robot_groups import RobotGroups
@@ -106,6 +118,8 @@ class RoverEnv(EnvBase):
         end_on_goal: whether reaching the goal ends the episode, instead of setting a new goal.
         task: thresholds of the task. ``None`` uses the contract's.
         heading_gains: gains of the heading PID. ``None`` uses the contract's.
+        limits: limits of the commands. ``None``: those of the robot's drive alone.
+        guard: emergency brake. ``None``: none.
         randomization: domain randomization. ``None`` disables it.
         action: bounds of the action. ``None`` uses the robot's; those of Rover Zero are the contract's.
         outcome_from: state that events, rewards and metrics are computed from: the simulator's ``"truth"`` or the
@@ -126,6 +140,7 @@ class RoverEnv(EnvBase):
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
         scanner: its lidar, which scans what does not move, in a full turn.
+        delays: delays of the sensors. ``None`` if there are none.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -178,7 +193,7 @@ class RoverEnv(EnvBase):
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
-        self.sensors = environment_sensors(config.lidar, config.own_sensors)
+        self.sensors = environment_sensors(config.lidar, config.own_sensors, config.late_scans)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,
@@ -206,9 +221,17 @@ class RoverEnv(EnvBase):
         fastest = max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = HeadingController(self.num_envs, gains, device)
-        self._localization = Localization(config.pose)
-        size = len(specs.action_bounds(config.bounded_action).low)
-        self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
+        self._localization = Localization(config.pose, config.randomization)
+        # A live rover limits its commands itself.
+        limited = config.limits.apply and "live" not in self.simulator.capabilities
+        self._limits = RowLimits(config.limits, config.randomization.limits, self.fleet, device) if limited else None
+        self._brake = (
+            EmergencyBrake(config.guard, self.fleet, self._lidar.angles) if config.guard.deceleration else None
+        )
+        self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
+        delays = config.randomization, config.lidar.period, self.num_envs, device
+        self.delays = SensorDelays(*delays) if config.late_scans else None
+        self._known_scan: Tensor | None = None
         self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
 
@@ -278,9 +301,21 @@ class RoverEnv(EnvBase):
 
     @property
     def sensed_state(self) -> RoverState:
-        """State of every rover as reported by its sensors, including sensor noise, unclipped."""
+        """State of every rover as reported by its sensors, including sensor noise, without delay, unclipped."""
         self._require_started("sensed_state")
         return self._state.sensed.rover
+
+    @property
+    def sensed_pose(self) -> SensedPose:
+        """Pose of every rover as reported by its sensors, with its error, without delay, unclipped."""
+        self._require_started("sensed_pose")
+        return self._state.pose
+
+    @property
+    def sensed_yaw(self) -> Tensor:
+        """Heading of every rover by :attr:`sensed_state`, without the error of the pose, ``[N, 1]``, rad."""
+        self._require_started("sensed_yaw")
+        return self._state.sensed.yaw
 
     @property
     def scan(self) -> Tensor:
@@ -290,7 +325,7 @@ class RoverEnv(EnvBase):
 
     @property
     def sensed_scan(self) -> Tensor:
-        """Raw scan of every lidar, including sensor noise, ``[N, beams]``, m."""
+        """Raw scan of every lidar, including sensor noise, without delay, ``[N, beams]``, m."""
         self._require_started("sensed_scan")
         return self._state.sensed.ranges
 
@@ -435,7 +470,11 @@ class RoverEnv(EnvBase):
         if self._privileged is not None:
             self._dynamics = draw_dynamics(self.randomization, self._keys)
         self.movers.reset(begins, keys, poses[:, :2])
-        self._delay.reset(mask, self._keys)
+        self._delay.begin(self._keys)
+        if self.delays is not None:
+            self.delays.begin(self._keys)
+        if self._limits is not None:
+            self._limits.begin(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), rows, steps)
         self.controller.reset(mask)
@@ -478,7 +517,30 @@ class RoverEnv(EnvBase):
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:], sensed.yaw, sensed.rover.dt, active)
         command = self.robots.limited(torch.cat((action[:, :1], turn, action[:, 2:]), -1))
-        command = self._delay(command.masked_fill(invalid, 0.0), active)
+        return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
+
+    def step_commands(self, command: Tensor) -> TensorDictBase:
+        """Takes a step with commands in place of actions, as those that a simulated robot receives over ROS 2.
+
+        Args:
+            command: forward speed (m/s), yaw rate (rad/s) and, with ``max_sideways``, speed to the left (m/s),
+                ``[N, A]``.
+
+        Returns:
+            The result of the step.
+        """
+        self._require_open("step_commands")
+        self._require_started("step_commands")
+        return self._follow(command, torch.zeros_like(self._row_keys, dtype=torch.bool), None)
+
+    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None) -> TensorDictBase:
+        """Takes a step with commands. ``invalid`` are rows whose action is not finite, bool ``[N, 1]``."""
+        sensed = self._state.sensed
+        if self._brake is not None:
+            command = self._brake(command, sensed.ranges if self._known_scan is None else self._known_scan)
+        if self._limits is not None:
+            command = self._limits(command, sensed.rover.dt, active)
+        command = self._delay(command, self._state.task.steps)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
@@ -515,7 +577,9 @@ class RoverEnv(EnvBase):
         if self.simulator.device != self._tensor_device:
             rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
         state.truth = Perception(rover, ranges, self.lidar)
-        state.sensed = self._observer.sense(config.randomization, state.truth, self._keys, steps, self.lidar)
+        scan_step = None if self.delays is None else self.delays.scan_step
+        noise = config.randomization
+        state.sensed = self._observer.sense(noise, state.truth, self._keys, steps, self.lidar, scan_step)
         state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
         state.reference = state.truth if config.outcome_from == "truth" else state.sensed
         if self._has_movers:
@@ -532,27 +596,36 @@ class RoverEnv(EnvBase):
     def _scanning(self, rows: Tensor | None, steps: Tensor) -> Tensor | None:
         """Returns which of the ``rows`` scan after ``steps`` steps of their episodes."""
         period = self.config.lidar.period
-        if period == 1:
+        if self.delays is None and period == 1:
             return rows
-        due = (steps % period == 0).squeeze(-1).to(self.simulator.device)
+        due = (steps % period == 0).squeeze(-1) if self.delays is None else self.delays.scans(self._keys, steps)
+        due = due.to(self.simulator.device)
         return due if rows is None else due & rows
 
     def _observation(self, rows: Tensor) -> dict[str, Any]:
         """Returns the observation, in which ``rows`` (bool ``[N]``) are new."""
-        state, pose, goal = self._state, self._state.pose, self._state.task.goal
-        same = state.sensed is state.reference and self.config.pose.source == "truth"
+        state, goal = self._state, self._state.task.goal
+        known, scan_pose = state.pose, None
+        if self.delays is not None:
+            steps = state.task.steps
+            stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedScans) else None
+            known, scan_pose = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
+            if self._brake is not None:
+                self._known_scan = self.delays.late("scan", state.sensed.ranges, steps, self.delays.scan)
+        same = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         inputs = SensorInput(
             truth=state.truth,
             sensed=state.sensed,
-            pose=pose,
-            target=state.task.target if same else target_info(pose.position[:, :2], pose.yaw, goal),
+            pose=state.pose,
+            target=state.task.target if same else target_info(known.position[:, :2], known.yaw, goal),
             steps=state.task.steps,
             keys=self._keys,
             surroundings=self._surroundings,
             bounds=self.placement.bounds,
             rows=rows,
+            scan_pose=scan_pose,
         )
-        observation: dict[str, Any] = self._observer(inputs)
+        observation: dict[str, Any] = self._observer(inputs, self.delays)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps

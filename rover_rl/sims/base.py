@@ -100,6 +100,15 @@ class Scanner(Protocol):
 
 
 @runtime_checkable
+class StampedScans(Protocol):
+    """A backend whose scans have stamps, by which it knows where they were taken."""
+
+    def scan_pose(self) -> tuple[Tensor, Tensor]:
+        """Returns position ``[N, 3]`` (m) and orientation ``[N, 4]`` of the rovers at the time of their last scans."""
+        ...
+
+
+@runtime_checkable
 class Simulator(Protocol):
     """Interface of a backend: a batch of simulated rovers, or one real rover.
 

@@ -31,3 +31,8 @@ def at_rate(settings: Any, rate: float) -> Any:
         steps = vars(settings)["substeps"] / rate / vars(settings)["control_dt"]
         changes["substeps"] = max(1, math.ceil(steps / multiple - 1e-9)) * multiple
     return replace(settings, **changes)
+
+
+MIN_REVERSAL = 0.5
+"""Smallest desired yaw rate that changes the turning direction of a live rover, rad/s. The heading PID outputs it at a
+heading error of 14 degrees."""

@@ -1,4 +1,4 @@
-"""Reward components that are not a part of the contract: clearance and action rate."""
+"""Reward components that are not a part of the contract: clearance, action rate, and those of movers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardConfig, contract_reward, make_env
-from rover_rl.envs.rewards import ActionRatePenalty, ClearancePenalty
+from rover_rl.envs.rewards import ActionRatePenalty, ClearancePenalty, MoverContactPenalty, MoverProximityPenalty
+from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from tests.envs.contract.scripted_env import pairs, play, scripted
 from tests.envs.scripted import Moment
@@ -104,3 +106,37 @@ def test_specs_hold_with_both(num_envs):
     parts = rollout["next", "reward_components"]
     assert parts["action_rate"][..., 1:, :].max() < 0
     torch.testing.assert_close(rollout["next", "reward"], sum(parts.values()))
+
+
+def test_penalties_of_movers_are_left_out_by_default_and_nothing_where_none_are():
+    assert {"mover_contact", "mover_proximity"}.isdisjoint(part.name for part in contract_reward())
+    reward = RewardConfig(mover_contact_penalty=-1.0, haste_penalty=-1.0)
+    assert [part.name for part in contract_reward(reward)][-2:] == ["mover_contact", "mover_proximity"]
+    results = act(scripted([Moment(v=1.0)], reward=reward), [(1.0, 0.0)])
+    assert component(results, "mover_contact") == component(results, "mover_proximity") == [[0.0]]
+
+
+def met(speed, contact, distance, before):
+    """Results of a step and of the one before, of a rover for each entry of the lists."""
+    rows = len(speed)
+    last = TensorDict({"outcome": TensorDict({"linear_velocity": torch.tensor(before)[:, None]}, [rows])}, [rows])
+    outcome = {"linear_velocity": speed, "mover_contact": contact, "mover_distance": distance}
+    entries = {name: torch.tensor(values)[:, None] for name, values in outcome.items()}
+    entries["phase"] = torch.full((rows, 1), int(StepEvent.DENSE))
+    return last, TensorDict({"outcome": TensorDict(entries, [rows])}, [rows])
+
+
+def test_a_contact_with_a_mover_costs_by_whose_fault_it_is():
+    penalty = MoverContactPenalty(mover_contact_penalty=-2.0, struck_penalty=-0.5)
+    # The mover pushes all of them in this step.
+    before = [0.8, -0.3, 0.0, 0.8]
+    results = met([0.5] * 4, [True, True, True, False], [0.1] * 4, before)
+    assert component([penalty._step(*results)], "mover_contact") == [[-2.0, -2.0, -0.5, 0.0]]
+
+
+def test_closeness_and_haste_near_movers_cost():
+    penalty = MoverProximityPenalty(
+        intrusion_penalty=-0.1, haste_penalty=-0.4, risk_penalty=-1.0, intrusion_distance=1.0, risk_distance=0.25
+    )
+    results = met([0.0, 1.0, -1.0, 1.0, 1.0], [False] * 5, [0.5, 0.5, 0.5, 0.2, math.inf], [0.0] * 5)
+    assert component([penalty._step(*results)], "mover_proximity") == [[-0.05, -0.25, -0.25, -1.4, 0.0]]

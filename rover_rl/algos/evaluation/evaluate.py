@@ -206,7 +206,7 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
-        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "control_rate")
+        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate")
         return EnvConfig(**{key: getattr(made_for or EnvConfig(), key) for key in kept})
     if made_for is not None:
         require_match(made_for, env)

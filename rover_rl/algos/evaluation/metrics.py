@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.body_contacts import is_touching
+from rover_rl.envs.rewards import STANDSTILL as STANDSTILL
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.timing import CONTROL_DT
@@ -32,7 +33,6 @@ ROUGH_TILT = math.radians(10)
 moon, and nothing of maze. The original environment defines rough ground by an acceleration above 15 m/s^2, which a
 wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
 10 m/s^2."""
-STANDSTILL = 0.05  #: Speed below which the rover stands still, m/s.
 RISK = 0.5  #: Distance from the rover's origin to that of a mover below which the rover is at risk, m.
 PERSONAL = 1.2  #: Distance between rover and mover below which the rover intrudes on the mover's space, m.
 FREEZING = 2.0  #: Distance between rover and mover within which a rover that stands still counts as frozen, m.
@@ -347,6 +347,11 @@ class EncounterFigures(NamedTuple):
     intrusion_seconds: float
     frozen_seconds: float
 
+    @property
+    def at_fault(self) -> int:
+        """Number of contacts that begin while the rover moves."""
+        return self.mover_contacts - self.run_into
+
 
 def encounter_figures(trajectory: Trajectory) -> EncounterFigures:
     """Computes the figures of one episode in a world with movers.
@@ -512,6 +517,12 @@ _WITH_MOVERS = {
         "contacts with movers that begin while the rover stands still",
         _figure("run_into", lambda d: [each.mover_contacts for each in d.figures]),
         True,
+    ),
+    "at_fault": Metric(
+        "at fault",
+        "1/goal",
+        "contacts with movers that begin while the rover moves, per goal reached",
+        _figure("at_fault", lambda d: d.goals),
     ),
     "least_mover_distance": Metric(
         "least distance", "m", "mean of the least distance to a mover", _figure("least_mover_distance"), True

@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 
+from rover_rl.algos.evaluation.imperfections import print_imperfections
 from rover_rl.algos.evaluation.metrics import ENDING, METRICS, Estimate
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation, worst_worlds
 from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, formatted, print_tables, write_rows
@@ -57,6 +58,7 @@ def print_table(
         print_tables(title, [name for name, _ in rows], cells, console)
         shown |= dict.fromkeys(keys)
         grouped |= bool(means)
+        print_imperfections(title, together, console)
     for evaluation in evaluations:
         if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
             console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
@@ -87,13 +89,19 @@ def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -
 
 
 def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[_Row]:
-    """Returns a row for each evaluation. With several backends, those of a policy stand below one another."""
+    """Returns a row for each evaluation. Those of a policy stand below one another."""
     several = _several_backends(evaluations)
     order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
     return [
-        (f"{one.name}\n{one.backend}" if several else one.name, {k: _cell(k, e) for k, e in one.metrics.items()})
+        (_labeled(one.name, one, several), {k: _cell(k, e) for k, e in one.metrics.items()})
         for one in sorted(evaluations, key=lambda one: order.index(one.name))
     ]
+
+
+def _labeled(name: str, one: Evaluation | EndlessEvaluation, several_backends: bool, note: str = "") -> str:
+    """Returns a name with a second line that tells what differs in its evaluations."""
+    notes = [note, one.backend if several_backends else "", one.imperfection]
+    return "\n".join(filter(None, (name, ", ".join(filter(None, notes)))))
 
 
 def _cell(key: str, estimate: Estimate) -> str:
@@ -104,15 +112,15 @@ def _cell(key: str, estimate: Estimate) -> str:
 
 def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> list[_Row]:
     """Returns a row for each group of several policies, in each backend, with means and standard deviations."""
-    found: dict[tuple[str, str], list[Evaluation | EndlessEvaluation]] = {}
+    found: dict[tuple[str, str, str], list[Evaluation | EndlessEvaluation]] = {}
     for one in evaluations:
         if one.name in groups:
-            found.setdefault((groups[one.name], one.backend), []).append(one)
+            found.setdefault((groups[one.name], one.backend, one.imperfection), []).append(one)
     several, rows = _several_backends(evaluations), []
-    for (group, backend), members in found.items():
+    for (group, *_), members in found.items():
         if len(members) > 1:
             cells = {key: _mean_cell(key, [one.metrics[key].value for one in members]) for key in members[0].metrics}
-            rows.append((f"{group}\n{len(members)} policies{f', {backend}' if several else ''}", cells))
+            rows.append((_labeled(group, members[0], several, f"{len(members)} policies"), cells))
     return rows
 
 
@@ -134,7 +142,8 @@ def _worst_worlds(evaluation: Evaluation) -> str:
     worlds = {world["world"]: world for world in evaluation.by_world}
     worst = (worlds[index] for index in worst_worlds([evaluation]))
     named = ", ".join(f"{world['name']} {world['success_rate']:.0%}" for world in worst if world["success_rate"] < 1)
-    policy = escape(f"{evaluation.name} in {evaluation.world_name}, {evaluation.backend}")
+    places = (evaluation.world_name, evaluation.backend, evaluation.imperfection)
+    policy = escape(f"{evaluation.name} in {', '.join(filter(None, places))}")
     return f"Lowest success rates of {policy}: {escape(named)}" if named else f"{policy}: all episodes reach their goal"
 
 
@@ -211,7 +220,13 @@ def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[l
     for one in evaluations:
         if isinstance(one, Evaluation):
             places = (one.episodes.start, one.episodes.goal, one.episodes.world_index)
-            same = (one.name, one.title, one.action_repeat, *(place.numpy().tobytes() for place in places))
+            same = (
+                one.name,
+                one.title,
+                one.imperfection,
+                one.action_repeat,
+                *(place.numpy().tobytes() for place in places),
+            )
             fitting = groups.setdefault(same, [])
             if (group := next((group for group in fitting if one.backend not in group), None)) is None:
                 fitting.append(group := {})

@@ -42,6 +42,7 @@ class _Results(ABC):
     trajectories: list[Trajectory]
     env: EnvConfig
     action_repeat: int
+    imperfection: str
 
     @property
     def backend(self) -> str:
@@ -92,6 +93,7 @@ class _Results(ABC):
             "count": len(self.trajectories),
             "goals": sum(int(t.goal.sum()) for t in self.trajectories),
             "collisions": sum(count_runs(t.collision) for t in self.trajectories),
+            **({"imperfection": self.imperfection} if self.imperfection else {}),
         }
 
 
@@ -99,7 +101,8 @@ class _Results(ABC):
 class Evaluation(_Results):
     """Results of a policy on episodes with one goal each.
 
-    ``seconds`` is the time limit of an episode, s. Each action was held for ``action_repeat`` steps.
+    ``seconds`` is the time limit of an episode, s. Each action was held for ``action_repeat`` steps. ``imperfection``
+    is the name of that of the sensors, empty if none was asked for.
     """
 
     name: str
@@ -108,6 +111,7 @@ class Evaluation(_Results):
     seconds: float
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
+    imperfection: str = ""
 
     @property
     def endings(self) -> list[str]:
@@ -255,6 +259,7 @@ class EndlessEvaluation(_Results):
     length: int
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
+    imperfection: str = ""
 
     @property
     def _places(self) -> World:
@@ -322,7 +327,8 @@ def _plain(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
 def _row(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
     """Returns what the row of an episode begins with."""
     summary = evaluation.summary()
-    shared = {key: summary[key] for key in ("policy", "backend", "mode", "seed", "action_repeat")}
+    keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
+    shared = {key: summary[key] for key in keys if key in summary}
     return {**shared, "world": world, "episode": episode}
 
 

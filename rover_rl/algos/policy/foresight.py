@@ -30,7 +30,6 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
-from rover_rl.algos.policy.slip import estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds
@@ -39,6 +38,7 @@ from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import covering_discs
+from rover_rl.sims.robots.slip import estimated_yaw_gain
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.clearance import clearance_on_grid

@@ -20,9 +20,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.algos.policy.recurrent import state_keys
-from rover_rl.envs.config import EnvConfig, LidarConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
+from rover_rl.envs.sensors.scan_pose import scan_pose_now
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.timing import CONTROL_DT
 
@@ -61,8 +62,9 @@ class PolicyRunner:
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
     memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
     reads ``route``, in an environment without this sensor, it keeps the maps of what the rovers have seen, and adds the
-    routes on them to the observation. For one that reads ``bounds``, such as an exported policy that keeps its own map,
-    it adds the bounds of the world.
+    routes on them to the observation. For one that reads ``scan_pose``, in an environment whose scans are never late,
+    it adds that the scan is as new as the pose. For one that reads ``bounds``, such as an exported policy that keeps
+    its own map, it adds the bounds of the world.
 
     Args:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
@@ -160,6 +162,8 @@ class PolicyRunner:
         rows, inputs = len(observation), observation.copy()
         if self._seen is not None:
             self._route = inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
+        if SCAN_POSE in getattr(self.policy, "in_keys", ()) and observation.get(SCAN_POSE, None) is None:
+            inputs[SCAN_POSE] = scan_pose_now(observation["imu"])
         if BOUNDS in getattr(self.policy, "in_keys", ()):
             inputs[BOUNDS] = self._bounds(observation)
         if self._keys:

@@ -16,6 +16,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import Robot
 
 TRACKS = 32
@@ -211,7 +212,8 @@ def _with_new(tracks: Tensor, clusters: _Clusters, new: Tensor) -> Tensor:
 
 def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:
     """Returns the next state of a policy that remembers ``tracks``, and what moves."""
-    lidar, pose, imu = (tensordict[key] for key in ("lidar", "pose", "imu"))
+    lidar = tensordict["lidar"]
+    pose, imu = taken_at(tensordict) or (tensordict["pose"], tensordict["imu"])
     state = tensordict.get("tracks", None)
     if state is None:
         state = lidar.new_zeros(len(lidar), TRACKS * STATE)

@@ -13,7 +13,7 @@ from rover_rl.algos.policy.recurrent import memory_transforms
 from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.algos.workers import usable_cores
-from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
@@ -75,6 +75,8 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # The map changes with each decision.
         route = Route(period=config.collection.action_repeat, threads=_threads(config))
         sensors = (*(sensor for sensor in sensors if sensor != ROUTE), route)
+    if SCAN_POSE in config.network.observation and SCAN_POSE not in sensors:
+        sensors = (*sensors, SCAN_POSE)
     return replace(
         env,
         sensors=sensors,

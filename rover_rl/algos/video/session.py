@@ -42,7 +42,7 @@ FREE = 3
 """Level of the cells of a map from which on they are free."""
 Critic: TypeAlias = Callable[[TensorDictBase], float]
 """Estimates the value of an observation ``[1]``."""
-_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
+_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
 """Settings of an environment that a policy was made for."""
 
 

@@ -143,12 +143,19 @@ class ScanReader(nn.Module):
         self.register_buffer("_reading", torch.tensor(reading[:NUMBERS]))
 
     def forward(
-        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, reading: Tensor | None = None
+        self,
+        state: Tensor,
+        lidar: Tensor,
+        pose: Tensor,
+        imu: Tensor,
+        reading: Tensor | None = None,
+        taken: tuple[Tensor, Tensor] | None = None,
     ) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, and
-        the :func:`reading_of` different robots, ``[N, NUMBERS + P]``.
+        The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, the
+        :func:`reading_of` different robots, ``[N, NUMBERS + P]``, and ``pose`` and ``imu`` at which the scan was
+        taken; ``None``: the ones now.
         """
         numbers, directions, is_seen = self._reading, self._directions, self._seen
         if reading is not None:
@@ -159,15 +166,22 @@ class ScanReader(nn.Module):
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
-        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount, directions)
-        size = beams[..., :2].abs().amax(-1)
+        center = (xy / CELL).floor()
+        at, attitude = taken or (pose, imu)
+        tilted = axes if taken is None else euler_to_matrix(attitude[:, [1, 0, 2]])
+        origin, beams = self._beams(lidar, at[:, :2], attitude[:, 2:], tilted, mount, directions)
+        size, reach = beams[..., :2].abs().amax(-1), torch.full_like(xy[:, :1], REACH)
+        if taken is not None:
+            # The rover has moved on since the scan, and the window with it.
+            reach = (HALF - 1 - (origin - center).abs().amax(-1, keepdim=True)).clamp(0, REACH)
+            beams = beams * (reach / size.maximum(reach).clamp(min=1e-6))[..., None]
         returned = lidar < no_return
         if is_seen is not None:
             returned = returned & is_seen
-        ends = returned & (size < REACH)
-        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up, mount) | ~rough)
+        ends = returned & (size < reach)
+        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, tilted[..., 2], mount) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
-        height = pose[:, 2:] + (axes[:, 2] * mount).sum(-1, keepdim=True)
+        height = at[:, 2:] + (tilted[:, 2] * mount).sum(-1, keepdim=True)
         z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
         points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
         ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
@@ -178,7 +192,6 @@ class ScanReader(nn.Module):
         ways = torch.stack((-up[:, :2], corner - xy), 1)
         closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
         closes = torch.cat((up[:, 2:] < math.cos(MAX_TILT), halts), -1)
-        center = (xy / CELL).floor()
         cleared = ((waits == 0) | ((was_rough > 0) != rough))[:, 0]
         scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
         return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)

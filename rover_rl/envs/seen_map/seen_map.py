@@ -37,6 +37,7 @@ from rover_rl.envs.seen_map.scans import (
     relative_route,
     route_in_meters,
 )
+from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
 
@@ -70,7 +71,8 @@ class SeenMap:
     These lengths are for Rover Zero. For a robot that needs generated worlds with wider passages, all but the 24 and 3
     degrees grow by their scale: see :func:`~rover_rl.sims.free_space.fitting.passage_scale`.
 
-    The map needs a pose that does not jump, such as that of odometry.
+    The map needs a pose that does not jump, such as that of odometry. A scan that is older than the pose is added where
+    it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
 
     Args:
         rows: number N of rovers.
@@ -136,7 +138,8 @@ class SeenMap:
         """Adds the scans of an observation to the maps and plans the routes to the goals.
 
         Args:
-            observation: observation, ``[N]`` each, with ``lidar``, ``pose``, ``imu`` and ``target``.
+            observation: observation, ``[N]`` each, with ``lidar``, ``pose``, ``imu`` and ``target``, and with
+                ``scan_pose`` if scans can be late.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
             bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
@@ -158,8 +161,13 @@ class SeenMap:
         several, index = len(self._fleet.robots) > 1, self._fleet.index
         unit = self._units[index] if several else self._unit
         ranges, place, goal = in_units(unit, lidar, pose, target)
-        scan, state = self._reader(self._state, ranges, place, imu, self._readings[index] if several else None)
-        scan = self._noted(scan, lidar, pose, imu, renewed)
+        readings = self._readings[index] if several else None
+        taken = taken_at(observation)
+        if taken is None:
+            scan, state = self._reader(self._state, ranges, place, imu, readings)
+        else:
+            scan, state = self._reader(self._state, ranges, place, imu, readings, (taken[0] / unit, taken[1]))
+        scan = self._noted(scan, lidar, *(taken or (pose, imu)), renewed)
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal_positions(place, imu, goal), bounds, rows)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)

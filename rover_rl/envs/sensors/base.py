@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
 from zlib import crc32
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.envs.delays import SensorDelays
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
@@ -28,6 +29,10 @@ from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
 if TYPE_CHECKING:
     from rover_rl.sims.rays import RayCaster
+
+
+Delayed: TypeAlias = Literal["scan", "state"] | None
+"""Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
 
 
 class Surroundings:
@@ -97,12 +102,15 @@ class SensorInput:
         truth: true state of the rovers, ``[N]``.
         sensed: state of the rovers as lidar, IMU and wheel odometry report it, ``[N]``.
         pose: pose that the sensors report, ``[N]``.
-        target: distance (m) and relative angle (rad) of the goals as seen from that pose, ``[N, 2]``.
+        target: distance (m) and relative angle (rad) of the goals as seen from the pose that is known, which may be
+            late, ``[N, 2]``.
         steps: number of steps of each row's episode, int64 ``[N, 1]``.
         keys: random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
         bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
         rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.
+        scan_pose: where the scan was taken, ``[N, 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
+            ``None`` if nothing reads it.
         observation: entries of the sensors that have been read before in this step.
     """
 
@@ -115,6 +123,7 @@ class SensorInput:
     surroundings: Surroundings
     bounds: Tensor
     rows: Tensor
+    scan_pose: Tensor | None = None
     observation: dict[str, Tensor] = field(default_factory=dict)
 
     def due(self, period: int) -> Tensor:
@@ -166,6 +175,8 @@ class Sensor(ABC):
 
     Attributes:
         clips: whether the value can leave the bounds, and is clipped to them.
+        delayed: delay that ``Randomization`` adds to the readings: ``"scan"``, ``"state"``, or ``None`` for an entry
+            that is computed from other entries.
         mirror_signs: signs of the left-right mirror image of a value. Empty if it does not change.
 
     Raises:
@@ -175,6 +186,7 @@ class Sensor(ABC):
     name: str
     period: int = 1
     clips: ClassVar[bool] = True
+    delayed: ClassVar[Delayed] = "state"
     mirror_signs: ClassVar[tuple[float, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -204,7 +216,8 @@ class Sensor(ABC):
         Args:
             noise: parameters of the noise.
             truth: true state of the rovers and their scans, ``[N]``.
-            keys, step: random keys of the episodes, and indices of their steps, ``[N, 1]``.
+            keys, step: random keys of the episodes, and indices of their steps, ``[N, 1]``; with lidars whose scans can
+                be late, those at which the scans were taken for a sensor that is ``delayed`` as scans are.
         """
         return {}
 
@@ -244,25 +257,38 @@ class Observer:
         self._limits = {key: each.bounds.tensors(rig.device) for key, each in sensors.items() if each.clips}
 
     def sense(
-        self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor, pooling: Callable[[Tensor], Tensor]
+        self,
+        noise: Randomization,
+        truth: Perception,
+        keys: Tensor,
+        step: Tensor,
+        pooling: Callable[[Tensor], Tensor],
+        scan_step: Tensor | None = None,
     ) -> Perception:
-        """Adds the noise of the sensors (see :meth:`Sensor.sense`) to the true state. Returns it if there is none."""
+        """Adds the noise of the sensors (see :meth:`Sensor.sense`) to the true state. Returns it if there is none.
+
+        ``scan_step`` are the steps at which the scans were taken, int64 ``[N, 1]``. ``None``: their periods tell.
+        """
         sensed: dict[str, Tensor] = {}
         for sensor in self._sensors.values():
-            sensed |= sensor.sense(noise, truth, keys, step)
+            at = scan_step if scan_step is not None and sensor.delayed == "scan" else step
+            sensed |= sensor.sense(noise, truth, keys, at)
         if not sensed:
             return truth
         ranges = sensed.pop("ranges", truth.ranges)
         return Perception(RoverState.pack(**(dict(truth.rover.items()) | sensed)), ranges, pooling)
 
-    def __call__(self, inputs: SensorInput) -> dict[str, Tensor]:
-        """Returns the observation, each entry ``[N, k]``.
+    def __call__(self, inputs: SensorInput, delays: SensorDelays | None = None) -> dict[str, Tensor]:
+        """Returns the observation, each entry ``[N, k]``, as late as ``delays`` say.
 
         Raises:
             ValueError: if a reading does not fit the bounds of its sensor.
         """
         for key, sensor in self._sensors.items():
-            inputs.observation[key] = (self._read if sensor.period == 1 else self._held_or_read)(key, inputs)
+            value = (self._read if sensor.period == 1 else self._held_or_read)(key, inputs)
+            if delays is not None and sensor.delayed is not None:
+                value = delays.late(key, value, inputs.steps, getattr(delays, sensor.delayed))
+            inputs.observation[key] = value
         self._is_checked = True
         return inputs.observation
 

@@ -65,6 +65,7 @@ class RobotBody(Sensor):
     """
 
     name: str = "robot"
+    delayed = None
     mirror_signs = (*(1.0 for _ in range(9)), -1.0, 1.0, 1.0)
     bounds = Bounds(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0, 0.0, -5.0, -5.0, 0.0, 0.0),

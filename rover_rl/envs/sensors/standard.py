@@ -12,12 +12,12 @@ from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.rng import random_bits, to_normal
+from rover_rl.rng import between, random_bits, to_normal
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.region import overlap
 
-_LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE = 4, 5, 6, 10
+_LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE, _ODOMETRY_SCALE = 4, 5, 6, 10, 25
 """Streams of random numbers."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
@@ -37,6 +37,7 @@ class Lidar(Sensor):
     points: int = LidarConfig.points
     max_range: float = LidarConfig.max_range
     clips = False
+    delayed = "scan"
 
     @property
     def bounds(self) -> Bounds:
@@ -51,15 +52,16 @@ class Lidar(Sensor):
         """Changes the ranges at random, and loses some of them. A scan keeps its noise."""
         if not (noise.range_noise or noise.dropout):
             return {}
-        ranges = truth.ranges
+        ranges, severity = truth.ranges, noise.severity_of(keys)
         bits = random_bits(keys, _LIDAR_NOISE, step - step % self.period, ranges.shape[-1])
         if noise.range_noise:
             # A range stays positive, a 0 (beam that starts inside a solid) stays 0, and inf (no return) stays inf.
-            changed = (ranges + noise.range_noise * to_normal(bits)).clamp_min(0.001)
+            changed = (ranges + noise.range_noise * severity * to_normal(bits)).clamp_min(0.001)
             ranges = torch.where(ranges > 0, changed, ranges)
         if noise.dropout:
             # The upper 16 bits. The noise uses the lower 48.
-            lost = (bits >> 48 & 0xFFFF) < round(noise.dropout * 0x10000)
+            share = noise.dropout * severity * 0x10000
+            lost = (bits >> 48 & 0xFFFF) < (share.round() if isinstance(share, Tensor) else round(share))
             ranges = ranges.masked_fill(lost, math.inf)
         return {"ranges": ranges}
 
@@ -147,6 +149,8 @@ def clipped_pose(world: World) -> list[str]:
 class Imu(Sensor):
     """Pitch, roll and yaw, ``[N, 3]``, rad.
 
+    The yaw is the heading of the pose that the sensors report, as of a live rover, with its error.
+
     ``heading`` tells whether networks read the yaw. Only policies of one map need it.
     """
 
@@ -158,15 +162,15 @@ class Imu(Sensor):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the angles."""
-        roll, pitch, yaw = inputs.sensed.euler.split(1, -1)
-        return torch.cat((pitch, roll, yaw), -1)
+        roll, pitch, _ = inputs.sensed.euler.split(1, -1)
+        return torch.cat((pitch, roll, inputs.pose.yaw), -1)
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
         """Turns the rover by a small angle about a random axis."""
         if not noise.imu_noise:
             return {}
         # The vector part of the quaternion of a small rotation is half the rotation vector.
-        turn = 0.5 * noise.imu_noise * to_normal(random_bits(keys, _IMU_NOISE, step, 3))
+        turn = 0.5 * noise.imu_noise * noise.severity_of(keys) * to_normal(random_bits(keys, _IMU_NOISE, step, 3))
         turn = torch.cat((turn, torch.ones_like(turn[:, :1])), -1)
         return {"orientation": quaternion_product(truth.rover.orientation, turn / turn.norm(dim=-1, keepdim=True))}
 
@@ -181,6 +185,7 @@ class Target(Sensor):
     """Distance (m) and relative angle (rad) of the goal, ``[N, 2]``."""
 
     name: str = "target"
+    delayed = None
     mirror_signs = (1.0, -1.0)
     bounds = Bounds((0.0, -math.pi), (100.0, math.pi))
 
@@ -192,6 +197,17 @@ class Target(Sensor):
         """Encodes the distance on a linear and a logarithmic scale, and the angle also as sine and cosine."""
         distance, angle = value.split(1, -1)
         return torch.cat((distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / math.pi), -1)
+
+
+def _odometry_factors(noise: Randomization, keys: Tensor, step: Tensor, stream: int, count: int) -> Tensor | None:
+    """Returns the factors of velocities from wheel odometry, ``[N, count]``; ``None`` if there are none."""
+    factors = None
+    if noise.odometry_noise:
+        factors = 1 + noise.odometry_noise * noise.severity_of(keys) * to_normal(random_bits(keys, stream, step, count))
+    if noise.odometry_scale != (1.0, 1.0):
+        scale = between(random_bits(keys, _ODOMETRY_SCALE, 0, 1), noise.odometry_scale)
+        factors = scale.expand(-1, count) if factors is None else scale * factors
+    return factors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,10 +224,10 @@ class WheelOdometry(Sensor):
         return torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
-        """Scales the velocities by random factors of about 1."""
-        if not noise.odometry_noise:
+        """Scales the velocities by random factors of about 1, and by that of the episode."""
+        factors = _odometry_factors(noise, keys, step, _ODOMETRY_NOISE, 2)
+        if factors is None:
             return {}
-        factors = 1 + noise.odometry_noise * to_normal(random_bits(keys, _ODOMETRY_NOISE, step, 2))
         linear, angular = factors.split(1, -1)
         rover = truth.rover
         return {"linear_velocity": rover.linear_velocity * linear, "angular_velocity": rover.angular_velocity * angular}
@@ -239,12 +255,9 @@ class SidewaysOdometry(Sensor):
         return torch.zeros_like(rover.dt) if rover.lateral_velocity is None else rover.lateral_velocity
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
-        """Scales the speed by a random factor of about 1."""
-        sideways = truth.rover.lateral_velocity
-        if not noise.odometry_noise or sideways is None:
-            return {}
-        factor = 1 + noise.odometry_noise * to_normal(random_bits(keys, _SIDEWAYS_NOISE, step, 1))
-        return {"lateral_velocity": sideways * factor}
+        """Scales the speed by a random factor of about 1, and by that of the episode."""
+        sideways, factor = truth.rover.lateral_velocity, _odometry_factors(noise, keys, step, _SIDEWAYS_NOISE, 1)
+        return {} if sideways is None or factor is None else {"lateral_velocity": sideways * factor}
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the speed in m/s."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from rover_rl.envs.config import SCAN_POSE
 from rover_rl.registry import Registry
 
 if TYPE_CHECKING:
@@ -15,7 +17,7 @@ ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
-OPTIONAL = {ROUTE, ROBOT}
+OPTIONAL = {ROUTE, ROBOT, SCAN_POSE}
 """Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
@@ -23,6 +25,7 @@ BUILT_IN = {
     "imu": "rover_rl.envs.sensors.standard:Imu",
     "target": "rover_rl.envs.sensors.standard:Target",
     "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
+    SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
     ROUTE: "rover_rl.envs.sensors.route:Route",
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
 }
@@ -75,9 +78,15 @@ def policy_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[s
     return {name: _REGISTRY.find(name)(**settings.get(name, {})) for name in BUILT_IN} | own_sensors(own)
 
 
-def environment_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[str, Sensor]:
-    """Returns the sensors that an environment reads, by key: those of :data:`OPTIONAL` only if they are in ``own``."""
-    sensors, asked = policy_sensors(lidar, own), own_sensors(own)
+def environment_sensors(
+    lidar: LidarConfig, own: Sequence[SensorLike] = (), late_scans: bool = False
+) -> dict[str, Sensor]:
+    """Returns the sensors that an environment reads, by key: those of :data:`OPTIONAL` only if they are in ``own``.
+
+    With ``late_scans``, the pose of the scan is one, and the lidar is read in each step: what arrives tells its period.
+    """
+    sensors, asked = policy_sensors(replace(lidar, period=1) if late_scans else lidar, own), {*own_sensors(own)}
+    asked |= {SCAN_POSE} if late_scans else set()
     return {name: sensor for name, sensor in sensors.items() if name not in OPTIONAL or name in asked}
 
 

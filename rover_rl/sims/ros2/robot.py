@@ -11,15 +11,15 @@ import time
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState, Scanner, Simulator
+from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
+from rover_rl.sims.served import Report, Served
 from rover_rl.sims.worlds import World
 
 COMMAND_LIFETIME = 0.5
@@ -34,8 +34,7 @@ class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, pose array and clock; subscribes to commands.
 
     Args:
-        simulator: simulator of one rover in ``world``.
-        scanner: its lidar.
+        rover: the rover, in ``world``.
         transport: transport to publish and subscribe on.
         world: world, on whose terrain reset poses must be.
         lidar_range: maximum range of the lidar, m.
@@ -47,8 +46,7 @@ class RobotNode:
 
     def __init__(
         self,
-        simulator: Simulator,
-        scanner: Scanner,
+        rover: Served,
         transport: Transport,
         world: World,
         lidar_range: float,
@@ -57,7 +55,7 @@ class RobotNode:
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
     ) -> None:
-        self._simulator, self._scanner, self._world = simulator, scanner, world
+        self._rover, self._world = rover, world
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
@@ -96,13 +94,12 @@ class RobotNode:
             if reset_pose is not None:  # a reset discards earlier commands
                 self._command = (0.0, 0.0)
             command = self._command if self._command_age < COMMAND_LIFETIME else (0.0, 0.0)
-            self._command_age += self._simulator.state().dt.item()
+            self._command_age += self._rover.control_dt
         if reset_pose is not None:
-            self._simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([reset_pose]))
+            self._rover.reset(reset_pose)
             self._yaw = reset_pose[2]
-        state = self._simulator.step(torch.tensor([command]))
-        self._publish_state(state)
-        return state.dt.item()
+        self._publish_report(self._rover.step(command))
+        return self._rover.control_dt
 
     def _receive_command(self, msg: Any) -> None:
         read_finite("command", msg.linear.x, msg.angular.z)
@@ -118,17 +115,18 @@ class RobotNode:
         with self._lock:
             self._reset_pose = (x, y, yaw_of(orientation))
 
-    def _publish_state(self, state: RoverState) -> None:
-        """Publishes a state. The scan comes last, as subscribers wait for it."""
+    def _publish_report(self, report: Report) -> None:
+        """Publishes what has arrived. The scan comes last, as subscribers wait for it."""
+        state, scan_time = report.state, ros.Time.from_seconds(report.scan_stamp)
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
         for message in (
-            ros.Clock(stamp),
+            ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),
             self._imu(state, stamp, orientation),
             self._wheel_odometry(state, stamp),
-            self._scan(self._scanner.scan()[0], stamp),
+            *([] if report.ranges is None else [self._scan(report.ranges, scan_time)]),
         ):
             self._publish[type(message)](message)
 
@@ -170,7 +168,7 @@ class RobotNode:
             angle_min=angle_min,
             angle_max=angle_min + (count - 1) * increment,
             angle_increment=increment,
-            scan_time=self._simulator.control_dt,
+            scan_time=self._rover.control_dt,
             range_min=RANGE_MIN,
             range_max=self._lidar_range,
             ranges=readings,

@@ -30,8 +30,13 @@ from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
 
 RATE_WINDOW = 20
 """Number of scan periods in a measurement of the scan rate."""
+POSES = 64
+"""Number of poses that are kept, in which the one of the time of a scan is looked up."""
 SUPPORTED_RATES = (0.75, 1.5)
 """Scan rates that policies support, in control rates of their training: 15 to 30 Hz for 20 Hz."""
+
+STAMP_TOLERANCE = 0.005
+"""Difference of stamps that count as the same, s."""
 
 _log = logging.getLogger(__name__)
 
@@ -109,6 +114,8 @@ class Sensors:
         self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
         self._pose_estimator = pose_estimator
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
+        # Stamp, position and orientation. Written by the transport's thread.
+        self._poses: deque[tuple[float, Tensor, Tensor]] = deque(maxlen=POSES)
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
         # Topic and type of each kind of message, and the functions that read values, by the kinds of these values. The
@@ -166,7 +173,22 @@ class Sensors:
             values["pose"] = self._pose_estimator.align_imu(values["pose"], self.imu_orientation)
         for name, value in values.items():
             self.messages.put(name, value)
+        if "pose" in values or "imu" in values:
+            self._poses.append((read_stamp(msg), *self._pose_estimator.estimate(self.pose, self.imu_orientation)))
         return True
+
+    def pose_at(self, stamp: float) -> tuple[Tensor, Tensor]:
+        """Returns position ``[3]`` and orientation ``[4]`` in the world at the time of a stamp, s, as ROS's tf does.
+
+        It is the latest of those that are not newer, or the latest one if all are, as with clocks that differ.
+        """
+        poses = [*self._poses]
+        known = (each[1:] for each in reversed(poses) if each[0] <= stamp + STAMP_TOLERANCE)
+        return next(known, None) or self._pose_estimator.estimate(self.pose, self.imu_orientation)
+
+    def forget_poses(self) -> None:
+        """Forgets the poses of the past, which may be in another frame."""
+        self._poses.clear()
 
     def describe_silence(self, kind: str) -> str:
         """Describes why there is no recent value of a kind."""
@@ -187,6 +209,12 @@ class Sensors:
         if span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
             self._throttled_log.warning("rate", text, self.topics["scan"], RATE_WINDOW / span, low, high)
+
+
+def read_stamp(msg: Any) -> float:
+    """Reads the stamp of a message, s; 0 if it has none."""
+    stamp = getattr(getattr(msg, "header", None), "stamp", None)
+    return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
 
 
 def read_twist(msg: Any) -> Tensor:

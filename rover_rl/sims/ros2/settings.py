@@ -1,15 +1,12 @@
-"""Settings of the ROS 2 backend, and the limits of the commands that a live rover receives."""
+"""Settings of the ROS 2 backend. Does not import PyTorch."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
-from rover_rl.sims.timing import CONTROL_DT
-
-if TYPE_CHECKING:
-    from rover_rl.sims.robots import Robot
+from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "wheels"]
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
@@ -17,18 +14,6 @@ Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
 
 _LIMITS = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
-MIN_REVERSAL = 0.5
-"""Smallest desired yaw rate that changes the turning direction, rad/s. The heading PID outputs it at a heading error of
-14 degrees."""
-
-
-class CommandLimits(NamedTuple):
-    """Limits of commands in both directions: speed, m/s; yaw rate, rad/s; their rates of change, m/s^2 and rad/s^2."""
-
-    speed: float
-    yaw_rate: float
-    acceleration: float
-    yaw_acceleration: float
 
 
 @dataclass(frozen=True)
@@ -63,6 +48,7 @@ class Ros2Settings:
         max_yaw_rate: maximum yaw rate, rad/s; ``None``: the robot's.
         max_acceleration: maximum change of the forward speed, m/s^2; ``None``: the robot's. Stop commands are exempt.
         max_yaw_acceleration: maximum change of the yaw rate, rad/s^2; ``None``: the robot's.
+        min_reversal: smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning.
         reset: method that moves the rover to the start of an episode: ``"ign"`` (Gazebo Fortress) or ``"gz"``
             (Harmonic), Gazebo's command; ``"topic"``, a ``geometry_msgs/PoseStamped``; ``"manual"``, a prompt to a
             person on the terminal; ``"none"``, nothing: episodes start where the rover is; ``"auto"``: ``"topic"`` if a
@@ -95,6 +81,7 @@ class Ros2Settings:
     max_yaw_rate: float | None = None
     max_acceleration: float | None = None
     max_yaw_acceleration: float | None = None
+    min_reversal: float = MIN_REVERSAL
     reset: PoseReset = "auto"
     model: str = "rover_zero4wd"
     reset_topic: str = "/rover/set_pose"
@@ -111,6 +98,8 @@ class Ros2Settings:
         for name in (*positive, *limits):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
+        if not 0 <= self.min_reversal < math.inf:
+            raise ValueError(f"min_reversal must not be negative, got {self.min_reversal}")
         if not math.isfinite(self.lidar_yaw):
             raise ValueError(f"lidar_yaw must be a finite angle in rad, got {self.lidar_yaw}")
         if not 0 <= self.max_invalid < 1:
@@ -120,57 +109,3 @@ class Ros2Settings:
             allowed = get_args(choice)
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
-
-    def limits(self, robot: Robot) -> CommandLimits:
-        """Returns the command limits for ``robot``: its own, except where these settings override them."""
-        drive = robot.drive
-        return CommandLimits(
-            self.max_speed or drive.max_speed,
-            self.max_yaw_rate or drive.max_yaw_rate,
-            self.max_acceleration or drive.max_linear_acceleration,
-            self.max_yaw_acceleration or drive.max_angular_acceleration,
-        )
-
-
-class CommandLimiter:
-    """Limits commands, and suppresses oscillation of the yaw rate.
-
-    Policies are trained on a drive that lags. On a drive without lag, the yaw rate of the heading PID changes its sign
-    in nearly every step. Two measures prevent that: the yaw rate changes only as fast as the robot's drive does in
-    training, and a change of the turning direction requires a desired yaw rate of at least :data:`MIN_REVERSAL`. With
-    less, the rover stops turning.
-
-    Example:
-        >>> limiter = CommandLimiter(CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0))
-        >>> limiter((0.9, 0.0), desired=(1.5, -3.0), dt=0.05)
-        (1.0, -0.2)
-    """
-
-    def __init__(self, limits: CommandLimits) -> None:
-        self.limits = limits
-        self._direction = 0.0
-
-    def reset(self) -> None:
-        """Clears the turning direction at the start of an episode."""
-        self._direction = 0.0
-
-    def __call__(self, last: tuple[float, float], desired: tuple[float, float], dt: float) -> tuple[float, float]:
-        """Returns the command, m/s and rad/s, on the way from ``last`` to ``desired``, ``dt`` (s) after the last one.
-
-        Raises ``ValueError`` if the desired command is not finite.
-        """
-        if not all(map(math.isfinite, desired)):
-            raise ValueError(f"a command must be finite, got {desired[0]} m/s and {desired[1]} rad/s")
-        limits = self.limits
-        speed = _near(last[0], limits.acceleration * dt, _near(0.0, limits.speed, desired[0]))
-        reverses_little = desired[1] * self._direction < 0 and abs(desired[1]) < MIN_REVERSAL
-        yaw_rate = 0.0 if reverses_little else _near(0.0, limits.yaw_rate, desired[1])
-        yaw_rate = _near(last[1], limits.yaw_acceleration * dt, yaw_rate)
-        if yaw_rate:
-            self._direction = math.copysign(1.0, yaw_rate)
-        return speed, yaw_rate
-
-
-def _near(middle: float, most: float, value: float) -> float:
-    """Returns the number nearest to ``value`` that differs from ``middle`` by at most ``most``."""
-    return max(middle - most, min(middle + most, value))

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Capability, RoverState, View, beam_angles
+from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
@@ -20,7 +21,7 @@ from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
-from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
+from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
 from rover_rl.sims.worlds import World
 
@@ -90,7 +91,8 @@ class Ros2Simulator:
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
         self._world = worlds[0]
-        self._limiter = CommandLimiter(settings.limits(robot))
+        self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
+        self._limiter = CommandLimiter(settings.min_reversal)
         self._publishers_checked = -math.inf
         self._pose_estimator = PoseEstimator(settings.pose)
         self._throttled_log = ThrottledLogger(_log)
@@ -189,6 +191,7 @@ class Ros2Simulator:
         moved_to = target if self._placer.moves else None
         self._limiter.reset()
         self._pose_estimator.start_episode(self._sensors.pose, self._sensors.imu_orientation, moved_to, ground)
+        self._sensors.forget_poses()
         self._dt = self.control_dt
         return self.state()
 
@@ -225,7 +228,7 @@ class Ros2Simulator:
         if time.monotonic() - self._publishers_checked > PUBLISHER_CHECK_INTERVAL:
             self._require_one_robot()
         scans_before = self._sensors.messages.count("scan")
-        speed, yaw_rate = self._limiter(self._commands.last, tuple(commands[0].tolist()), self._dt)
+        speed, yaw_rate = self._limited(commands)
         self.held = self._guard.blocks(speed, self._aligned_scan.seen)
         if self.held:
             direction = "forward" if speed > 0 else "backward"
@@ -237,6 +240,15 @@ class Ros2Simulator:
         self.latency = 0.0 if self._scan is None else self._scan.age
         self._take_next_scan(after=scans_before)
         return self.state()
+
+    def _limited(self, commands: Tensor) -> tuple[float, float]:
+        """Returns the command within the limits. Raises ``ValueError`` if it is not finite."""
+        if not torch.isfinite(commands).all():
+            raise ValueError(f"a command must be finite, got {commands[0, 0]} m/s and {commands[0, 1]} rad/s")
+        last = torch.tensor([self._commands.last], dtype=torch.float64)
+        dt = torch.full((1, 1), self._dt, dtype=torch.float64)
+        speed, yaw_rate = self._limiter(last, commands.double(), dt, self._limits)[0].tolist()
+        return speed, yaw_rate
 
     def stop(self) -> None:
         """Sends a stop command, several times."""
@@ -265,6 +277,12 @@ class Ros2Simulator:
     def close(self) -> None:
         """Stops the rover and closes the connection. Idempotent."""
         self._finalizer()
+
+    def scan_pose(self) -> tuple[Tensor, Tensor]:
+        """Returns where the rover was at the time of the latest scan: see :class:`~rover_rl.sims.base.StampedScans`."""
+        stamp = 0.0 if self._scan is None else self._scan.value.stamp
+        position, orientation = self._sensors.pose_at(stamp)
+        return position[None], orientation[None]
 
     def _world_pose(self) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world."""

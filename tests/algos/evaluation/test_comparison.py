@@ -11,6 +11,7 @@ import torch
 
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.imperfections import change
 from rover_rl.algos.evaluation.report import LISTED, find_disagreements, print_table, write_evaluation
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
@@ -61,7 +62,7 @@ def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation)
     assert "in one backend and not in another" in table(firm, missed)
     moved = replace(EPISODES, start=EPISODES.start + 0.1)
     changes = ({"name": "another"}, {"seconds": 30.0}, {"action_repeat": 2}, {"episodes": moved})
-    for other in (*(replace(missed, **change) for change in changes), copied(missed, "bullet", [])):
+    for other in (*(replace(missed, **changed) for changed in changes), copied(missed, "bullet", [])):
         assert "in one backend and not in another" not in table(firm, other)
 
 
@@ -164,3 +165,29 @@ def test_a_policy_with_other_action_bounds_drives_in_several_backends(tmp_path: 
     assert main([*given, "--world", "maze", "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "evaluation.json").read_text())
     assert results[0]["env"] | {"backend": SLIPPERY} == results[1]["env"]
+
+
+def test_imperfections_are_compared_with_exact_sensors(firm: Evaluation) -> None:
+    exact = replace(firm, imperfection="exact")
+    late = replace(copied(firm, "bullet", [0, 1]), imperfection="late")
+    shown = table(exact, late)
+    assert "Success, and its change against exact" in shown
+    assert "-66.7" in shown
+    assert change(late, exact).value == pytest.approx(-2 / 3)
+    assert change(exact, exact).value == 0
+    assert late.summary()["imperfection"] == late.episode_rows()[0]["imperfection"] == "late"
+    # Results of one kind of sensors are shown as always.
+    assert "exact" not in table(firm)
+    assert "imperfection" not in firm.summary()
+
+
+def test_the_command_drives_with_imperfections(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--world", "maze", "--count", "2", "--seconds", "0.5", "--backend", "warp", "--out", str(tmp_path)]
+    assert main(["evaluate", "scripted", "--imperfect", "late", "all", *options]) == 0
+    assert "Success, and its change against exact" in capsys.readouterr().out
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [one["imperfection"] for one in results] == ["exact", "late", "all"]
+    delays = [one["env"]["randomization"]["scan_latency"] for one in results]
+    assert delays == [[0, 0], [3, 3], [1, 2]]
+    assert main(["evaluate", "scripted", "--imperfect", "latte", *options]) != 0
+    assert "unknown imperfection 'latte', perhaps 'late'" in capsys.readouterr().err

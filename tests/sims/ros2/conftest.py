@@ -70,7 +70,7 @@ def start_env(wire: Wire) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverE
             world: World, pose: Any, view: float = 2 * math.pi, **settings: Any
         ) -> tuple[SimulatedRobot, RoverEnv]:
             robot = SimulatedRobot(wire, world, pose, view)
-            stack.callback(robot.simulator.close)
+            stack.callback(robot.rover.close)
             backend = Ros2Settings(**{"reset": "none", "settle": 0.05, "step_timeout": 20.0, **settings})
             env = RoverEnv(world_n=world, length=10**9, backend=backend, end_on_goal=True, seed=0)
             stack.callback(env.close)

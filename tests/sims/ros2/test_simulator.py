@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl import RoverEnv, TaskConfig
+from rover_rl import Randomization, RoverEnv, TaskConfig
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
+from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
@@ -26,7 +27,7 @@ from rover_rl.sims.ros2.messages import (
 )
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 from rover_rl.sims.worlds import get_world
-from tests.sims.ros2.wire import ALL, BEAMS, STEP, Wire, drive, simulator, yaw_of
+from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
 POSE = torch.tensor([[1.0, 2.0, 0.5]])
 """Pose of the rover before a reset."""
@@ -320,3 +321,19 @@ def test_reset_after_close_reconnects_except_in_gymnasium(wire):
     with pytest.raises(RuntimeError, match="closed environment"):
         env.reset()
     assert wire.subscribers("/scan") == 3
+
+
+def test_a_late_scan_is_paired_with_the_pose_of_its_time(wire):
+    late = Randomization(scan_latency=(4, 4), state_latency=(1, 1), lost_scans=0.1)
+    robot = SimulatedRobot(wire, get_world("maze"), (-2.0, 0.0, 0.5), randomization=late)
+    env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none", step_timeout=20.0), sensors=["scan_pose"], seed=0)
+    td = env.reset()
+    for _ in range(20):
+        td = env.step(td.set("action", torch.tensor([[0.8, 1.0]])))["next"]
+    position, attitude = taken_at(td)
+    place, yaw = robot.poses[round(env.rover_state.stamp.item(), 3)]
+    assert torch.allclose(position[0], place, atol=1e-3)
+    assert attitude[0, 2].item() == pytest.approx(yaw, abs=1e-3)
+    assert td["scan_pose"][0, :2].norm() > 0.02
+    env.close()
+    robot.rover.close()

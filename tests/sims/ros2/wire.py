@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from rover_rl.envs import EnvConfig, LidarConfig, Randomization
+from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims import make_simulator
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import get_robot
@@ -152,22 +155,32 @@ class Rover:
 
 
 class SimulatedRobot:
-    """The node of a rover in PyBullet. ``driven`` has its x after each step."""
+    """The node of a rover in PyBullet. ``driven`` has its x after each step, ``poses`` place and yaw by the time."""
 
-    def __init__(self, wire: Wire, world: World, start: tuple[float, float, float], view: float = 2 * math.pi) -> None:
-        kind = get_robot("rover_zero")
-        self.simulator = make_simulator("bullet", worlds=[world], robot=kind)
-        scanner = self.simulator.scanner(128)
-        self._node = RobotNode(self.simulator, scanner, wire, world, kind.lidar_range, start=start, view=view)
+    def __init__(
+        self,
+        wire: Wire,
+        world: World,
+        start: tuple[float, float, float],
+        view: float = 2 * math.pi,
+        randomization: Randomization = Randomization(),  # noqa: B008  (it is frozen)
+    ) -> None:
+        kind = replace(get_robot("rover_zero"), lidar_view=view)
+        lidar = LidarConfig(beams=128)
+        self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, randomization=randomization))
+        self._node = RobotNode(self.rover, wire, world, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
+        self.poses: dict[float, tuple[torch.Tensor, float]] = {}
         wire.rovers.append(self._step)
 
     @property
     def position(self) -> torch.Tensor:
-        return self.simulator.state().position[0]
+        return self.rover.env.simulator.state().position[0]
 
     def _step(self) -> None:
         self._node.step()
+        rover = self.rover.env.rover_state
+        self.poses[round(rover.stamp.item(), 3)] = (rover.position[0], yaw_of(rover))
         self.driven.append(self.position[0].item())
 
 

@@ -1,0 +1,87 @@
+"""Emergency brake: limits the speed so that a rover stops before what its scan shows in its way."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.config import GuardConfig
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.robots.slip import estimated_yaw_gain
+
+PLACES = 12
+"""Number of places along the arc at which the outline is tested."""
+SPACING = 0.08
+"""Distance of these places, m: obstacles that the outline of a rover does not straddle are wider, or are met."""
+TIGHTEST = 0.25
+"""Smallest radius of an arc, m. On tighter ones, the rover turns rather than drives."""
+
+
+class EmergencyBrake:
+    """Limits the speeds of a batch of rovers: see :class:`~rover_rl.envs.config.GuardConfig`.
+
+    The brake sees what the scan sees. It does not keep the corners of a rover that turns on the spot from obstacles.
+    What is within the outline already does not count, so that a rover in contact can leave.
+
+    Args:
+        config: deceleration, reaction and margins.
+        fleet: robots of the rows.
+        angles: direction of each beam, ``[beams]``, rad.
+    """
+
+    def __init__(self, config: GuardConfig, fleet: Fleet, angles: Tensor) -> None:
+        self._config, self._fleet = config, fleet
+        self._table = fleet.table(lambda robot: _numbers(robot, config.margin))
+        device = fleet.index.device
+        self._beams = torch.stack((angles.cos(), angles.sin()), -1).float().to(device)
+        self._way = torch.arange(1, PLACES + 1, device=device) * SPACING
+
+    def __call__(self, command: Tensor, ranges: Tensor) -> Tensor:
+        """Returns the commands, ``[N, A]``, with a speed from which the rovers can stop.
+
+        Args:
+            command: forward speed (m/s), yaw rate (rad/s) and further components, ``[N, A]``.
+            ranges: scans, ``[N, beams]``, m.
+        """
+        config, speed = self._config, command[:, :1]
+        free = self._free_way(speed, command[:, 1:2], ranges)
+        # The braking distance, solved for the speed.
+        reach = config.deceleration * config.reaction + config.approach
+        rest = 2 * config.deceleration * (free - config.approach * config.reaction).clamp(min=0)
+        most = (reach * reach + rest).sqrt() - reach
+        return torch.cat((torch.clamp(speed, -most, most), command[:, 1:]), -1)
+
+    def _free_way(self, speed: Tensor, yaw_rate: Tensor, ranges: Tensor) -> Tensor:
+        """Returns how far the outline can go along the arc of the command, ``[N, 1]``, m; ``inf`` beyond the places."""
+        back, front, side, ahead, left, gain = self._table[self._fleet.index].split(1, -1)
+        points = ranges[..., None] * self._beams + torch.stack((ahead, left), -1)
+        # A rover that slips turns less than it is told.
+        turn = gain * yaw_rate / speed.abs().clamp(min=1e-3)
+        curvature = turn.clamp(-1 / TIGHTEST, 1 / TIGHTEST)
+        way, forward = self._way, torch.where(speed < 0, -1.0, 1.0)
+        turned = curvature * way
+        # Position after a way s on an arc: sin(c s) / c and (1 - cos(c s)) / c.
+        half = turned / 2
+        chord = way * torch.sinc(half / torch.pi)
+        x, y = forward * chord * half.cos(), forward * chord * half.sin()
+        dx, dy = points[:, None, :, 0] - x[..., None], points[:, None, :, 1] - y[..., None]
+        cos, sin = turned.cos()[..., None], turned.sin()[..., None]
+        px, py = cos * dx + sin * dy, cos * dy - sin * dx
+
+        def within(px: Tensor, py: Tensor, outline: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+            return (px > outline[0]) & (px < outline[1]) & (py.abs() < outline[2])
+
+        start = within(points[..., 0], points[..., 1], (back, front, side))
+        met = within(px, py, (back[..., None], front[..., None], side[..., None])) & ~start[:, None]
+        blocked = met.any(-1)
+        first = blocked.to(torch.uint8).argmax(-1, keepdim=True)
+        return torch.where(blocked.any(-1, keepdim=True), first * SPACING, torch.inf)
+
+
+def _numbers(robot: Robot, margin: float) -> list[float]:
+    """Returns back, front and half the width of the outline with the margin, place of the lidar, and yaw gain."""
+    outline = footprint(robot)
+    size = [outline.back - margin, outline.front + margin, outline.half_width + margin]
+    return [*size, *robot.lidar_position[:2], estimated_yaw_gain(robot)]

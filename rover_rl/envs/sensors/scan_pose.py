@@ -1,0 +1,61 @@
+"""Pose of the scan: where the rover was when its lidar scanned, relative to where it knows itself now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.config import SCAN_POSE
+from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.rotations import wrap_angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPose(Sensor):
+    """Pose at which the scan was taken, relative to the entries ``pose`` and ``imu``, ``[N, 6]``.
+
+    How far ahead, to the left and up (m), pitch and roll at the scan, and the turn from the heading now to the one then
+    (rad). An environment has this entry if its scans can be late, or if it is asked for. The map of what has been seen
+    aligns scans by it, as ROS's tf does by their stamps.
+    """
+
+    name: str = SCAN_POSE
+    delayed = None
+    clips = False
+    mirror_signs = (1.0, -1.0, 1.0, 1.0, -1.0, -1.0)
+    bounds = Bounds((-10.0, -10.0, -10.0, *(-math.pi,) * 3), (10.0, 10.0, 10.0, *(math.pi,) * 3))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the relative pose."""
+        assert inputs.scan_pose is not None
+        return inputs.scan_pose
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the way and the turn in units of 20 cm and 0.2 rad, without the tilt and the height."""
+        return torch.cat((value[..., :2], value[..., 5:]), -1) * 5
+
+
+def scan_pose_now(imu: Tensor) -> Tensor:
+    """Returns the entry of scans that are as new as the pose, ``[N, 6]``, of the entry ``imu [N, 3]``."""
+    zeros = torch.zeros_like(imu)
+    return torch.cat((zeros, imu[:, :2], zeros[:, :1]), -1)
+
+
+def taken_at(observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor] | None:
+    """Returns where the scan of an observation was taken: ``pose [N, 3]`` (m) and ``imu [N, 3]`` (rad) of its time.
+
+    ``None`` if the observation has no ``scan_pose``: then the scan is as new as the pose.
+    """
+    relative = observation.get(SCAN_POSE, None)
+    if relative is None:
+        return None
+    pose, imu = observation["pose"], observation["imu"]
+    ahead, left, up, pitch, roll, turn = relative.split(1, -1)
+    cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
+    position = pose + torch.cat((cos * ahead - sin * left, sin * ahead + cos * left, up), -1)
+    return position, torch.cat((pitch, roll, wrap_angle(imu[:, 2:] + turn)), -1)

@@ -1,0 +1,84 @@
+"""``ServedRover``: one simulated rover as its sensors tell it, for a node that publishes it on ROS 2.
+
+Example:
+    >>> rover = ServedRover(EnvConfig(world="plaza:10001", backend="warp", seed=0))
+    >>> rover.reset((0.0, 0.0, 0.0))
+    >>> rover.step((0.5, 0.0)).state.position.shape
+    torch.Size([1, 3])
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from rover_rl.checks import MAX_COUNT
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, TaskConfig
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.rotations import quaternion_product
+from rover_rl.sims.served import Report
+
+
+class ServedRover:
+    """A rover among the movers of its world, with the noise, delays and errors of an environment.
+
+    What it reports has the stamp of its time, however late it arrives. Lost scans never arrive. The commands are not
+    limited, as whoever drives the rover limits them.
+
+    Args:
+        config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
+            ``randomization.scan_period`` says.
+
+    Attributes:
+        env: the environment.
+        control_dt: duration of a step, s.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        lidar = replace(config.lidar, points=min(config.lidar.points, config.lidar.beams), period=1)
+        sensors = (*(each for each in config.sensors if each != SCAN_POSE), SCAN_POSE)
+        one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
+        alone = replace(config, **one, lidar=lidar, sensors=sensors, task=TaskConfig(), limits=LimitsConfig())
+        self.env = RoverEnv(alone)
+        self.control_dt = self.env.control_dt
+        self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
+        self._arrived = -1.0
+
+    def reset(self, pose: tuple[float, float, float]) -> None:
+        """Moves the rover to a pose: x, y (m) and yaw (rad), at rest. Delays and the like are drawn anew."""
+        steps = self.env.reset(start=torch.tensor([pose]))["outcome", "steps"]
+        self._report(steps)
+
+    def step(self, command: tuple[float, float]) -> Report:
+        """Takes a step with a command, m/s and rad/s, and returns what arrives from the sensors after it."""
+        steps = self.env.step_commands(torch.tensor([command]))["outcome", "steps"]
+        report = self._report(steps)
+        is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
+        return report if is_new else report._replace(ranges=None)
+
+    def close(self) -> None:
+        """Releases the simulator."""
+        self.env.close()
+
+    def _report(self, steps: torch.Tensor) -> Report:
+        env, delays = self.env, self.env.delays
+        assert delays is not None
+        sensed, pose, stamp = env.sensed_state, env.sensed_pose, env.rover_state.stamp
+        # The IMU of a live rover has the heading of the pose.
+        half = (pose.yaw - env.sensed_yaw) / 2
+        turn = torch.cat((torch.zeros(1, 2), half.sin(), half.cos()), -1)
+        told = {
+            "position": pose.position,
+            "orientation": quaternion_product(turn, sensed.orientation),
+            "linear_velocity": sensed.linear_velocity,
+            "angular_velocity": sensed.angular_velocity,
+            "stamp": stamp,
+        }
+        late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
+        self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
+        scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
+        ranges = delays.late("told scan", env.sensed_scan, steps, delays.scan)
+        return Report(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())

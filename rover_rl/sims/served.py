@@ -1,0 +1,43 @@
+"""What a simulated rover tells a node that publishes it on ROS 2."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from rover_rl.sims.base import RoverState
+
+
+class Report(NamedTuple):
+    """What arrives from the sensors of one rover in a step.
+
+    Attributes:
+        time: time of the step, s.
+        state: pose and velocities as the sensors tell them, ``[1]``, with the stamp of their time.
+        ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
+        scan_stamp: time of the scan, s.
+    """
+
+    time: float
+    state: RoverState
+    ranges: Tensor | None
+    scan_stamp: float
+
+
+class Served(Protocol):
+    """One simulated rover.
+
+    Attributes:
+        control_dt: duration of a step, s.
+    """
+
+    control_dt: float
+
+    def reset(self, pose: tuple[float, float, float]) -> None:
+        """Moves the rover to a pose: x, y (m) and yaw (rad), at rest."""
+        ...
+
+    def step(self, command: tuple[float, float]) -> Report:
+        """Takes a step with a command: forward speed, m/s, and yaw rate, rad/s."""
+        ...
