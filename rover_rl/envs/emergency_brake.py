@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -11,10 +13,8 @@ from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.robots.slip import estimated_yaw_gain
 
-PLACES = 12
-"""Number of places along the arc at which the outline is tested."""
 SPACING = 0.08
-"""Distance of these places, m: obstacles that the outline of a rover does not straddle are wider, or are met."""
+"""Distance of the places along the arc at which the outline is tested, m."""
 TIGHTEST = 0.25
 """Smallest radius of an arc, m. On tighter ones, the rover turns rather than drives."""
 
@@ -36,7 +36,11 @@ class EmergencyBrake:
         self._table = fleet.table(lambda robot: _numbers(robot, config.margin))
         device = fleet.index.device
         self._beams = torch.stack((angles.cos(), angles.sin()), -1).float().to(device)
-        self._way = torch.arange(1, PLACES + 1, device=device) * SPACING
+        # As far as the fastest of them needs to stop.
+        speed = max(robot.drive.max_speed for robot in fleet.robots)
+        stop = config.reaction + speed / config.deceleration
+        reach = speed * (config.reaction + stop) / 2 + config.approach * stop
+        self._way = torch.arange(1, math.ceil(reach / SPACING) + 2, device=device) * SPACING
 
     def __call__(self, command: Tensor, ranges: Tensor) -> Tensor:
         """Returns the commands, ``[N, A]``, with a speed from which the rovers can stop.

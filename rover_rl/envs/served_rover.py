@@ -39,10 +39,9 @@ class ServedRover:
 
     def __init__(self, config: EnvConfig) -> None:
         lidar = replace(config.lidar, points=min(config.lidar.points, config.lidar.beams), period=1)
-        sensors = (*(each for each in config.sensors if each != SCAN_POSE), SCAN_POSE)
         one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
-        alone = replace(config, **one, lidar=lidar, sensors=sensors, task=TaskConfig(), limits=LimitsConfig())
-        self.env = RoverEnv(alone)
+        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig(), "privileged": False}
+        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE,)))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0

@@ -73,6 +73,13 @@ def test_the_reward_has_the_contracts_numbers():
         "clearance_penalty": 0.0,
         "clearance_distance": 0.5,
         "action_rate_penalty": 0.0,
+        "mover_contact_penalty": 0.0,
+        "struck_penalty": 0.0,
+        "intrusion_penalty": 0.0,
+        "haste_penalty": 0.0,
+        "risk_penalty": 0.0,
+        "intrusion_distance": 1.2,
+        "risk_distance": 0.5,
     }
 
 
