@@ -12,8 +12,13 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.pages import ROOT, blocks
+
+# No test depends on how fast the machine is.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 _FOLDER = pytest.StashKey[str]()
 _REGISTRIES = ("sims.backends", "sims.robots", "sims.worlds", "envs.rewards")

@@ -45,7 +45,7 @@ def entry_point(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, str], No
     return add
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(NAMES, NAMES)
 def test_registered_parts_are_found_by_name(first: str, second: str) -> None:
     built_in = {"built-in": PART}

@@ -16,10 +16,12 @@ FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
 """Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""
 ANYWHERE = "anywhere"
 """Name of the policy for all worlds."""
+ANYROBOT = "anyrobot"
+"""Name of the policy for all robots."""
 
 
-def test_there_is_one_for_all_worlds_and_one_of_each_algorithm_with_a_card() -> None:
-    assert pretrained_names() == [ANYWHERE, "moon-ppo", "moon-sac"]
+def test_there_is_one_for_all_worlds_one_for_all_robots_and_one_of_each_algorithm_with_a_card() -> None:
+    assert pretrained_names() == [ANYROBOT, ANYWHERE, "moon-ppo", "moon-sac"]
     for name in pretrained_names():
         assert (FOLDER / f"{name}.pt").stat().st_size < 500_000
         card = (FOLDER / f"{name}.md").read_text()
@@ -39,7 +41,7 @@ def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in pretrained_names() if name != ANYWHERE])
+@pytest.mark.parametrize("name", [name for name in pretrained_names() if name not in (ANYROBOT, ANYWHERE)])
 def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     world = checkpoint.env.world
@@ -62,6 +64,14 @@ def test_the_one_for_all_reaches_goals_in_mazes_that_it_has_not_seen() -> None:
     actor, episodes = load_pretrained(ANYWHERE).make_actor(), draw_episodes("maze:10000-10015", episodes=1)
     result = evaluate(actor, episodes, env=replace(actor.made_for, backend="warp"), rows=16)
     assert result.success_rate >= 0.9
+
+
+@pytest.mark.slow
+def test_the_one_for_all_robots_reaches_goals_with_robots_that_it_has_not_seen() -> None:
+    actor = load_pretrained(ANYROBOT).make_actor()
+    env = replace(actor.made_for, backend="warp", robot="any:10000-10015", world="maze:10000-10015").fitted()
+    result = evaluate(actor, draw_episodes(env.world, episodes=1, robot=env.robot), env=env, seconds=120, rows=16)
+    assert result.success_rate >= 0.85
 
 
 def test_a_name_that_is_none_is_refused() -> None:

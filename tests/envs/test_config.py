@@ -179,7 +179,9 @@ def test_speeds_that_are_not_stated_are_those_of_the_robots_drive() -> None:
         td = env.step(td.set("action", torch.tensor([[0.0, math.pi / 2]])))["next"]
     assert td["velocities"][0, 1].item() == pytest.approx(0.8, abs=0.02)
     stated = ActionConfig(min_speed=-1.0, max_speed=1.0)
-    assert ActionConfig().for_robot("rover_zero") == stated == stated.for_robot(slow)
+    assert ActionConfig().for_robot("rover_zero") == stated == replace(stated.for_robot(slow), max_turn=math.pi)
+    # At this heading offset, the robot turns as fast as it can.
+    assert stated.for_robot(slow).max_turn == 0.4
     assert EnvConfig(robot=slow, action=ActionConfig(min_speed=0.0)).bounded_action.max_speed == 0.4
     with pytest.raises(ValueError, match="min_speed must be less than max_speed, both finite, got 0.5 and 0.4"):
         EnvConfig(robot=slow, action=ActionConfig(min_speed=0.5))

@@ -15,6 +15,7 @@ from rover_rl.envs.sensors.robot import RobotBody
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.robots import get_robot, get_robots
 from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.robots.skidding import yaw_gain
 from rover_rl.sims.worlds import Terrain, World, box, get_world
 
 ROBOTS = ("any:0-5", "leo", "husky", "racer", "rover_zero")
@@ -114,14 +115,17 @@ def test_the_sensor_tells_size_and_limits_of_each_robot():
         for row, robot in enumerate(env.fleet):
             outline, drive = footprint(robot), robot.drive
             size = (-outline.back, outline.front, outline.half_width)
-            limits = (drive.max_speed, drive.max_yaw_rate, drive.min_radius(robot.wheels))
-            assert told[row].tolist() == pytest.approx((*size, *limits, *robot.lidar_position, robot.lidar_view))
+            limits = (drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels))
+            turns = (drive.pivot(robot.wheels), yaw_gain(robot))
+            numbers = (*size, *limits, *turns, *robot.lidar_position, robot.lidar_view)
+            assert told[row].tolist() == pytest.approx(numbers)
     alone = RoverEnv(sensors=["robot"], seed=0).reset()["robot"][0]
-    assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, *get_robot("rover_zero").lidar_position, 2 * math.pi))
+    rest = (yaw_gain(get_robot("rover_zero")), *get_robot("rover_zero").lidar_position, 2 * math.pi)
+    assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, 0.0, *rest))
     sensor = RobotBody()
     aside = alone.clone()
-    aside[7] = 0.1
-    assert torch.equal(sensor.mirror(aside)[7], -aside[7])
+    aside[9] = 0.1
+    assert torch.equal(sensor.mirror(aside)[9], -aside[9])
     assert torch.equal(sensor.mirror(alone), alone)
     assert sensor.encode(told).abs().max() < 10
 

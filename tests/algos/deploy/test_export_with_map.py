@@ -19,6 +19,7 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
+from rover_rl.algos.policy.route_prior import RoutePrior
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.cli import main
 from rover_rl.envs.seen_map.scans import UNSEEN
@@ -41,8 +42,8 @@ def routed_checkpoint(memory: str) -> Checkpoint:
     keys = ("lidar", "imu", "target", "route") if memory == "none" else ("lidar", "target", "route")
     network = {"observation": keys, "hidden": (16, 8), "memory": memory, "memory_size": UNITS, "prior": prior}
     torch.manual_seed(0)
-    follower = get_robot("rover_zero") if memory == "none" else None
-    actor = make_actor(ObservationEncoder(keys), (16, 8), memory=memory, memory_size=UNITS, follower=follower)
+    prior = RoutePrior(get_robot("rover_zero")) if memory == "none" else None
+    actor = make_actor(ObservationEncoder(keys), (16, 8), memory=memory, memory_size=UNITS, prior=prior)
     # Enlarged, so that its actions differ, and with a preference for driving ahead.
     weights = {name: weight * 2.0 for name, weight in actor.state_dict().items()}
     (last,) = (name for name, weight in weights.items() if weight.shape == (4,))

@@ -34,7 +34,7 @@ def test_on_flat_ground_the_base_frame_has_the_planar_pose():
     assert rotation[0].numpy() == pytest.approx(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), abs=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     slope_x=st.floats(-0.5, 0.5),
     slope_y=st.floats(-0.5, 0.5),
