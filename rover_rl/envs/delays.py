@@ -162,6 +162,7 @@ class SensorDelays:
 
 def relative_pose(known: Tensor, scan: Tensor) -> Tensor:
     """Returns a pose relative to a known one, both (x, y, z, pitch, roll, yaw): see :class:`SensorDelays`."""
-    dx, dy, dz, pitch, roll, turn = (scan - known * known.new_tensor((1, 1, 1, 0, 0, 1))).split(1, -1)
+    (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
+    pitch, roll = scan[:, 3:5].split(1, -1)
     cos, sin = known[:, 5:].cos(), known[:, 5:].sin()
     return torch.cat((cos * dx + sin * dy, cos * dy - sin * dx, dz, pitch, roll, wrap_angle(turn)), -1)

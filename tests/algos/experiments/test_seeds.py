@@ -72,7 +72,7 @@ def test_a_run_that_diverges_does_not_keep_the_others_from_training(
 ) -> None:
     trained: list[int] = []
 
-    def one(config: object, folder: object) -> int:
+    def one(config: object, folder: object, **options: object) -> int:
         seed = config.seed  # type: ignore[attr-defined]
         trained.append(seed)
         if seed == 0:
