@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.drives.base import Drive, Equations, Joints, Wheels
+from rover_rl.sims.rotations import angle_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,35 +134,27 @@ class AckermannEquations(Equations):
         desired, yaw_rate = command.split(1, -1)
         # In reverse, the same yaw rate needs the opposite angle.
         side = torch.where(desired < 0, -yaw_rate, yaw_rate)
-        wanted = _atan2(side * self.wheelbase, desired.abs()).clamp(-self.max_steering, self.max_steering)
+        # Its bits do not depend on the size of the batch, as those of torch.atan2 do.
+        wanted = angle_of(torch.stack((desired.abs(), side * self.wheelbase), -1))
+        wanted = wanted.clamp(-self.max_steering, self.max_steering)
         steps = (desired - speed).clamp(-self.gain, self.gain), (wanted - angle).clamp(-self.turn, self.turn)
         return torch.cat((speed + steps[0], angle + steps[1]), -1)
 
     def targets(self, before: Tensor, after: Tensor) -> Joints:
         """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""
         speed = (before[:, :1] + after[:, :1]) * 0.5
-        curvature = _tan(after[:, 1:]) / self.wheelbase
+        curvature = after[:, 1:].tan() / self.wheelbase
         inside = 1 - curvature * self.sides
-        angles = _atan2(curvature * self.wheelbase, inside[:, 2:])
+        angles = angle_of(torch.stack((inside[:, 2:], (curvature * self.wheelbase).expand(-1, 2)), -1))
         return Joints(speed * inside[:, :2] / self.radius, angles)
 
     def odometry(self, joints: Joints) -> Tensor:
         """Returns the mean speed of the rear wheels, and the yaw rate by the angles of the front wheels, ``[N, 2]``."""
         # The mean of two, in the same order for any layout of the batch.
         speed = (joints.speeds[:, :1] + joints.speeds[:, 1:]) / 2 * self.radius
-        tangents = _tan(joints.angles)
+        tangents = joints.angles.tan()
         curvatures = tangents / (self.wheelbase + self.sides[..., 2:] * tangents)
         return torch.cat((speed, speed * ((curvatures[:, :1] + curvatures[:, 1:]) / 2)), -1)
-
-
-# A processor rounds these otherwise for one number than for several at once, by the last bit. Rounded from double
-# precision, a row does not depend on its company.
-def _tan(angle: Tensor) -> Tensor:
-    return angle.double().tan().to(angle.dtype)
-
-
-def _atan2(y: Tensor, x: Tensor) -> Tensor:
-    return torch.atan2(y.double(), x.double()).to(y.dtype)
 
 
 @lru_cache(maxsize=64)

@@ -60,12 +60,23 @@ class Mecanum(Drive):
 
     def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
         """Returns the wheel speeds of the mean twist, ``[N, 4]``."""
-        speeds = (before + after) * 0.5 @ _matrix(self.rollers, wheels, before.device).T
+        speeds = _product(_matrix(self.rollers, wheels, before.device), (before + after) * 0.5)
         return Joints(speeds, speeds[:, :0])
 
     def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
         """Returns the twist that fits the four wheel speeds best, ``[N, 3]``."""
-        return joints.speeds @ _inverse(self.rollers, wheels, joints.speeds.device).T
+        return _product(_inverse(self.rollers, wheels, joints.speeds.device), joints.speeds)
+
+
+def _product(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """Returns a matrix ``[k, n]`` times each of ``vectors [N, n]``: ``[N, k]``.
+
+    Unlike those of a matrix product, its bits do not depend on the size of the batch.
+    """
+    result = vectors[:, :1] * matrix[:, 0]
+    for column in range(1, matrix.shape[1]):
+        result = result + vectors[:, column : column + 1] * matrix[:, column]
+    return result
 
 
 @lru_cache(maxsize=16)
