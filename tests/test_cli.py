@@ -220,7 +220,7 @@ def test_a_reader_that_leaves_early_ends_a_command_quietly() -> None:
 def test_too_little_memory_of_a_gpu_is_told_in_one_line_and_its_other_errors_are_shown_whole(
     error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **_options: object) -> None:
         raise error
 
     monkeypatch.setattr("rover_rl.algos.train.train", fail)

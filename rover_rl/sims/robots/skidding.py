@@ -76,7 +76,7 @@ def yaw_gain(robot: Robot) -> float:
     Example:
         >>> from rover_rl.sims.robots import get_robot
         >>> round(yaw_gain(get_robot("rover_zero")), 2)
-        0.41
+        0.4
     """
     drive, wheels = robot.drive, robot.wheels
     if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
