@@ -48,7 +48,8 @@ AHEAD = 1.5  # distance along the route to which arcs lead, in smallest radii
 class GridPlanner(TensorDictModuleBase):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
 
-    A robot that does not turn in place follows it in arcs, forward and backward: see :func:`follow_in_arcs`.
+    A robot that does not turn in place follows it in arcs, forward and backward: see
+    :func:`~rover_rl.algos.policy.grid_planner.follow_in_arcs`.
 
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
