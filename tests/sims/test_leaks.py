@@ -7,7 +7,7 @@ import pytest
 from benchmarks.leaks import in_fresh_process
 from tests.extras import BACKENDS
 
-WARMUP, CYCLES = 3, 5
+WARMUP, CYCLES = 2, 3
 WORLDS = ("inspect", "new")
 """The worlds with meshes of the ground and of boulders; the maze and the moon have nothing that these do not have."""
 LIMIT = 5.0 * CYCLES
