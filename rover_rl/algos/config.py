@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.sensors.suite import require_entries
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
@@ -265,12 +265,8 @@ class TrainingConfig:
         network, entries = self.network, {*self.network.observation}
         if not network.hidden or not all(1 <= units <= MAX_COUNT for units in network.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {network.hidden}")
-        needed = _entries_of_prior(self.env) if network.prior == "route" else []
-        if needed and (network.memory != "none" or not {*needed} <= entries):
-            raise ValueError(
-                f"prior='route' needs {', '.join(needed[:-1])} and {needed[-1]} in observation and memory='none', got "
-                f"{network.observation} and {network.memory!r}"
-            )
+        if network.prior == "route":
+            self._check_prior()
         if network.north_up and not {"lidar", "imu", "target"} <= entries:
             raise ValueError(f"north_up needs lidar, imu and target in observation, got {network.observation}")
         if self.algorithm.mirror_augmentation and (network.north_up or "pose" in entries):
@@ -287,6 +283,18 @@ class TrainingConfig:
         if (self.collection.route_reward or imitated) and "route" not in entries:
             raise ValueError(
                 f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
+            )
+
+    def _check_prior(self) -> None:
+        from rover_rl.sims.robots import get_robots
+
+        network, robots = self.network, get_robots(self.env.robot)
+        tells_robot = ROBOT in network.observation or len(robots) > 1
+        *most, last = entries_of_driver(tells_robot, all(robot.drive.turns_in_place for robot in robots))
+        if network.memory != "none" or not {*most, last} <= {*network.observation}:
+            raise ValueError(
+                f"prior='route' needs {', '.join(most)} and {last} in observation and memory='none', got "
+                f"{network.observation} and {network.memory!r}"
             )
 
     def _check_env(self) -> None:
@@ -334,23 +342,25 @@ _COUNTS = (
     *("memory_size", "action_repeat", "rollout_length", "minibatch", "epochs", "gradient_steps", "buffer_size"),
     *("learning_starts", "total_steps", "length", "workers"),
 )
+
+
+def entries_of_driver(tells_robot: bool, turns_in_place: bool) -> tuple[str, ...]:
+    """Returns the entries that the driver of ``prior="route"`` reads.
+
+    Args:
+        tells_robot: whether the observation tells the robot, which may be any.
+        turns_in_place: whether all robots turn in place. Others drive in arcs, which begin at their speed.
+    """
+    in_arcs = tells_robot or not turns_in_place
+    return ("lidar", "imu", *(["velocities"] if in_arcs else []), *([ROBOT] if tells_robot else []), ROUTE)
+
+
 _POSITIVE = (
     *("max_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
     *("max_minutes", "curriculum_temperature"),
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
 _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
-
-
-def _entries_of_prior(env: EnvConfig) -> list[str]:
-    """Returns what the driver who follows the route reads: of cars also the speed, of different robots their size."""
-    from rover_rl.sims.robots import get_robots
-
-    robots = get_robots(env.robot)
-    turning = [] if all(robot.drive.turns_in_place for robot in robots) and len(robots) == 1 else ["velocities"]
-    return ["lidar", "imu", *turning, *(["robot"] if len(robots) > 1 else []), "route"]
-
-
 _CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.sims.robots.options import RobotOptions, with_options
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,11 @@ class Export:
     """Policy: folder of a run, checkpoint file, or pretrained:NAME."""
     format: Literal["onnx", "torch"] = "onnx"
     """File format: onnx (needs the extra onnx), or torch (a torch.export program)."""
+    robot: str | None = None
+    """Robot that the file is for, of a policy that was made for several: a name, a URDF file, or module:attribute.
+    Default: the robot that the policy was made for."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     out: Path | None = None
     """File to write. Default: the name of the policy with the suffix .onnx or .pt2."""
 
@@ -30,6 +38,8 @@ class Export:
         from rover_rl.cli.policies import load_checkpoint
 
         checkpoint, name = load_checkpoint(self.policy)
+        if self.robot is not None:
+            checkpoint = checkpoint.for_robot(with_options(self.robot, self.robot_options))
         out = self.out or Path(name).with_suffix(SUFFIXES[self.format])
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")

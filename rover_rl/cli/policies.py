@@ -119,7 +119,10 @@ def _folder(word: str) -> Path:
 
 ROBOT_OPTIONS = tyro.conf.arg(name="robot")
 """The options of a robot have its prefix: ``--robot scout.urdf --robot.max-speed 2``."""
-BACKEND = "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."
+BACKEND = (
+    "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet, or warp for "
+    "several robots."
+)
 """Help of an option that names the backend."""
 
 
@@ -145,12 +148,14 @@ class EnvOptions:
 
     def description(self, policy: Policy | None, backend: str | None) -> EnvConfig:
         """Returns the environment for a policy, in a backend."""
-        from rover_rl.algos.evaluation.evaluate import environment_for
+        from rover_rl.algos.evaluation.evaluate import default_backend, environment_for
 
         config = environment_for(policy, None if self.env is None else read_env(self.env))
         options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
         changes["robot_options"] = self.robot_options
+        if self.env is None and backend is None:
+            changes["backend"] = default_backend(self.robot or config.robot)
         if self.guard != GuardConfig():
             changes["guard"] = self.guard
         return environment_for(policy, replace(config, **changes))

@@ -162,7 +162,7 @@ def make_simulator(
     if len(robots) > 1 and "robots" not in made.capabilities:
         raise ValueError(
             f"several robots in one batch need a backend that simulates them: {simulator} does not state the "
-            "capability 'robots'"
+            "capability 'robots'; use backend='warp', or name one robot"
         )
     return made(worlds, robot, settings, **taken)
 

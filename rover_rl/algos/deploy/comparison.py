@@ -9,12 +9,12 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, input_names
+from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, input_names, robot_numbers
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
-from rover_rl.envs.sensors.suite import policy_sensors
+from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 
 CHECKED = 1000  # number of observations on which an exported policy is compared with the original
 CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
@@ -38,11 +38,13 @@ def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy
         observations = random_observations(checkpoint, CHECKED)
     runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, policy.state_size)
     rows, differences = TensorDict(observations).auto_batch_size_(1), []
+    if ROBOT in checkpoint.config.network.observation:
+        rows[ROBOT] = robot_numbers(checkpoint).expand(len(rows), -1)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         # Only a policy with a state decides on one observation after another.
         expected = torch.cat([runner(part) for part in rows.split(1 if policy.state_size else len(rows))])
         for row, original in zip(rows.split(1), expected, strict=True):
-            action = exported({**row, STATE_IN: state})
+            action = exported({**row.exclude(ROBOT), STATE_IN: state})
             if policy.state_size:
                 action, state = action
             differences.append((action - original).abs().max())

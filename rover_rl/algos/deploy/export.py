@@ -120,8 +120,9 @@ def _write_onnx(program: ExportedProgram, policy: PlainPolicy, settings: str, pa
         import onnxscript  # noqa: F401  (torch.onnx needs it)
     except ImportError as error:
         raise ImportError('export to ONNX needs the extra onnx: pip install "rover_rl[onnx]"') from error
-    # It logs a message for each operator of packages that are not installed.
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    # They log a message for each operator of packages that are not installed, or that is not folded.
+    for logger in ("torch.onnx", "onnxscript"):
+        logging.getLogger(logger).setLevel(logging.ERROR)
     names: dict[str, Any] = {"input_names": policy.inputs, "output_names": policy.outputs}
     with warnings.catch_warnings():
         # PyTorch warns about its own code.

@@ -15,7 +15,9 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE
+from rover_rl.sims.robots import get_robot
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
 ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
@@ -24,20 +26,22 @@ and the function returns the action and ``state_out``."""
 
 
 def input_names(network: NetworkConfig) -> list[str]:
-    """Returns the inputs of an exported policy: in place of ``route``, what it is computed from."""
+    """Returns the inputs of an exported policy: in place of ``route``, what it is computed from, and no ``robot``."""
     with_map = ROUTE in network.observation
     state = [STATE_IN] if with_map or network.memory != "none" else []
     of_map = (*ROUTE_KEYS, BOUNDS) if with_map else ()
-    return [*state, *dict.fromkeys((*(key for key in network.observation if key != ROUTE), *of_map))]
+    return [*state, *dict.fromkeys((*(key for key in network.observation if key not in (ROUTE, ROBOT)), *of_map))]
 
 
 class PlainPolicy(nn.Module):
     """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
 
-    Its ``state_size`` entries of state hold the map of what the lidar has seen, if the policy reads ``route``, and then
-    the state of the memory. ``inputs`` and ``outputs`` are the names of arguments and results.
+    A policy that reads ``robot`` is told the robot of its settings. The ``state_size`` entries of state hold the map of
+    what the lidar has seen, if the policy reads ``route``, and then the state of the memory. ``inputs`` and ``outputs``
+    are the names of arguments and results.
     """
 
+    _robot: Tensor
     _low: Tensor
     _high: Tensor
 
@@ -59,6 +63,8 @@ class PlainPolicy(nn.Module):
         self.state_size = self._map_size + self._memory_size
         self.inputs = input_names(settings)
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
+        if ROBOT in settings.observation:
+            self.register_buffer("_robot", robot_numbers(checkpoint))
         space = action_spec(checkpoint.env.bounded_action).space
         self.register_buffer("_low", space.low)
         self.register_buffer("_high", space.high)
@@ -70,6 +76,8 @@ class PlainPolicy(nn.Module):
             read = (entries[key] for key in (*ROUTE_KEYS, BOUNDS))
             entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read)
             states.append(state)
+        if ROBOT in self._observation:
+            entries[ROBOT] = self._robot.expand(len(inputs[0]), -1)
         observation, bounds = [entries[key] for key in self._observation], []
         if self._memory_size:
             loc, state = self._network(entries[STATE_IN][:, self._map_size :], *observation)
@@ -79,6 +87,11 @@ class PlainPolicy(nn.Module):
         low, high = bounds or (self._low, self._high)
         action = (high + low) / 2 + (high - low) / 2 * torch.tanh(loc)
         return (action, torch.cat(states, -1)) if states else action
+
+
+def robot_numbers(checkpoint: Checkpoint) -> Tensor:
+    """Returns what the sensor ``robot`` tells of a checkpoint's robot, ``[1, 12]``."""
+    return torch.cat(RobotNumbers.of_robot(get_robot(checkpoint.env.robot), torch.zeros(1, 1)), -1)
 
 
 def finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:

@@ -30,13 +30,13 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, PolicyRunner, default_action_repeat
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
-from rover_rl.envs.config import require_match
+from rover_rl.envs.config import RobotLike, require_match
 from rover_rl.envs.groups import first_of_group
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.robots import get_robots
+from rover_rl.sims.robots import get_robots, names_several
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -207,10 +207,16 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
         kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate")
-        return EnvConfig(**{key: getattr(made_for or EnvConfig(), key) for key in kept})
+        settings = {key: getattr(made_for or EnvConfig(), key) for key in kept}
+        return EnvConfig(**settings, backend=default_backend(settings["robot"]))
     if made_for is not None:
         require_match(made_for, env)
     return replace(env, privileged=False)
+
+
+def default_backend(robot: RobotLike) -> str:
+    """Returns the simulator in which policies are compared by default: Bullet, or Warp for several robots."""
+    return "warp" if names_several(robot) else "bullet"
 
 
 @torch.no_grad()

@@ -22,6 +22,7 @@ from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.sims.robots.robot import FULL_VIEW
+from rover_rl.sims.rotations import angle_of
 
 RESERVE = 1.08  # smallest radius of an arc, relative to the robot's, for what steering lags behind
 RADII = (1.0, 2.0, 4.0)  # radii of arcs, in smallest ones
@@ -119,8 +120,8 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
         radius = ratio * body.radius
         for side in (1.0, -1.0):
             aside = radius - side * y
-            distance = torch.hypot(x, aside).clamp(min=1e-6)
-            angle = torch.atan2(x, aside)
+            distance = _length(x, aside).clamp(min=1e-6)
+            angle = angle_of(torch.stack((aside, x), -1))
             inner, outer = radius - wide, radius + wide
             at_side = (inner / distance).clamp(-1, 1).acos()
             at_other = -(outer / distance).clamp(max=1).acos()
@@ -129,9 +130,9 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
             for gear, front, back in ((1.0, ahead, behind), (-1.0, behind, ahead)):
                 entry = torch.minimum(at_side, (front / distance).clamp(max=1).asin())
                 turn = (gear * angle - entry).remainder(_TURN)
-                turn = turn.masked_fill(~reached | (distance > torch.hypot(front, outer)), _TURN)
+                turn = turn.masked_fill(~reached | (distance > _length(front, outer)), _TURN)
                 swing = (gear * angle - at_other).remainder(_TURN)
-                swing = swing.masked_fill(~swung | (distance > torch.hypot(back, outer)), _TURN)
+                swing = swing.masked_fill(~swung | (distance > _length(back, outer)), _TURN)
                 lengths.append((radius * torch.minimum(turn, swing)).amin(-1))
     return torch.stack(lengths, -1)
 
@@ -192,6 +193,11 @@ def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities:
     return torch.cat((forward, (forward * bend / HeadingGains.kp).clamp(-math.pi, math.pi)), -1)
 
 
+def _length(x: Tensor, y: Tensor) -> Tensor:
+    """Returns the length of vectors: torch.hypot, which ONNX does not have."""
+    return (x.square() + y.square()).sqrt()
+
+
 def _in_frame(x: Tensor, y: Tensor, x_frame: Tensor, y_frame: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
     """Returns coordinates in a frame at a place with a heading, of x and y."""
     x, y, cos, sin = x - x_frame, y - y_frame, heading.cos(), heading.sin()
@@ -221,7 +227,7 @@ def _obstructed(
     x_end: Tensor, y_end: Tensor, dx: Tensor, dy: Tensor, x: Tensor, y: Tensor, half_width: Tensor
 ) -> Tensor:
     """Returns whether points are in the lane straight from ends of arcs to places, bool ``[N, A, E]``."""
-    length = torch.hypot(dx, dy).clamp(min=1e-6)
+    length = _length(dx, dy).clamp(min=1e-6)
     ux, uy = dx / length, dy / length
     past, beside = ux * x_end + uy * y_end, ux * y_end - uy * x_end
     x, y = x[:, None, None], y[:, None, None]
@@ -234,12 +240,12 @@ def _obstructed(
 def _arc_and_tangent(ahead: Tensor, aside: Tensor, radius: Tensor) -> Tensor:
     """Returns the cost of the way to places, ``ahead`` and ``aside`` of a pose: an arc and its tangent."""
     across = aside - radius
-    distance = torch.hypot(ahead, across)
+    distance = _length(ahead, across)
     tangent = (distance.square() - radius.square()).clamp(min=0).sqrt()
     # Angle of the arc: of the place around the center of the turn, less that of the tangent.
-    angle = torch.atan2(ahead, -across) - torch.acos((radius / distance.clamp(min=1e-6)).clamp(max=1))
+    angle = angle_of(torch.stack((-across, ahead), -1)) - torch.acos((radius / distance.clamp(min=1e-6)).clamp(max=1))
     angle = angle.remainder(_TURN)
     # Rounding may turn no angle into a whole turn.
     angle = torch.where(angle > _TURN - 1e-3, 0.0, angle)
-    inside = INSIDE * math.pi * radius + torch.hypot(ahead, aside)
+    inside = INSIDE * math.pi * radius + _length(ahead, aside)
     return torch.where(distance < radius, inside, ARC * radius * angle + tangent)

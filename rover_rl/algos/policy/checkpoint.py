@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import Tensor
@@ -12,7 +12,7 @@ from rover_rl.algos.archives import first_not_finite, read_archive, write_archiv
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.networks import actor_of
-from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.config import EnvConfig, RobotLike, require_match
 from rover_rl.files import written_whole
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
@@ -32,6 +32,16 @@ class Checkpoint:
     def env(self) -> EnvConfig:
         """Environment that the policy was made for."""
         return self.config.env
+
+    def for_robot(self, robot: RobotLike) -> Checkpoint:
+        """Returns the policy with the settings of one robot.
+
+        Raises:
+            ValueError: if the policy was made for another robot, or there is none of that name.
+        """
+        env = replace(self.env, robot=robot)
+        require_match(self.env, env)
+        return replace(self, config=replace(self.config, env=env))
 
     def save(self, path: Path) -> None:
         """Writes the checkpoint atomically."""

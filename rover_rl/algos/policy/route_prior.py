@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.data import Bounded
 
+from rover_rl.algos.config import entries_of_driver
 from rover_rl.algos.policy.grid_planner import Follower, follow, follow_in_arcs
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
@@ -64,8 +65,7 @@ class RoutePrior(nn.Module):
     def __init__(self, robot: Robot | None) -> None:
         super().__init__()
         self._robot = robot
-        in_arcs = robot is None or not robot.drive.turns_in_place
-        self.keys = ("lidar", "imu", ROUTE, *(["velocities"] if in_arcs else []), *([ROBOT] if robot is None else []))
+        self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place)
 
     def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
         """Returns the mean before squashing to bounds, ``[..., 2]``, for an observation."""

@@ -83,7 +83,8 @@ def get_robot(robot: RobotSource) -> Robot:
     from rover_rl.sims.robots.robot import Robot
 
     if names_several(robot):
-        raise ValueError(f"{robot!r} names several robots, and one is needed here"[:200])
+        names = f"{robot!r}"[:120]
+        raise ValueError(f"{names} names several robots, and one is needed here: name it, as with --robot jackal")
     if isinstance(robot, (list, tuple)) and robot:
         (robot,) = robot
     if isinstance(robot, Robot):

@@ -20,12 +20,15 @@ from rover_rl.algos.deploy.comparison import random_observations
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
 from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.sims.robots import get_robot
 from tests.algos.deploy.onnx_files import needs_onnx, shapes
 from tests.algos.evaluation.drives import assert_alike
 from tests.algos.policy.memories import recurrent_checkpoint
@@ -68,6 +71,30 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
         (action,) = session.run(None, {key: value[row : row + 1].numpy() for key, value in observations.items()})
         np.testing.assert_allclose(action[0], (low + high) / 2 + (high - low) / 2 * np.tanh(loc), atol=1e-4)
     assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
+
+
+class Car(torch.nn.Module):
+    def forward(self, place: torch.Tensor, length: torch.Tensor, lidar: torch.Tensor, velocities: torch.Tensor):
+        return drive_to(place, length, lidar, velocities, RobotNumbers.of_robot(get_robot("hunter"), lidar))
+
+
+@needs_onnx
+@pytest.mark.slow
+def test_the_driver_of_a_car_acts_in_onnx_as_in_torch(tmp_path):
+    import onnxruntime
+
+    generator = torch.Generator().manual_seed(0)
+    sizes = {"place": 2, "length": 1, "lidar": 64, "velocities": 2}
+    rows = {name: 0.2 + 2 * torch.rand(20, size, generator=generator) for name, size in sizes.items()}
+    rows["lidar"] += 1.0
+    example = tuple(value[:1] for value in rows.values())
+    written = torch.onnx.export(Car().eval(), example, input_names=[*sizes], dynamo=True, verbose=False)
+    written.save(str(tmp_path / "car.onnx"))
+    session, actions = onnxruntime.InferenceSession(str(tmp_path / "car.onnx")), Car()(*rows.values()).numpy()
+    for row, action in enumerate(actions):
+        (told,) = session.run(None, {name: value[row : row + 1].numpy() for name, value in rows.items()})
+        np.testing.assert_allclose(told[0], action, atol=1e-4)
+    assert actions.std(0).min() > 0.1
 
 
 def test_a_program_acts_as_the_original(program_file):

@@ -15,16 +15,15 @@ from rover_rl.algos.config import training_config
 from rover_rl.algos.deploy import comparison
 from rover_rl.algos.deploy.comparison import drive_observations
 from rover_rl.algos.deploy.export import TOLERANCE, OnnxPolicy, export, onnx_function, program_function
+from rover_rl.algos.deploy.plain_policy import robot_numbers
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
-from rover_rl.algos.policy.route_prior import RoutePrior
+from rover_rl.algos.policy.networks import actor_of
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.cli import main
 from rover_rl.envs.seen_map.scans import UNSEEN
 from rover_rl.envs.seen_map.seen_map import BOUNDS
-from rover_rl.sims.robots import get_robot
 from tests.algos.deploy.onnx_files import needs_onnx, shapes
 from tests.algos.evaluation.drives import assert_alike
 
@@ -37,18 +36,24 @@ DECISIONS = 30
 
 
 def routed_checkpoint(memory: str) -> Checkpoint:
-    """A checkpoint of a small network with random weights that reads the route; without memory, it adds to a driver."""
-    prior = "route" if memory == "none" else "none"
-    keys = ("lidar", "imu", "target", "route") if memory == "none" else ("lidar", "target", "route")
+    """A checkpoint of a small network with random weights that reads the route.
+
+    Without memory, it adds to a driver, and has been made for two robots, of which it drives a car.
+    """
+    keys, prior, robot = ("lidar", "target", "route"), "none", {}
+    if memory == "none":
+        keys, prior = ("lidar", "imu", "target", "velocities", "robot", "route"), "route"
+        robot = {"robot": ("leo", "hunter"), "sensors": ("robot",)}
     network = {"observation": keys, "hidden": (16, 8), "memory": memory, "memory_size": UNITS, "prior": prior}
+    config = training_config("ppo", world="maze", **robot, **network)
     torch.manual_seed(0)
-    prior = RoutePrior(get_robot("rover_zero")) if memory == "none" else None
-    actor = make_actor(ObservationEncoder(keys), (16, 8), memory=memory, memory_size=UNITS, prior=prior)
+    actor = actor_of(config)
     # Enlarged, so that its actions differ, and with a preference for driving ahead.
     weights = {name: weight * 2.0 for name, weight in actor.state_dict().items()}
     (last,) = (name for name, weight in weights.items() if weight.shape == (4,))
     weights[last] = torch.tensor([0.8, 0.0, 0.0, 0.0])
-    return Checkpoint(config=training_config("ppo", world="maze", **network), steps=100, actor=weights)
+    checkpoint = Checkpoint(config=config, steps=100, actor=weights)
+    return checkpoint.for_robot("hunter") if robot else checkpoint
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +71,11 @@ def folder(tmp_path_factory) -> Path:
 
 def drive(memory: str) -> list[TensorDict]:
     """The observations of a drive, as a batch of one row each."""
-    return list(TensorDict(drive_observations(routed_checkpoint(memory), DECISIONS), [DECISIONS]).split(1))
+    checkpoint = routed_checkpoint(memory)
+    observations = TensorDict(drive_observations(checkpoint, DECISIONS), [DECISIONS])
+    if memory == "none":
+        observations["robot"] = robot_numbers(checkpoint).expand(DECISIONS, -1)
+    return list(observations.split(1))
 
 
 def actions_of(policy, observations: list[TensorDict]) -> Tensor:
@@ -100,7 +109,7 @@ def test_a_program_acts_as_the_original_over_an_episode(folder):
     observations, act, state = drive("none")[:10], program_function(folder / "none.pt2"), torch.zeros(1, MAP)
     actions = []
     for observation in observations:
-        action, state = act({**observation, "state_in": state})
+        action, state = act({**observation.exclude("robot"), "state_in": state})
         actions.append(action)
     assert_same(torch.cat(actions), actions_of(routed_checkpoint("none").make_actor(), observations))
     observations[0][BOUNDS][0, 2] = torch.inf
