@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
-from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
@@ -290,7 +291,8 @@ class TrainingConfig:
 
         network, robots = self.network, get_robots(self.env.robot)
         tells_robot = ROBOT in network.observation or len(robots) > 1
-        *most, last = entries_of_driver(tells_robot, all(robot.drive.turns_in_place for robot in robots))
+        in_place = all(robot.drive.turns_in_place for robot in robots)
+        *most, last = entries_of_driver(tells_robot, in_place, network.observation)
         if network.memory != "none" or not {*most, last} <= {*network.observation}:
             raise ValueError(
                 f"prior='route' needs {', '.join(most)} and {last} in observation and memory='none', got "
@@ -344,15 +346,17 @@ _COUNTS = (
 )
 
 
-def entries_of_driver(tells_robot: bool, turns_in_place: bool) -> tuple[str, ...]:
+def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequence[str]) -> tuple[str, ...]:
     """Returns the entries that the driver of ``prior="route"`` reads.
 
     Args:
         tells_robot: whether the observation tells the robot, which may be any.
         turns_in_place: whether all robots turn in place. Others drive in arcs, which begin at their speed.
+        observation: entries that the policy reads. If it reads where scans were taken, the driver does, too.
     """
+    late = [SCAN_POSE] if SCAN_POSE in observation else []
     in_arcs = tells_robot or not turns_in_place
-    return ("lidar", "imu", *(["velocities"] if in_arcs else []), *([ROBOT] if tells_robot else []), ROUTE)
+    return ("lidar", "imu", *(["velocities"] if in_arcs else []), *late, *([ROBOT] if tells_robot else []), ROUTE)
 
 
 _POSITIVE = (

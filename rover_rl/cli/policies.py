@@ -140,6 +140,9 @@ class EnvOptions:
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     guard: GuardConfig = field(default_factory=GuardConfig)
     """Emergency brake. Default: that of --env."""
+    compensate_delay: bool = False
+    """Carry late pose, heading and velocities on to now (docs/randomization.md). Default: as --env says, else as in the
+    training of the policy."""
 
     @property
     def given_robot(self) -> str | None:
@@ -158,6 +161,8 @@ class EnvOptions:
             changes["backend"] = default_backend(self.robot or config.robot)
         if self.guard != GuardConfig():
             changes["guard"] = self.guard
+        if self.compensate_delay:
+            changes["compensate_delay"] = True
         return environment_for(policy, replace(config, **changes))
 
 

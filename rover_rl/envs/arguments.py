@@ -64,6 +64,7 @@ class EnvSettings(TypedDict, total=False):
     guard: GuardConfig | None
     randomization: Randomization | None
     action: ActionConfig | None
+    compensate_delay: bool
     outcome_from: OutcomeSource
     privileged: bool
     world: WorldLike | None

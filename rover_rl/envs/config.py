@@ -534,6 +534,9 @@ class EnvConfig:
     """Emergency brake."""
     randomization: Randomization = field(default_factory=Randomization)
     """Domain randomization."""
+    compensate_delay: bool = False
+    """Carry late pose, heading and velocities on to now, by the commands sent since and the limits of the drive. Late
+    scans then tell where they were taken from there."""
     outcome_from: OutcomeSource = "truth"
     """State that events, rewards and metrics are computed from: truth (of the simulator) or sensors (with noise)."""
     privileged: bool = False

@@ -131,8 +131,8 @@ class SensorDelays:
 
     def poses(
         self, pose: SensedPose, euler: Tensor, steps: Tensor, stamped: tuple[Tensor, Tensor] | None = None
-    ) -> tuple[SensedPose, Tensor]:
-        """Stores the sensed pose, and returns the one that is known, and where the known scan was taken from it.
+    ) -> tuple[Tensor, Tensor]:
+        """Stores the sensed pose, and returns the one that is known, and the one at which the known scan was taken.
 
         Args:
             pose: pose that the sensors report, without delay.
@@ -142,8 +142,7 @@ class SensorDelays:
                 whose stamps tell. ``None``: those at which this object let them scan.
 
         Returns:
-            The late pose, and the pose of the scan relative to it, ``[N, 6]``: ahead, left and up (m), pitch, roll, and
-            the change of the heading (rad). Pitch and roll are those of the scan.
+            Both poses: x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]`` each.
         """
         now = torch.cat((pose.position, euler[:, 1:2], euler[:, :1], pose.yaw), -1)
         if stamped is None:
@@ -153,7 +152,7 @@ class SensorDelays:
             self._scan_pose = torch.cat((stamped[0], pitch, roll, yaw), -1)
         known = self.late("known pose", now, steps, self.state)
         scan = self.late("pose of the scan", self._scan_pose, steps, self.scan)
-        return SensedPose(known[:, :3], known[:, 5:]), relative_pose(known, scan)
+        return known, scan
 
     def late(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
         """Returns a value as it arrives: see :class:`DelayLine`."""
@@ -161,7 +160,10 @@ class SensorDelays:
 
 
 def relative_pose(known: Tensor, scan: Tensor) -> Tensor:
-    """Returns a pose relative to a known one, both (x, y, z, pitch, roll, yaw): see :class:`SensorDelays`."""
+    """Returns the pose of a scan relative to a known one: ahead, left and up (m), pitch, roll, and the turn (rad).
+
+    Both are those of :meth:`SensorDelays.poses`. Pitch and roll are those of the scan.
+    """
     (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
     pitch, roll = scan[:, 3:5].split(1, -1)
     cos, sin = known[:, 5:].cos(), known[:, 5:].sin()

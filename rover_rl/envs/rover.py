@@ -19,12 +19,13 @@ from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController, checked_action, checked_place
-from rover_rl.envs.delays import CommandDelay, SensorDelays
+from rover_rl.envs.delays import CommandDelay, SensorDelays, relative_pose
 from rover_rl.envs.emergency_brake import EmergencyBrake
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.groups import Groups, first_of_group
 from rover_rl.envs.perception import Localization, Perception, SensedPose, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
+from rover_rl.envs.prediction import Prediction
 from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.row_limits import RowLimits
 from rover_rl.envs.row_robots import RowRobots
@@ -231,6 +232,8 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         delays = config.randomization, config.lidar.period, self.num_envs, device
         self.delays = SensorDelays(*delays) if config.late_scans else None
+        late = config.compensate_delay and config.randomization.state_latency[1] > 0
+        self._prediction = Prediction(self.fleet, self.control_dt, config.randomization) if late else None
         self._known_scan: Tensor | None = None
         self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
@@ -475,6 +478,8 @@ class RoverEnv(EnvBase):
             self.delays.begin(self._keys)
         if self._limits is not None:
             self._limits.begin(mask, self._keys)
+        if self._prediction is not None:
+            self._prediction.begin(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), rows, steps)
         self.controller.reset(mask)
@@ -540,6 +545,8 @@ class RoverEnv(EnvBase):
             command = self._brake(command, sensed.ranges if self._known_scan is None else self._known_scan)
         if self._limits is not None:
             command = self._limits(command, sensed.rover.dt, active)
+        if self._prediction is not None:
+            self._prediction.follow(command, self._state.task.steps, sensed.rover.dt, active)
         command = self._delay(command, self._state.task.steps)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
@@ -605,11 +612,15 @@ class RoverEnv(EnvBase):
     def _observation(self, rows: Tensor) -> dict[str, Any]:
         """Returns the observation, in which ``rows`` (bool ``[N]``) are new."""
         state, goal = self._state, self._state.task.goal
-        known, scan_pose = state.pose, None
+        position, yaw, scan_pose, predicted = state.pose.position, state.pose.yaw, None, {}
         if self.delays is not None:
             steps = state.task.steps
             stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedScans) else None
-            known, scan_pose = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
+            known, scan = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
+            if self._prediction is not None:
+                known, velocities = self._predicted(self._prediction, known)
+                predicted = {"pose": known[:, :3], "imu": known[:, 3:], "velocities": velocities}
+            position, yaw, scan_pose = known[:, :3], known[:, 5:], relative_pose(known, scan)
             if self._brake is not None:
                 self._known_scan = self.delays.late("scan", state.sensed.ranges, steps, self.delays.scan)
         same = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
@@ -617,13 +628,14 @@ class RoverEnv(EnvBase):
             truth=state.truth,
             sensed=state.sensed,
             pose=state.pose,
-            target=state.task.target if same else target_info(known.position[:, :2], known.yaw, goal),
+            target=state.task.target if same else target_info(position[:, :2], yaw, goal),
             steps=state.task.steps,
             keys=self._keys,
             surroundings=self._surroundings,
             bounds=self.placement.bounds,
             rows=rows,
             scan_pose=scan_pose,
+            predicted=predicted,
         )
         observation: dict[str, Any] = self._observer(inputs, self.delays)
         if self._privileged is not None:
@@ -631,6 +643,13 @@ class RoverEnv(EnvBase):
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps
             )
         return observation
+
+    def _predicted(self, prediction: Prediction, known: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the present pose ``[N, 6]`` and velocities ``[N, 2]`` for the ``known`` pose, which may be late."""
+        assert self.delays is not None
+        rover, steps, delay = self._state.sensed.rover, self._state.task.steps, self.delays.state
+        velocities = torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
+        return prediction(known, self.delays.late("velocities", velocities, steps, delay), steps, delay)
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:
         """Creates the result of a reset or step from rows, without the batch dimension if unbatched."""

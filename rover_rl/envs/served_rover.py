@@ -40,7 +40,8 @@ class ServedRover:
     def __init__(self, config: EnvConfig) -> None:
         lidar = replace(config.lidar, points=min(config.lidar.points, config.lidar.beams), period=1)
         one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
-        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig(), "privileged": False}
+        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig()}
+        plain |= {"privileged": False, "compensate_delay": False}
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE,)))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)

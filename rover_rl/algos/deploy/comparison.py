@@ -12,8 +12,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, input_names, robot_numbers
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
+from rover_rl.envs.sensors.scan_pose import scan_pose_now
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 
 CHECKED = 1000  # number of observations on which an exported policy is compared with the original
@@ -87,6 +89,10 @@ def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     bearing = torch.remainder(torch.atan2(offset[:, 1], offset[:, 0]) - yaw + math.pi, 2 * math.pi) - math.pi
     observations["target"] = torch.stack((offset.norm(dim=-1), bearing), -1)
     observations["lidar"] = _readings(checkpoint, position, yaw, generator)
+    if SCAN_POSE in observations:
+        # The rover has moved on since the scan.
+        observations[SCAN_POSE] = scan_pose_now(observations["imu"])
+        observations[SCAN_POSE][:, [0, 5]] += torch.stack((-0.1 * time.cos().abs(), 0.1 * time.sin()), -1)
     observations[BOUNDS] = torch.tensor((-_YARD, -_YARD, _YARD, _YARD)).repeat(count, 1)
     return observations
 

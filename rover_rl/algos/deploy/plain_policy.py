@@ -14,6 +14,7 @@ from rover_rl.algos.config import NetworkConfig
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.recurrent import RecurrentStep
+from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE
@@ -74,7 +75,7 @@ class PlainPolicy(nn.Module):
         entries, states = dict(zip(self.inputs, inputs, strict=True)), []
         if self._map is not None:
             read = (entries[key] for key in (*ROUTE_KEYS, BOUNDS))
-            entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read)
+            entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read, entries.get(SCAN_POSE))
             states.append(state)
         if ROBOT in self._observation:
             entries[ROBOT] = self._robot.expand(len(inputs[0]), -1)

@@ -207,7 +207,7 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
         kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate")
-        settings = {key: getattr(made_for or EnvConfig(), key) for key in kept}
+        settings = {key: getattr(made_for or EnvConfig(), key) for key in (*kept, "compensate_delay")}
         return EnvConfig(**settings, backend=default_backend(settings["robot"]))
     if made_for is not None:
         require_match(made_for, env)

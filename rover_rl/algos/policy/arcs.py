@@ -137,7 +137,14 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
     return torch.stack(lengths, -1)
 
 
-def drive_to(place: Tensor, length: Tensor, lidar: Tensor, velocities: Tensor, robot: RobotNumbers) -> Tensor:
+def drive_to(
+    place: Tensor,
+    length: Tensor,
+    lidar: Tensor,
+    velocities: Tensor,
+    robot: RobotNumbers,
+    scan_pose: Tensor | None = None,
+) -> Tensor:
     """Returns the actions of robots that drive to places, ``[N, 2]``: forward speed (m/s) and heading offset (rad).
 
     Args:
@@ -146,11 +153,13 @@ def drive_to(place: Tensor, length: Tensor, lidar: Tensor, velocities: Tensor, r
         lidar: lidar readings, ``[N, points]``, m. What no beam covers is taken to be free.
         velocities: forward speed (m/s) and yaw rate (rad/s) of the robots, ``[N, 2]``.
         robot: values of the sensor ``robot``, ``[N, 1]`` each.
+        scan_pose: where the scan was taken, ``[N, 6]``. ``None``: where the rover is.
     """
     points = lidar.shape[-1]
     if points > POINTS and points % POINTS == 0:
         lidar = lidar.unflatten(-1, (POINTS, points // POINTS)).amin(-1)
-    return drive_among(place, length, *hit_points(lidar, robot.lidar_x), velocities, Body.of(robot))
+    x, y = hit_points(lidar, robot.lidar_x, scan_pose=scan_pose)
+    return drive_among(place, length, x, y, velocities, Body.of(robot))
 
 
 def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities: Tensor, body: Body) -> Tensor:

@@ -153,7 +153,11 @@ def _way(lidar: Tensor, target: Tensor, lidar_offset: float, lane: Lane) -> Tens
 
 
 def drive_towards(
-    direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET, lane: Lane = _ROVER_ZERO
+    direction: Tensor,
+    lidar: Tensor,
+    lidar_offset: float = LIDAR_OFFSET,
+    lane: Lane = _ROVER_ZERO,
+    scan_pose: Tensor | None = None,
 ) -> Tensor:
     """Computes the action of a careful driver that follows a direction.
 
@@ -165,12 +169,13 @@ def drive_towards(
         lidar: lidar readings, ``[N, points]``, m.
         lidar_offset: distance of the lidar in front of the rover's center, m.
         lane: distances of the robot.
+        scan_pose: where the scan was taken, ``[N, 6]``, for the lane ahead. ``None``: where the rover is.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
     angle = wrap_angle(direction)
-    free = _free_lane(lidar, torch.zeros_like(angle), lidar_offset, lane.half_width)
+    free = _free_lane(lidar, torch.zeros_like(angle), lidar_offset, lane.half_width, scan_pose)
     speed = angle.cos().clamp(min=0) * ((free - lane.stop) / SLOW).clamp(0, 1)
     quarter = lidar.shape[-1] // 4
     front = torch.cat((lidar[:, :quarter], lidar[:, -quarter:]), -1).amin(-1, keepdim=True)
@@ -179,9 +184,11 @@ def drive_towards(
     return torch.cat((speed, (lane.turn * angle).clamp(-math.pi, math.pi)), -1)
 
 
-def _free_lane(lidar: Tensor, directions: Tensor, lidar_offset: float, half_width: float) -> Tensor:
+def _free_lane(
+    lidar: Tensor, directions: Tensor, lidar_offset: float, half_width: float, scan_pose: Tensor | None = None
+) -> Tensor:
     """Free length of the lane from the rover's center in each of ``directions [N, H]``: ``[N, H]``, m."""
-    x, y = (value[..., None] for value in hit_points(lidar, lidar_offset))
+    x, y = (value[..., None] for value in hit_points(lidar, lidar_offset, scan_pose=scan_pose))
     cos, sin = directions.cos()[:, None], directions.sin()[:, None]
     ahead, aside = x * cos + y * sin, y * cos - x * sin
     return ahead.masked_fill((ahead < 0) | (aside.abs() > half_width), math.inf).amin(1)

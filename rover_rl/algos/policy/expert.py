@@ -13,7 +13,7 @@ from torch import Tensor
 from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
 from rover_rl.algos.policy.grid_planner import AHEAD, SHARP, SLOPE, SLOPE_SPEED
-from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
@@ -41,6 +41,10 @@ STRIDE = 0.4  # length of the steps along the path to the place that arcs lead t
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
 
+READ = ("pose", "imu", "target", "lidar", "velocities", "outcome")
+"""Entries of an observation that the expert reads, beside ``scan_pose`` where scans can be late."""
+
+
 class PrivilegedExpert:
     """Expert that follows the shortest free path, which it computes from the map and the pose.
 
@@ -61,7 +65,7 @@ class PrivilegedExpert:
     def action(self, observation: TensorDictBase) -> Tensor:
         """Returns actions ``[N, ..., 2]`` for observations ``[N, ...]``: forward speed (m/s), heading offset (rad)."""
         shape = observation.batch_size
-        rows = observation.select("pose", "imu", "target", "lidar", "velocities", "outcome").flatten()
+        rows = observation.select(*READ, SCAN_POSE, strict=False).flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
         if not self._robot.drive.turns_in_place:
             return self._in_arcs(rows, position, fields).reshape(*shape, 2)
@@ -72,9 +76,10 @@ class PrivilegedExpert:
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
-        careful = drive_towards(turn, rows["lidar"], self._lidar, lane=self._lane)
+        scan = rows["lidar"], self._lidar, self._lane, rows.get(SCAN_POSE, None)
+        careful = drive_towards(turn, *scan)
         sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
-        on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"], self._lidar, self._lane)
+        on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], *scan)
         careful = torch.where(sloped, on_slope, careful)
         through = _pass_through(
             wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped, self._lane.turn
@@ -95,7 +100,7 @@ class PrivilegedExpert:
         ahead = torch.cat((away[:, :1] * cos + away[:, 1:] * sin, away[:, 1:] * cos - away[:, :1] * sin), -1)
         length = self._distances.along(fields, position)[0][:, None]
         numbers = RobotNumbers.of_robot(self._robot, rows["lidar"])
-        return drive_to(ahead, length, rows["lidar"], rows["velocities"], numbers)
+        return drive_to(ahead, length, rows["lidar"], rows["velocities"], numbers, rows.get(SCAN_POSE, None))
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""
@@ -119,7 +124,7 @@ class MapExpert(TensorDictModuleBase):
             # Of its arcs, the expert drops those on which the body would touch what the lidar sees.
             lidar = replace(lidar, points=lidar.beams)
         self.made_for = EnvConfig(robot=robot, lidar=lidar)
-        self.in_keys = ["pose", "imu", "target", "lidar", "velocities", "outcome"]
+        self.in_keys = [*READ]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None
 
@@ -134,13 +139,15 @@ class MapExpert(TensorDictModuleBase):
         return tensordict.set("action", self._expert.action(tensordict))
 
 
-def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor, lidar_offset: float, lane: Lane) -> Tensor:
+def _drive_on_slope(
+    turn: Tensor, rate: Tensor, lidar: Tensor, lidar_offset: float, lane: Lane, scan_pose: Tensor | None
+) -> Tensor:
     """Returns the actions ``[M, 2]`` of a rover on a slope, where it slides while it turns on the spot.
 
     ``turn [M, 1]`` is the angle to the direction of the path, rad, and ``rate [M, 1]`` the wheels' yaw rate, rad/s.
     """
     overshoot = OVERSHOOT * rate * rate.abs()
-    speed, offset = drive_towards(turn - overshoot, lidar, lidar_offset, lane=lane).split(1, -1)
+    speed, offset = drive_towards(turn - overshoot, lidar, lidar_offset, lane, scan_pose).split(1, -1)
     tail = wrap_angle(turn + math.pi)
     speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed.clamp(min=SLOPE_SPEED))
     speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.scan import hit_points
-from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -55,9 +55,9 @@ class GridPlanner(TensorDictModuleBase):
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
     The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds,
-    and for a robot that does not turn in place ``velocities``. It plans every ``trained_action_repeat`` steps.
-    ``made_for`` is the environment that it drives in, with ``robot``, one lidar reading for each beam, and episodes
-    that end when the body touches an obstacle.
+    for a robot that does not turn in place ``velocities``, and where scans can be late ``scan_pose``. It plans every
+    ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``, one lidar
+    reading for each beam, and episodes that end when the body touches an obstacle.
     """
 
     trained_action_repeat = 4
@@ -75,13 +75,16 @@ class GridPlanner(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
+        scan_pose = tensordict.get(SCAN_POSE, None)
         if self._robot.drive.turns_in_place:
-            return tensordict.set("action", follow(lidar, imu, route, Follower.of(self._robot)))
-        numbers = RobotNumbers.of_robot(self._robot, lidar)
-        return tensordict.set("action", follow_in_arcs(lidar, imu, route, tensordict["velocities"], numbers))
+            return tensordict.set("action", follow(lidar, imu, route, Follower.of(self._robot), scan_pose))
+        numbers, velocities = RobotNumbers.of_robot(self._robot, lidar), tensordict["velocities"]
+        return tensordict.set("action", follow_in_arcs(lidar, imu, route, velocities, numbers, scan_pose))
 
 
-def follow_in_arcs(lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, robot: RobotNumbers) -> Tensor:
+def follow_in_arcs(
+    lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, robot: RobotNumbers, scan_pose: Tensor | None = None
+) -> Tensor:
     """Computes the action of robots that cannot turn in place, which follow their routes in arcs.
 
     It begins the arc from which the way to a place on the route ahead is the shortest. From a slope that is too steep,
@@ -93,12 +96,13 @@ def follow_in_arcs(lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor
         route: route, ``[N, 5]``.
         velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
         robot: values of the sensor ``robot``, ``[N, 1]`` each.
+        scan_pose: where the scan was taken, ``[N, 6]``. ``None``: where the rover is.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
     place = way_point(route, AHEAD * robot.min_radius)
-    action = drive_to(place, route[:, 4:], lidar, velocities, robot)
+    action = drive_to(place, route[:, 4:], lidar, velocities, robot, scan_pose)
     steep = imu[:, :1] < -STEEP
     return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 
@@ -126,7 +130,7 @@ class Follower(NamedTuple):
         return cls(outline.front, outline.back, outline.half_width, robot.lidar_position[0], turn_gain(robot))
 
 
-def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower) -> Tensor:
+def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower, scan_pose: Tensor | None = None) -> Tensor:
     """Computes the action of a rover that follows its route.
 
     The heading offset is twice the angle to the first corner of the route for Rover Zero, and less for a robot that
@@ -139,12 +143,13 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower) -> Tensor
         imu: pitch, roll and yaw, ``[..., 3]``, rad.
         route: route, ``[..., 5]``.
         robot: robots whose footprint must stay free, and which turn in place.
+        scan_pose: where the scan was taken, ``[..., 6]``. ``None``: where the rover is.
 
     Returns:
         Action ``[..., 2]``: forward speed (m/s) and heading offset (rad).
     """
     angle = route[..., 1:2]
-    x, y = hit_points(lidar, robot.lidar_x)
+    x, y = hit_points(lidar, robot.lidar_x, scan_pose=scan_pose)
     aside = y.abs() > robot.half_width + MARGIN
     ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - robot.front
     behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + robot.back

@@ -155,7 +155,9 @@ def actor_of(
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
     by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation
-    prior = None if network.prior == "none" else RoutePrior(None if by_robot else get_robot(env.robot))
+    prior = None
+    if network.prior != "none":
+        prior = RoutePrior(None if by_robot else get_robot(env.robot), network.observation)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
     return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot)
 

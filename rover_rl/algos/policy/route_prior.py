@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +10,7 @@ from torchrl.data import Bounded
 
 from rover_rl.algos.config import entries_of_driver
 from rover_rl.algos.policy.grid_planner import Follower, follow, follow_in_arcs
-from rover_rl.envs.config import HeadingGains
+from rover_rl.envs.config import SCAN_POSE, HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE
 from rover_rl.sims.robots import Robot
@@ -52,6 +52,7 @@ class RoutePrior(nn.Module):
 
     Args:
         robot: robot that drives. ``None``: those that the sensor ``robot`` tells.
+        observation: entries that the policy reads. With ``scan_pose``, the driver reads where scans were taken.
 
     Attributes:
         keys: entries of the observation that the driver reads.
@@ -62,10 +63,10 @@ class RoutePrior(nn.Module):
     """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
     driver does in rare places, such as backing out of a dead end, and gets stuck there."""
 
-    def __init__(self, robot: Robot | None) -> None:
+    def __init__(self, robot: Robot | None, observation: Sequence[str] = ()) -> None:
         super().__init__()
         self._robot = robot
-        self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place)
+        self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place, observation)
 
     def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
         """Returns the mean before squashing to bounds, ``[..., 2]``, for an observation."""
@@ -77,16 +78,17 @@ class RoutePrior(nn.Module):
         """Returns the action of the driver, ``[..., 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (entry[key] for key in ("lidar", "imu", ROUTE))
         if self._robot is not None and self._robot.drive.turns_in_place:
-            return follow(lidar, imu, route, Follower.of(self._robot))
-        rows = (lidar, imu, route, entry["velocities"])
-        lidar, imu, route, velocities = (value.reshape(-1, value.shape[-1]) for value in rows)
+            scan_pose = entry[SCAN_POSE] if SCAN_POSE in self.keys else None
+            return follow(lidar, imu, route, Follower.of(self._robot), scan_pose)
+        rows = {key: entry[key].reshape(-1, entry[key].shape[-1]) for key in self.keys}
+        lidar, imu, route, scan_pose = rows["lidar"], rows["imu"], rows[ROUTE], rows.get(SCAN_POSE)
         if self._robot is None:
-            robot = RobotNumbers.of(entry[ROBOT].reshape(-1, entry[ROBOT].shape[-1]))
+            robot = RobotNumbers.of(rows[ROBOT])
         else:
             robot = RobotNumbers.of_robot(self._robot, lidar)
-        action = follow_in_arcs(lidar, imu, route, velocities, robot)
+        action = follow_in_arcs(lidar, imu, route, rows["velocities"], robot, scan_pose)
         if self._robot is None:
             turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
             follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
-            action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower))
+            action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower, scan_pose))
         return action.reshape(*entry["lidar"].shape[:-1], 2)

@@ -8,11 +8,22 @@ import torch
 from torch import Tensor
 
 
-def hit_points(lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5) -> tuple[Tensor, Tensor]:
+def hit_points(
+    lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5, scan_pose: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """Returns x and y of the points that readings of a lidar hit, in the base frame, ``[..., points]`` each, m.
 
-    A reading is taken to come from ``middle`` in its segment, a share of the segment.
+    Args:
+        lidar: lidar readings, ``[..., points]``, m.
+        lidar_offset: distance of the lidar in front of the base, m.
+        middle: where in its segment a reading is taken to come from, a share of the segment.
+        scan_pose: where the scan was taken, ``[..., 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
+            ``None``: where the rover is.
     """
     points = lidar.shape[-1]
     angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)
-    return lidar * angles.cos() + lidar_offset, lidar * angles.sin()
+    x, y = lidar * angles.cos() + lidar_offset, lidar * angles.sin()
+    if scan_pose is None:
+        return x, y
+    ahead, left, turn = scan_pose[..., :1], scan_pose[..., 1:2], scan_pose[..., 5:]
+    return ahead + x * turn.cos() - y * turn.sin(), left + x * turn.sin() + y * turn.cos()

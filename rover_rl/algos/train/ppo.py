@@ -40,6 +40,7 @@ from rover_rl.algos.policy.networks import (
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
+from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.sensors.base import Sensor
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import get_robot
@@ -150,7 +151,9 @@ def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
     robot = get_robot(config.env.robot)
     if config.algorithm.expert == "route":
         follower = Follower.of(robot)
-        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], follower)
+        return lambda decisions: follow(
+            decisions["lidar"], decisions["imu"], decisions[ROUTE], follower, decisions.get(SCAN_POSE, None)
+        )
     return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action
 
 

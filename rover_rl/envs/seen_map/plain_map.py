@@ -45,6 +45,7 @@ from rover_rl.envs.seen_map.scans import (
     relative_route,
     route_in_meters,
 )
+from rover_rl.envs.sensors.scan_pose import pose_of_scan
 
 _WINDOW = (SIZE, SIZE)
 _DIGITS = (1.0, 16.0, 256.0, 4096.0, 65536.0)
@@ -71,7 +72,14 @@ class PlainSeenMap(nn.Module):
         self._unit = map_unit(robot)
 
     def forward(
-        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, target: Tensor, bounds: Tensor
+        self,
+        state: Tensor,
+        lidar: Tensor,
+        pose: Tensor,
+        imu: Tensor,
+        target: Tensor,
+        bounds: Tensor,
+        scan_pose: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Adds a scan and plans the route.
 
@@ -83,14 +91,19 @@ class PlainSeenMap(nn.Module):
             imu: pitch, roll and yaw, ``[1, 3]``, rad.
             target: distance (m) and relative angle (rad) of the goal, ``[1, 2]``.
             bounds: lower x and y and upper x and y of the area that the routes stay in, ``[1, 4]``, m.
+            scan_pose: where the scan was taken, ``[1, 6]``. ``None``: where the rover is.
 
         Returns:
             The route, ``[1, 5]``, as ``SeenMap`` returns it, and the next state.
         """
+        taken = None
+        if scan_pose is not None:
+            position, attitude = pose_of_scan(pose, imu, scan_pose)
+            taken = position / self._unit, attitude
         lidar, pose, target = in_units(self._unit, lidar, pose, target)
         bounds = bounds / self._unit
         before = state[:, : sum(STATE)]
-        scan, rover = self._reader(before, lidar, pose, imu)
+        scan, rover = self._reader(before, lidar, pose, imu, taken=taken)
         codes, heights = _moved(state[0, sum(STATE) :].reshape(2, *_WINDOW), scan.center[0] - before[0, :2])
         codes = torch.where(scan.cleared, 0.0, codes)
         ground = scan.ground[0]

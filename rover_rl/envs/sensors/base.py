@@ -111,6 +111,7 @@ class SensorInput:
         rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.
         scan_pose: where the scan was taken, ``[N, 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
             ``None`` if nothing reads it.
+        predicted: entries that are not read, as they are predicted: see :mod:`rover_rl.envs.prediction`.
         observation: entries of the sensors that have been read before in this step.
     """
 
@@ -124,6 +125,7 @@ class SensorInput:
     bounds: Tensor
     rows: Tensor
     scan_pose: Tensor | None = None
+    predicted: Mapping[str, Tensor] = field(default_factory=dict)
     observation: dict[str, Tensor] = field(default_factory=dict)
 
     def due(self, period: int) -> Tensor:
@@ -285,9 +287,12 @@ class Observer:
             ValueError: if a reading does not fit the bounds of its sensor.
         """
         for key, sensor in self._sensors.items():
-            value = (self._read if sensor.period == 1 else self._held_or_read)(key, inputs)
-            if delays is not None and sensor.delayed is not None:
-                value = delays.late(key, value, inputs.steps, getattr(delays, sensor.delayed))
+            if key in inputs.predicted:
+                value = self._clipped(key, inputs.predicted[key])
+            else:
+                value = (self._read if sensor.period == 1 else self._held_or_read)(key, inputs)
+                if delays is not None and sensor.delayed is not None:
+                    value = delays.late(key, value, inputs.steps, getattr(delays, sensor.delayed))
             inputs.observation[key] = value
         self._is_checked = True
         return inputs.observation
@@ -298,6 +303,9 @@ class Observer:
         if not self._is_checked and (value.shape != shape or value.dtype != torch.float32):
             got = f"{value.dtype} {(*value.shape,)}"
             raise ValueError(f"sensor {key!r} must read float32 {shape} by its bounds, got {got}")
+        return self._clipped(key, value)
+
+    def _clipped(self, key: str, value: Tensor) -> Tensor:
         return value.clamp(*self._limits[key]) if key in self._limits else value
 
     def _held_or_read(self, key: str, inputs: SensorInput) -> Tensor:

@@ -54,8 +54,13 @@ def taken_at(observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor] | None:
     relative = observation.get(SCAN_POSE, None)
     if relative is None:
         return None
-    pose, imu = observation["pose"], observation["imu"]
+    return pose_of_scan(observation["pose"], observation["imu"], relative)
+
+
+def pose_of_scan(pose: Tensor, imu: Tensor, relative: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns what :func:`taken_at` does, of the entries ``pose``, ``imu`` and ``scan_pose``."""
     ahead, left, up, pitch, roll, turn = relative.split(1, -1)
-    cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
+    yaw = imu[..., 2:]
+    cos, sin = yaw.cos(), yaw.sin()
     position = pose + torch.cat((cos * ahead - sin * left, sin * ahead + cos * left, up), -1)
-    return position, torch.cat((pitch, roll, wrap_angle(imu[:, 2:] + turn)), -1)
+    return position, torch.cat((pitch, roll, wrap_angle(yaw + turn)), -1)

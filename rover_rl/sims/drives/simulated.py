@@ -68,6 +68,10 @@ class SimulatedDrives:
         self._set_point, self._stamp = set_point, stamp
         return targets
 
+    def odometry(self, joints: Joints) -> Tensor:
+        """Returns the twists that joints report: see :meth:`Drive.odometry`."""
+        return self._drive.odometry(joints)
+
     def state(self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None) -> RoverState:
         """Returns the state of the rovers.
 
@@ -78,7 +82,7 @@ class SimulatedDrives:
             mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
         """
         joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
-        twist = self._drive.odometry(joints)
+        twist = self.odometry(joints)
         optional = {"contact": contact, "mover_contact": mover_contact}
         if self._drive.sideways:
             optional["lateral_velocity"] = twist[:, 2:]

@@ -38,11 +38,12 @@ DECISIONS = 30
 def routed_checkpoint(memory: str) -> Checkpoint:
     """A checkpoint of a small network with random weights that reads the route.
 
-    Without memory, it adds to a driver, and has been made for two robots, of which it drives a car.
+    Without memory, it adds to a driver, reads where scans were taken, and has been made for two robots, of which it
+    drives a car.
     """
     keys, prior, robot = ("lidar", "target", "route"), "none", {}
     if memory == "none":
-        keys, prior = ("lidar", "imu", "target", "velocities", "robot", "route"), "route"
+        keys, prior = ("lidar", "imu", "target", "velocities", "scan_pose", "robot", "route"), "route"
         robot = {"robot": ("leo", "hunter"), "sensors": ("robot",)}
     network = {"observation": keys, "hidden": (16, 8), "memory": memory, "memory_size": UNITS, "prior": prior}
     config = training_config("ppo", world="maze", **robot, **network)

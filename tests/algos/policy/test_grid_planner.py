@@ -12,6 +12,7 @@ from torch import Tensor
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow, way_point
 from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import TaskConfig
 from rover_rl.sims.robots import get_robot
 from tests.fleet import racer
@@ -66,6 +67,17 @@ def test_in_front_of_a_wall_it_slows_down() -> None:
         for distance in (3.0, 0.5, 0.3, 0.1)
     ]
     assert speeds == sorted(speeds, reverse=True)
+
+
+def test_a_late_scan_counts_where_it_was_taken() -> None:
+    """Since the scan of a wall 0.9 m straight ahead, the rover has driven 0.6 m and turned by 0.5 rad."""
+    lidar, mount, turned = wall(0.9, 0.0), ROBOT.lidar_position[0], torch.tensor(0.5)
+    scan_pose = torch.tensor([-0.6 * turned.cos(), 0.6 * turned.sin(), 0.0, 0.0, 0.0, -turned])
+    x, y = hit_points(lidar, mount, scan_pose=scan_pose)
+    away = (x * turned.cos() - y * turned.sin())[lidar < 12]
+    torch.testing.assert_close(away, torch.full_like(away, mount + 0.9 - 0.6))
+    stale, moved = (follow(lidar, LEVEL, route(0.0), Follower.of(ROBOT), pose)[0] for pose in (None, scan_pose))
+    assert moved < 0.5 < stale
 
 
 @pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(racer, marks=pytest.mark.slow)])
