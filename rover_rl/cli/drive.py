@@ -81,6 +81,9 @@ class Drive:
     """Largest yaw acceleration, rad/s^2 (Rover Zero: 4)."""
     guard: GuardConfig = field(default_factory=GuardConfig)
     """Emergency brake: --guard.deceleration 2 brakes before what the scan shows in the way (docs/driving.md)."""
+    compensate_delay: bool = False
+    """Carry late pose, heading and velocities on to now, by their stamps and the commands sent since (docs/ros2.md).
+    Default: as in the training of the policy."""
     allow_unseen: bool = False
     """Accept a lidar with a smaller field of view than in training."""
     allow_other_world: bool = False
@@ -252,6 +255,7 @@ class Drive:
             backend=settings,
             randomization=Randomization(),
             guard=self.guard,
+            compensate_delay=self.compensate_delay or made_for.compensate_delay,
             connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),
             length=UNLIMITED,
             end_on_goal=True,

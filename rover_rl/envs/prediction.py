@@ -25,7 +25,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rover_rl.envs.config import Randomization
 from rover_rl.envs.delays import CommandDelay, DelayLine
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.robots.fleet import Fleet
@@ -39,15 +38,15 @@ class Prediction:
     Args:
         fleet: robots of the rows.
         dt: duration of a control step, s.
-        randomization: ranges of the delays of sensors and of commands. The robot knows how old its messages are, and
-            takes its commands to be as late as the middle of their range.
+        most: longest delay of the sensors, steps. The robot knows how old their messages are.
+        latency: range of the delay of commands, steps, in whose middle the robot takes its own to be.
     """
 
-    def __init__(self, fleet: Fleet, dt: float, randomization: Randomization) -> None:
-        self._fleet, device = fleet, fleet.index.device
-        usual = round(sum(randomization.latency) / 2)
+    def __init__(self, fleet: Fleet, dt: float, most: int, latency: tuple[int, int]) -> None:
+        self._fleet, self._most, device = fleet, most, fleet.index.device
+        usual = round(sum(latency) / 2)
         self._latency = CommandDelay((usual, usual), len(fleet), device)
-        self._drives, self._line = SimulatedDrives.of(fleet, dt), DelayLine(randomization.state_latency[1])
+        self._drives, self._line = SimulatedDrives.of(fleet, dt), DelayLine(most)
         # Gain of the yaw rate, and x of the line on which the centers of turns lie.
         self._turning = fleet.table(lambda robot: [yaw_gain(robot), robot.drive.pivot(robot.wheels)])
         # Position and heading of the model since the start of the episode, and its speed and yaw rate.
@@ -86,9 +85,13 @@ class Prediction:
             known: late pose: x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``. Pitch and roll stay.
             velocities: late speed (m/s) and yaw rate (rad/s) of the wheels, ``[N, 2]``.
             steps: number of steps of each row's episode, int64 ``[N, 1]``.
-            delay: how late pose and velocities are, steps, int64 ``[N, 1]``.
+            delay: how late pose and velocities are, steps, int64, or float32 of a live rover, ``[N, 1]``.
         """
-        then = self._line("model", self._model, steps, delay)
+        delay = delay.clamp(max=self._most)
+        then = self._line("model", self._model, steps, delay.long())
+        if delay.is_floating_point():
+            before = self._line("model", self._model, steps, delay.ceil().long())
+            then = torch.lerp(then, before, delay.frac())
         place, pitch, roll, yaw = known.split((3, 1, 1, 1), -1)
         since = self._model - then
         ahead, left = _turned(since[:, :2], -then[:, 2:3]).split(1, -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import warnings
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from torchrl.envs import EnvBase
 from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
-from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController, checked_action, checked_place
 from rover_rl.envs.delays import CommandDelay, SensorDelays, relative_pose
 from rover_rl.envs.emergency_brake import EmergencyBrake
@@ -38,12 +39,13 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import (
+    MAX_AGE,
     Capability,
     DynamicsChanger,
     MoverCarrier,
     RobotChanger,
     Scanner,
-    StampedScans,
+    StampedSensors,
     View,
     WorldChanger,
 )
@@ -232,8 +234,12 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         delays = config.randomization, config.lidar.period, self.num_envs, device
         self.delays = SensorDelays(*delays) if config.late_scans else None
-        late = config.compensate_delay and config.randomization.state_latency[1] > 0
-        self._prediction = Prediction(self.fleet, self.control_dt, config.randomization) if late else None
+        most = config.randomization.state_latency[1]
+        if isinstance(self.simulator, StampedSensors):
+            most += math.ceil(MAX_AGE / self.control_dt)
+        predicts = config.compensate_delay and most
+        latency = config.randomization.latency
+        self._prediction = Prediction(self.fleet, self.control_dt, most, latency) if predicts else None
         self._known_scan: Tensor | None = None
         self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
@@ -396,6 +402,8 @@ class RoverEnv(EnvBase):
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
         self._meet_movers()
+        if self.config.compensate_delay and isinstance(self.simulator, StampedSensors):
+            self.simulator.follow_clock()
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
@@ -545,8 +553,7 @@ class RoverEnv(EnvBase):
             command = self._brake(command, sensed.ranges if self._known_scan is None else self._known_scan)
         if self._limits is not None:
             command = self._limits(command, sensed.rover.dt, active)
-        if self._prediction is not None:
-            self._prediction.follow(command, self._state.task.steps, sensed.rover.dt, active)
+        sent = command
         command = self._delay(command, self._state.task.steps)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
@@ -556,6 +563,9 @@ class RoverEnv(EnvBase):
             self.movers.advance(moving, rovers_of(self._state.truth, self.robot.radius), active)
         with self._row_worlds.preparing():
             self._perceive(self.simulator.step(command.to(device), rows), rows, steps)
+        if self._prediction is not None:
+            dt = self._state.sensed.rover.dt
+            self._prediction.follow(self._limited_by_rover(sent), self._state.task.steps, dt, active)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
         state = self._state
@@ -615,7 +625,7 @@ class RoverEnv(EnvBase):
         position, yaw, scan_pose, predicted = state.pose.position, state.pose.yaw, None, {}
         if self.delays is not None:
             steps = state.task.steps
-            stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedScans) else None
+            stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedSensors) else None
             known, scan = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
             if self._prediction is not None:
                 known, velocities = self._predicted(self._prediction, known)
@@ -644,12 +654,20 @@ class RoverEnv(EnvBase):
             )
         return observation
 
+    def _limited_by_rover(self, command: Tensor) -> Tensor:
+        """Returns the command that a live rover got, which limits it itself, else the given one."""
+        simulator = self.simulator
+        return command.new_tensor([simulator.last_command]) if isinstance(simulator, StampedSensors) else command
+
     def _predicted(self, prediction: Prediction, known: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the present pose ``[N, 6]`` and velocities ``[N, 2]`` for the ``known`` pose, which may be late."""
         assert self.delays is not None
         rover, steps, delay = self._state.sensed.rover, self._state.task.steps, self.delays.state
         velocities = torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
-        return prediction(known, self.delays.late("velocities", velocities, steps, delay), steps, delay)
+        velocities = self.delays.late("velocities", velocities, steps, delay)
+        if isinstance(self.simulator, StampedSensors):
+            delay = delay + self.simulator.state_age().to(velocities) / rover.dt
+        return prediction(known, velocities, steps, delay)
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:
         """Creates the result of a reset or step from rows, without the batch dimension if unbatched."""
@@ -712,6 +730,8 @@ def _check_requirements(config: EnvConfig, fleet: Fleet, simulator: Simulator, h
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
     if config.action.max_sideways and "live" in simulator.capabilities:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
+    if config.compensate_delay and "live" in simulator.capabilities and not config.late_scans:
+        raise ValueError(f"compensate_delay needs sensors=({SCAN_POSE!r},) with a live rover, whose scans can be late")
     if config.agents > 1 and len(fleet.robots) > 1:
         raise ValueError(f"agents={config.agents} need one robot for all rows, got {len(fleet.robots)} robots")
     robot = next((robot for robot in fleet.robots if not robot.drive.sideways), None)

@@ -78,6 +78,10 @@ def beam_angles(beams: int) -> Tensor:
     return torch.arange(beams, dtype=torch.float64) * (2 * math.pi / beams)
 
 
+MAX_AGE = 1.0
+"""Age of messages above which their stamps are of another clock, s."""
+
+
 class Scanner(Protocol):
     """A planar lidar on every rover.
 
@@ -100,8 +104,21 @@ class Scanner(Protocol):
 
 
 @runtime_checkable
-class StampedScans(Protocol):
-    """A backend whose scans have stamps, by which it knows where they were taken."""
+class StampedSensors(Protocol):
+    """A live backend: the messages of its sensors have stamps, by which it knows how old they are."""
+
+    @property
+    def last_command(self) -> tuple[float, float]:
+        """Forward speed (m/s) and yaw rate (rad/s) of the last command, within the limits."""
+        ...
+
+    def follow_clock(self) -> None:
+        """Begins to read the clock that the stamps are of."""
+        ...
+
+    def state_age(self) -> Tensor:
+        """Returns how old the state is, ``[N, 1]``, s, after :meth:`follow_clock`; at most :data:`MAX_AGE`."""
+        ...
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
         """Returns position ``[N, 3]`` (m) and orientation ``[N, 4]`` of the rovers at the time of their last scans."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
@@ -185,6 +186,22 @@ class Sensors:
         poses = [*self._poses]
         known = (each[1:] for each in reversed(poses) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self._pose_estimator.estimate(self.pose, self.imu_orientation)
+
+    def receive_clock(self, msg: Any) -> None:
+        """Stores the time of a simulation, of a ``rosgraph_msgs/Clock``."""
+        self.messages.put("clock", msg.clock.sec + 1e-9 * msg.clock.nanosec)
+
+    def state_age(self) -> float | None:
+        """Returns the time since the latest pose or IMU orientation was measured, s; ``None`` if it is not known.
+
+        The time now is that of the clock of a simulation, if it is received, else that of this machine. As for ROS's
+        tf, the clock of the robot must be synchronized with it.
+        """
+        poses = [*self._poses]
+        if not poses:
+            return 0.0
+        age = self.messages.value("clock", time.time()) - poses[-1][0]
+        return max(0.0, age) if abs(age) <= MAX_AGE else None
 
     def forget_poses(self) -> None:
         """Forgets the poses of the past, which may be in another frame."""

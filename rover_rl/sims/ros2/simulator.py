@@ -17,6 +17,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.messages import Clock
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
@@ -27,6 +28,8 @@ from rover_rl.sims.worlds import World
 
 _log = logging.getLogger(__name__)
 
+CLOCK_TOPIC = "/clock"
+"""Topic of the time of a simulation."""
 MIN_STEP = 0.75
 """Minimum time between the scans of two steps, in control steps. Scans of faster lidars are skipped."""
 MAX_DT = 1.0
@@ -279,10 +282,25 @@ class Ros2Simulator:
         self._finalizer()
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
-        """Returns where the rover was at the time of the latest scan: see :class:`~rover_rl.sims.base.StampedScans`."""
+        """Returns where the rover was at the time of the latest scan, ``[1, 3]`` (m) and ``[1, 4]``."""
         stamp = 0.0 if self._scan is None else self._scan.value.stamp
         position, orientation = self._sensors.pose_at(stamp)
         return position[None], orientation[None]
+
+    def follow_clock(self) -> None:
+        """Begins to read ``/clock``, which simulators publish."""
+        self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
+
+    def state_age(self) -> Tensor:
+        """Returns how old the latest pose or IMU orientation is, ``[1, 1]``, s: see :meth:`Sensors.state_age`.
+
+        0 if it is not known, with a warning.
+        """
+        age = self._sensors.state_age()
+        if age is None and self._scan is not None:
+            text = "late sensors are not compensated: their stamps are neither of %s nor of the clock of this machine"
+            self._throttled_log.warning("age", text, CLOCK_TOPIC)
+        return torch.full((1, 1), age or 0.0)
 
     def _world_pose(self) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world."""

@@ -323,17 +323,28 @@ def test_reset_after_close_reconnects_except_in_gymnasium(wire):
     assert wire.subscribers("/scan") == 3
 
 
-def test_a_late_scan_is_paired_with_the_pose_of_its_time(wire):
-    late = Randomization(scan_latency=(4, 4), state_latency=(1, 1), lost_scans=0.1)
+def test_a_late_scan_is_paired_with_the_pose_of_its_time_and_a_late_pose_is_carried_on_to_now(wire):
+    late = Randomization(scan_latency=(4, 4), state_latency=(2, 2), lost_scans=0.1)
     robot = SimulatedRobot(wire, get_world("maze"), (-2.0, 0.0, 0.5), randomization=late)
-    env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none", step_timeout=20.0), sensors=["scan_pose"], seed=0)
+    settings = {"world_n": "maze", "backend": Ros2Settings(reset="none", step_timeout=20.0), "seed": 0}
+    env = RoverEnv(**settings, sensors=["scan_pose"], compensate_delay=True)
     td = env.reset()
+    errors = []
     for _ in range(20):
         td = env.step(td.set("action", torch.tensor([[0.8, 1.0]])))["next"]
+        truth, yaw = [*robot.poses.values()][-1]
+        place = torch.stack((td["pose"][0], env.sensed_pose.position[0]))
+        heading = torch.stack((td["imu"][0, 2], env.sensed_yaw[0, 0]))
+        errors.append(torch.cat(((place - truth).norm(dim=-1), (heading - yaw).abs())))
+    predicted, told, turned, seen = torch.stack(errors)[5:].median(0).values
+    assert predicted < 0.4 * told
+    assert turned < 0.4 * seen
     position, attitude = taken_at(td)
     place, yaw = robot.poses[round(env.rover_state.stamp.item(), 3)]
     assert torch.allclose(position[0], place, atol=1e-3)
     assert attitude[0, 2].item() == pytest.approx(yaw, abs=1e-3)
     assert td["scan_pose"][0, :2].norm() > 0.02
     env.close()
+    with pytest.raises(ValueError, match=r"compensate_delay needs sensors=\('scan_pose',\) with a live rover"):
+        RoverEnv(**settings, compensate_delay=True)
     robot.rover.close()
