@@ -111,7 +111,7 @@ class SensorInput:
         rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.
         scan_pose: where the scan was taken, ``[N, 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
             ``None`` if nothing reads it.
-        predicted: entries that are not read, as they are predicted: see :mod:`rover_rl.envs.prediction`.
+        predicted: entries that are not read, as they are predicted: see :class:`~rover_rl.envs.prediction.Prediction`.
         observation: entries of the sensors that have been read before in this step.
     """
 
