@@ -48,6 +48,12 @@ class NetworkConfig:
     prior: PriorKind = "none"
     """What a PPO policy without memory starts from: none, or route (a driver that follows the route).
     It learns what to add to the driver's action. Needs "route" in observation."""
+    prior_reach: float = 1.0
+    """Largest change of the driver's action by the policy, before squashing.
+    With 1, the driver keeps the lead. Where things move, a policy needs more (3) to wait and to give way."""
+    prior_share: float = 0.95
+    """Largest share of the range of an action that the driver uses.
+    With less (0.8), a policy that explores also varies the driver's full speed, and learns when to be slow."""
     privileged_critic: bool = False
     """Let the critic, in PPO, also read what is known only in simulation: true state, local map and path length.
     The actor never reads it."""
@@ -360,11 +366,11 @@ def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequ
 
 
 _POSITIVE = (
-    *("max_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
+    *("max_std", "prior_reach", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
     *("max_minutes", "curriculum_temperature"),
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
-_FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
+_FRACTIONS = ("gamma", "prior_share", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
 _CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
 
 

@@ -1,6 +1,6 @@
 """``MovingDynamicWindowPolicy``: the dynamic-window planner, among obstacles that it sees moving.
 
-It follows what moves with a :class:`~rover_rl.algos.policy.tracker.MoverTracker`. A trajectory is rejected if the body
+It follows what moves with a :class:`~rover_rl.envs.mover_tracker.MoverTracker`. A trajectory is rejected if the body
 touches where a track will be at the time of a pose, at constant velocity. Readings that belong to such a track are no
 obstacles at rest.
 
@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
-from rover_rl.algos.policy.tracker import MoverTracker, in_base_frame, tracked
+from rover_rl.envs.mover_tracker import MoverTracker, in_base_frame, tracked
 from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.sims.timing import CONTROL_DT
 

@@ -95,7 +95,7 @@ class ActorNetwork(EncodedNetwork):
         entry = dict(zip(self.encoder.keys, entries, strict=False))
         if self.prior is not None:
             driver = entries[count] if len(entries) > count else self.driver(entry)
-            loc = self.prior.REACH * torch.tanh(loc / self.prior.REACH) + driver
+            loc = self.prior.reach * torch.tanh(loc / self.prior.reach) + driver
         return (loc, scale, *self.bounds(entry[ROBOT])) if self.by_robot else (loc, scale)
 
     def driver(self, entry: Mapping[str, Tensor]) -> Tensor:
@@ -157,7 +157,8 @@ def actor_of(
     by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation
     prior = None
     if network.prior != "none":
-        prior = RoutePrior(None if by_robot else get_robot(env.robot), network.observation)
+        robot = None if by_robot else get_robot(env.robot)
+        prior = RoutePrior(robot, network.observation, network.prior_reach, network.prior_share)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
     return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot)
 

@@ -53,26 +53,27 @@ class RoutePrior(nn.Module):
     Args:
         robot: robot that drives. ``None``: those that the sensor ``robot`` tells.
         observation: entries that the policy reads. With ``scan_pose``, the driver reads where scans were taken.
+        reach: largest change of the mean by the policy, before squashing. A policy that may change more takes back what
+            the driver does in rare places, such as backing out of a dead end, and gets stuck there. Where things move,
+            it needs more to wait and to give way.
+        share: largest share of the range of an action that the driver uses. All of it would be an infinite mean.
 
     Attributes:
         keys: entries of the observation that the driver reads.
     """
 
-    LARGEST = 0.95  # largest part of the range of an action: an infinite mean would reach the bounds
-    REACH = 1.0
-    """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
-    driver does in rare places, such as backing out of a dead end, and gets stuck there."""
-
-    def __init__(self, robot: Robot | None, observation: Sequence[str] = ()) -> None:
+    def __init__(
+        self, robot: Robot | None, observation: Sequence[str] = (), reach: float = 1.0, share: float = 0.95
+    ) -> None:
         super().__init__()
-        self._robot = robot
+        self._robot, self.reach, self._share = robot, reach, share
         self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place, observation)
 
     def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
         """Returns the mean before squashing to bounds, ``[..., 2]``, for an observation."""
         middle, half = (high + low) / 2, (high - low) / 2
         share = (self._action(entry) - middle) / half
-        return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
+        return torch.atanh(share.clamp(-self._share, self._share))
 
     def _action(self, entry: Mapping[str, Tensor]) -> Tensor:
         """Returns the action of the driver, ``[..., 2]``: forward speed (m/s) and heading offset (rad)."""

@@ -24,7 +24,9 @@ from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
 from rover_rl.envs.sensors.scan_pose import scan_pose_now
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.movers import SeenMovers
+from rover_rl.envs.sensors.suite import MOVERS, ROUTE
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
@@ -45,7 +47,7 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
     """
     if given is not None:
         return given
-    if not (state_keys(policy) or reads_route(policy)):
+    if not (state_keys(policy) or _reads(policy, MOVERS) or reads_route(policy)):
         return 1
     trained_dt = getattr(getattr(policy, "made_for", None), "control_dt", CONTROL_DT)
     return max(1, round(getattr(policy, "trained_action_repeat", 1) * trained_dt / dt))
@@ -53,7 +55,11 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
 
 def reads_route(policy: object) -> bool:
     """Returns whether a policy reads the route on the map of what has been seen, ``"route"``."""
-    return ROUTE in getattr(policy, "in_keys", ())
+    return _reads(policy, ROUTE)
+
+
+def _reads(policy: object, key: str) -> bool:
+    return key in getattr(policy, "in_keys", ())
 
 
 class PolicyRunner:
@@ -61,8 +67,8 @@ class PolicyRunner:
 
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
     memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
-    reads ``route``, in an environment without this sensor, it keeps the maps of what the rovers have seen, and adds the
-    routes on them to the observation. For one that reads ``scan_pose``, in an environment whose scans are never late,
+    reads ``route`` or ``movers``, in an environment without these sensors, it keeps the maps of what the rovers have
+    seen, and the tracks of what moves, and adds what they tell to the observation. For one that reads ``scan_pose``, in an environment whose scans are never late,
     it adds that the scan is as new as the pose. For one that reads ``bounds``, such as an exported policy that keeps
     its own map, it adds the bounds of the world.
 
@@ -84,6 +90,7 @@ class PolicyRunner:
         self.action_repeat = default_action_repeat(policy, action_repeat, self._dt)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
+        self._movers: SeenMovers | None = None
         self._route: Tensor | None = None
         self._distribution: tuple[Tensor, Tensor] | None = None
         # Rows whose episode begins, and number of steps that each row's action has been held for.
@@ -94,7 +101,7 @@ class PolicyRunner:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
-            self._seen = self._route = self._distribution = None
+            self._seen = self._movers = self._route = self._distribution = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -138,33 +145,36 @@ class PolicyRunner:
     def _start(self, observation: TensorDictBase) -> Tensor:
         """Takes the first decision of all rows."""
         self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
+        if _reads(self.policy, MOVERS) and observation.get(MOVERS, None) is None:
+            self._movers = SeenMovers(*self._rig(observation))
         if reads_route(self.policy) and observation.get(ROUTE, None) is None:
-            self._seen = self._new_map(observation)
+            rows, lidar, robot, device, interval = self._rig(observation)
+            self._seen = SeenMap(rows, lidar, robot, device, interval=interval)
         self._action, self._state = self._decide(observation, self._is_init)
         self._held = torch.ones(len(observation), dtype=torch.int64, device=self._action.device)
         self._is_init = torch.zeros_like(self._held, dtype=torch.bool)
         return self._action
 
-    def _new_map(self, observation: TensorDictBase) -> SeenMap:
-        """Creates the maps of a policy that reads the route."""
+    def _rig(self, observation: TensorDictBase) -> tuple[int, LidarConfig, Any, torch.device, float]:
+        """Returns what maps and tracks are made for: rows, lidar, robot, device, and time between scans, s."""
         rows, points = observation["lidar"].shape
         config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
         config = config or EnvConfig(lidar=LidarConfig(points=points))
         interval = self.action_repeat * self._dt
-        map_class = getattr(self.policy, "map_class", SeenMap)
-        robot: Any = config.robot
-        if self._env is not None and self._env.robots.are_several:
-            robot = self._env.fleet
-        return map_class(rows, config.lidar, robot, observation["lidar"].device, interval=interval)
+        several = self._env is not None and self._env.robots.are_several
+        robot = self._env.fleet if several else get_robot(config.robot)
+        return rows, config.lidar, robot, observation["lidar"].device, interval
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
+        if self._movers is not None:
+            inputs[MOVERS] = self._movers(observation, due, self._is_init)
         if self._seen is not None:
-            self._route = inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
-        if SCAN_POSE in getattr(self.policy, "in_keys", ()) and observation.get(SCAN_POSE, None) is None:
+            self._route = inputs[ROUTE] = self._seen(inputs, due, self._is_init, self._bounds(observation))
+        if _reads(self.policy, SCAN_POSE) and observation.get(SCAN_POSE, None) is None:
             inputs[SCAN_POSE] = scan_pose_now(observation["imu"])
-        if BOUNDS in getattr(self.policy, "in_keys", ()):
+        if _reads(self.policy, BOUNDS):
             inputs[BOUNDS] = self._bounds(observation)
         if self._keys:
             inputs.update(self._state).set("is_init", self._is_init[:, None])

@@ -17,8 +17,9 @@ from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -75,6 +76,8 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # The map changes with each decision.
         route = Route(period=config.collection.action_repeat, threads=_threads(config))
         sensors = (*(sensor for sensor in sensors if sensor != ROUTE), route)
+    if MOVERS in config.network.observation:
+        sensors = (*(sensor for sensor in sensors if sensor != MOVERS), Movers(period=config.collection.action_repeat))
     if SCAN_POSE in config.network.observation and SCAN_POSE not in sensors:
         sensors = (*sensors, SCAN_POSE)
     return replace(

@@ -131,10 +131,7 @@ class ScanReader(nn.Module):
 
     def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
         super().__init__()
-        # A reading is the minimum over several beams: the angle is that of their center.
-        share = lidar.beams / lidar.points
-        angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        directions, reading = torch.stack((angles.cos(), angles.sin()), -1), reading_of(lidar, robot, interval)
+        directions, reading = reading_directions(lidar), reading_of(lidar, robot, interval)
         is_seen = torch.tensor(reading[NUMBERS:]) > 0
         # A reading outside of the view is a beam without length, which clears no cell.
         self.register_buffer("_directions", directions * is_seen[:, None])
@@ -215,6 +212,16 @@ class ScanReader(nn.Module):
         """
         rise = beams + (mount[..., 2:] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+def reading_directions(lidar: LidarConfig) -> Tensor:
+    """Returns the directions of the readings of a lidar in the plane, ``[P, 2]``.
+
+    A reading is the minimum over several beams: its direction is that of their center.
+    """
+    share = lidar.beams / lidar.points
+    angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+    return torch.stack((angles.cos(), angles.sin()), -1)
 
 
 def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:

@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
-
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -33,18 +31,24 @@ from rover_rl.envs.seen_map.scans import (
     in_units,
     limits_of,
     map_unit,
+    reading_directions,
     reading_of,
     relative_route,
     route_in_meters,
 )
+from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.sims.robots.footprint import footprint
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
 BOUNDS = "bounds"
 """Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
+MOVER_MARGIN = 0.1
+"""Free distance between the side of the robot and a mover on a route, m."""
 NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
 """Area without bounds."""
 
@@ -70,6 +74,10 @@ class SeenMap:
 
     These lengths are for Rover Zero. For a robot that needs generated worlds with wider passages, all but the 24 and 3
     degrees grow by their scale: see :func:`~rover_rl.sims.free_space.fitting.passage_scale`.
+
+    What moves marks no cells, if the observation has ``movers``: see :class:`~rover_rl.envs.sensors.movers.Movers`. A
+    cell is closed for one plan if a mover at constant velocity is there within 0.75 s of the time at which the rover
+    could be, in the coming 4 s.
 
     The map needs a pose that does not jump, such as that of odometry. A scan that is older than the pose is added where
     it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
@@ -99,10 +107,13 @@ class SeenMap:
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
-        self._points = lidar.points
+        self._points, self._directions = lidar.points, reading_directions(lidar).to(device)
         self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
         self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
         self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
+        # Distance from movers that they keep, m, and their speed, in cells per second.
+        self._sides = self._fleet.table(lambda robot: [footprint(robot).half_width + MOVER_MARGIN])
+        self._speeds = self._fleet.table(lambda robot: [robot.drive.max_speed / (CELL * map_unit(robot))])
         # Unit of the map of the only robot, and of each one.
         self._unit = map_unit(self._fleet.robots[0])
         self._units = self._fleet.table(lambda robot: [map_unit(robot)])
@@ -167,9 +178,12 @@ class SeenMap:
             scan, state = self._reader(self._state, ranges, place, imu, readings)
         else:
             scan, state = self._reader(self._state, ranges, place, imu, readings, (taken[0] / unit, taken[1]))
-        scan = self._noted(scan, lidar, *(taken or (pose, imu)), renewed)
+        movers, ways = observation.get(MOVERS, None), list[Tensor]()
+        if movers is not None:
+            scan = scan._replace(hits=scan.hits & ~belong_to_movers(self._points_of(lidar), movers))
+            ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
-        self._launch(scan, goal_positions(place, imu, goal), bounds, rows)
+        self._launch(scan, goal_positions(place, imu, goal), bounds, rows, ways)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
         return route_in_meters(unit, relative_route(self._corners, self._lengths, place, imu))
 
@@ -193,19 +207,27 @@ class SeenMap:
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
-    def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
-        """Returns what the map takes from a scan."""
-        return scan
+    def _points_of(self, lidar: Tensor) -> Tensor:
+        """Returns the ends of readings in the base frame, ``[N, points, 2]``, m."""
+        mounts = (self._readings[:, :2] * self._units)[self._fleet.index]
+        return mounts[:, None] + lidar[..., None] * self._directions
 
-    def _closing(self, rows: Tensor, center: Tensor) -> tuple[Any, list[Any]] | None:
-        """Returns a kernel, which closes cells for one plan only, and its inputs.
+    def _ways_of(self, movers: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
+        """Returns position, velocity and radius of movers in the world, in cells, ``[N, COUNT, NUMBERS]``.
 
-        The last one is the levels with them, ``[N, SIZE * SIZE]``; after it comes the first row.
+        Half of the robot's width and a margin are added to the radius, which is negative where there is no mover.
         """
-        return None
+        cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
+        radius = torch.where(movers[..., 4] > 0, movers[..., 4] + self._sides[self._fleet.index], -1.0)
+        place, velocity = (
+            torch.stack((cos * movers[..., k] - sin * movers[..., k + 1], sin * movers[..., k] + cos * movers[..., k + 1]), -1)
+            for k in (0, 2)
+        )
+        return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]
 
-    def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
-        """Launches the kernels."""
+    def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
+        """Launches the kernels. The ways of movers, if any, follow the places of the rovers, in cells."""
+        from rover_rl.envs.seen_map.mover_kernels import close_ways
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
         from rover_rl.sims.native.warp import wp
@@ -217,14 +239,16 @@ class SeenMap:
         limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
         scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
-        closing = self._closing(rows, center)
-        plans = [goals, bounds, rows, center, self._levels if closing is None else closing[1][-1], self._doubts]
+        # Movers close cells for one plan only.
+        levels = torch.empty_like(self._levels) if ways else self._levels
+        closing = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels, levels]
+        plans = [goals, bounds, rows, center, levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
             wp.launch(add_scans, last - first, [*scans, first], **options)
-            if closing is not None:
-                wp.launch(closing[0], last - first, [*closing[1], first], **options)
+            if ways:
+                wp.launch(close_ways, last - first, [*closing, first], **options)
             inputs = [*plans, *memory, self._corners, self._lengths, first, last]
             wp.launch(plan_routes, len(memory[0]), inputs, **options)
 

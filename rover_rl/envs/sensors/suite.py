@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import LidarConfig, SensorLike
     from rover_rl.envs.sensors.base import Sensor
 
+MOVERS = "movers"
+"""Name of what moves, as the lidar scans tell, which an environment has if asked for."""
 ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
-OPTIONAL = {ROUTE, ROBOT, SCAN_POSE}
+OPTIONAL = {MOVERS, ROUTE, ROBOT, SCAN_POSE}
 """Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
@@ -26,6 +28,7 @@ BUILT_IN = {
     "target": "rover_rl.envs.sensors.standard:Target",
     "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
     SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
+    MOVERS: "rover_rl.envs.sensors.movers:Movers",
     ROUTE: "rover_rl.envs.sensors.route:Route",
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
 }

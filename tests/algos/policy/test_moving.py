@@ -17,7 +17,7 @@ from rover_rl.algos.policy.moving_dwa import MovingDynamicWindowPolicy
 from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner, MovingMap
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.algos.policy.tracker import STATE, TRACKS, MoverTracker
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO

@@ -9,6 +9,7 @@ tracks are one tensor, which a policy keeps as its memory.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -18,6 +19,7 @@ from torch import Tensor
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
 
 TRACKS = 32
 """Number of tracks of a row."""
@@ -78,18 +80,23 @@ class MoverTracker:
     """Follows what moves, from scan to scan.
 
     Args:
-        robot: robot that carries the lidar.
+        robot: robot that carries the lidar, or the robots of the rows.
         lidar: settings of the lidar.
         interval: time from one scan to the next, s.
     """
 
-    def __init__(self, robot: Robot, lidar: LidarConfig, interval: float) -> None:
-        self._mount, self._range, self._dt = robot.lidar_position[:2], lidar.max_range - 1e-3, interval
+    def __init__(self, robot: Robot | Fleet, lidar: LidarConfig, interval: float) -> None:
+        self._range, self._dt = lidar.max_range - 1e-3, interval
+        self._fleet = robot if isinstance(robot, Fleet) else None
+        robots = robot.robots if isinstance(robot, Fleet) else (robot,)
+        self._mounts = torch.tensor([each.lidar_position[:2] for each in robots])
         share = lidar.beams / lidar.points
         self._spacing = 2 * math.pi / lidar.points
         self._angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
 
-    def __call__(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Tensor, Tracks]:
+    def __call__(
+        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, rows: Tensor | None = None
+    ) -> tuple[Tensor, Tracks]:
         """Adds a scan.
 
         Args:
@@ -97,19 +104,21 @@ class MoverTracker:
             lidar: lidar readings, ``[N, points]``, m.
             pose: x, y and z of the rovers, ``[N, 3]``, m.
             imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
+            rows: numbers of the rows among those of different robots; ``None``: all of them.
 
         Returns:
             The next state, and what moves.
         """
-        origin, points = self._points(lidar, pose, imu)
+        origin, points = self._points(lidar, pose, imu, rows)
         labels = self._labels(lidar, points)
         clusters = self._clusters(lidar, points, labels, origin)
         tracks = self._predicted(state.unflatten(-1, (TRACKS, STATE)))
-        distance = torch.cdist(tracks[..., 1:3], clusters.center)
+        x, y = (tracks[..., None, 1 + axis] - clusters.center[:, None, :, axis] for axis in range(2))
+        distance = torch.sqrt(x * x + y * y)
         distance = distance.masked_fill((tracks[..., :1] == 0) | ~clusters.exists[:, None], _FAR)
         nearest, cluster = distance.min(2)
         number = torch.arange(TRACKS, device=lidar.device)
-        seen = (nearest < GATE) & (distance.argmin(1).gather(1, cluster) == number)
+        seen = (nearest < GATE) & (distance.amin(1).gather(1, cluster) == nearest)
         tracks = self._corrected(tracks, seen, cluster, clusters)
         owner = torch.full_like(labels[:, :1], TRACKS).repeat(1, clusters.exists.shape[1] + 1)
         owner = owner.scatter(1, torch.where(seen, cluster, clusters.exists.shape[1]), number.expand_as(cluster))[
@@ -123,10 +132,13 @@ class MoverTracker:
         readings = padded.gather(1, owner.gather(1, labels)) & (lidar < self._range)
         return tracks.flatten(1), Tracks(tracks[..., 1:3], tracks[..., 3:5], tracks[..., 5], moves, readings)
 
-    def _points(self, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Tensor, Tensor]:
+    def _points(self, lidar: Tensor, pose: Tensor, imu: Tensor, rows: Tensor | None) -> tuple[Tensor, Tensor]:
         """Returns the positions of the lidars ``[N, 2]`` and of the ends of the readings ``[N, points, 2]``, m."""
         yaw = imu[:, 2:]
-        ahead, left = self._mount
+        mounts = self._mounts.to(lidar)
+        if self._fleet is not None:
+            mounts = mounts[self._fleet.index if rows is None else self._fleet.index[rows]]
+        ahead, left = mounts.split(1, -1)
         offset = torch.cat((ahead * yaw.cos() - left * yaw.sin(), ahead * yaw.sin() + left * yaw.cos()), -1)
         origin = pose[:, :2] + offset
         angles = yaw + self._angles.to(lidar)
@@ -223,7 +235,7 @@ def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, 
     return tracker(state, lidar, pose, imu)
 
 
-def in_base_frame(tracks: Tracks, tensordict: TensorDictBase) -> Tracks:
+def in_base_frame(tracks: Tracks, tensordict: TensorDictBase | Mapping[str, Tensor]) -> Tracks:
     """Returns tracks relative to each rover's position and heading. Velocities stay those over ground."""
     yaw, pose = tensordict["imu"][:, 2:], tensordict["pose"]
     cos, sin = yaw.cos(), yaw.sin()

@@ -21,7 +21,7 @@ def close_ways(
     centers: wp.array[wp.vec2i],
     places: wp.array2d[float],
     ways: wp.array3d[float],
-    speed: float,
+    speeds: wp.array[float],
     levels: wp.array2d[wp.uint8],
     closed: wp.array2d[wp.uint8],
     first: int,
@@ -34,7 +34,7 @@ def close_ways(
         places: x and y of the rovers, ``[N, 2]``, in cells of the world, as all lengths here.
         ways: x, y, velocity along x and y (1/s), and radius of what moves, ``[N, K, 5]``. A negative one counts for
             nothing.
-        speed: speed of the rover, 1/s.
+        speeds: speeds of the rovers, 1/s.
         levels: level of each cell.
         closed: results.
         first: first row.
@@ -58,7 +58,7 @@ def close_ways(
                         u = float(column) + 0.5
                         v = float(row) + 0.5
                         from_way = wp.length(wp.vec2(u - x, v - y))
-                        arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speed
+                        arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speeds[i]
                         inside = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
                         if inside and from_way < radius and wp.abs(arrival - time) < EARLY:
                             cell = address(column, row)

@@ -1,0 +1,197 @@
+"""Movers: what moves around the rover, as tracked in its lidar scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.envs.config import SCAN_POSE, LidarConfig
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, in_base_frame
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput, mirrored_signs
+from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.suite import MOVERS
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
+
+COUNT = 12
+"""Number of movers in the entry."""
+NUMBERS = 5
+"""Numbers of a mover: x, y, velocity along x and y, and radius."""
+TRACKED = COUNT * NUMBERS
+"""Numbers of all movers in the entry."""
+APPROACH = (0.0, 1.0, 2.0)
+"""Times from now at which the distance of movers counts for their order, s."""
+BEARINGS = 24
+"""Number of directions of a predicted scan."""
+INSTANTS = (0.5, 1.0, 1.5, 2.5)
+"""Times of the predicted scans from now, s."""
+FARTHEST = 12.0
+"""Range of a predicted scan in directions without a mover, m."""
+NEAREST = 3
+"""Number of movers that a network also reads one by one."""
+SLACK = 0.25
+"""Distance from a mover up to which readings belong to it, m."""
+
+
+class SeenMovers:
+    """What moves around the rovers of a batch, from scan to scan: see :class:`Movers`.
+
+    Args:
+        rows: number N of rovers.
+        lidar: settings of the lidar.
+        robot: robot that carries it, or the robots of the rows.
+        device: device of the observations.
+        interval: time from one scan to the next, s.
+    """
+
+    def __init__(
+        self, rows: int, lidar: LidarConfig, robot: Robot | Fleet, device: torch.device, interval: float
+    ) -> None:
+        self._tracker = MoverTracker(robot, lidar, interval)
+        self._state = torch.zeros(rows, TRACKS * STATE, device=device)
+        self._values = torch.zeros(rows, len(Movers.bounds.low), device=device)
+
+    def __call__(
+        self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None, renewed: Tensor | None = None
+    ) -> Tensor:
+        """Adds the scans of an observation and returns the values of the sensor, ``[N, 156]``.
+
+        Args:
+            observation: observation, ``[N]`` each, with ``lidar``, ``pose`` and ``imu``, and with ``scan_pose`` if
+                scans can be late.
+            rows: rows whose scan is added, bool ``[N]``; ``None``: all.
+            renewed: rows whose episode begins, bool ``[N]``. They know of no movers.
+        """
+        if renewed is not None:
+            self._state = self._state.masked_fill(renewed[:, None], 0.0)
+        read = {key: observation[key] for key in ("lidar", "pose", "imu", SCAN_POSE) if key in observation.keys()}  # noqa: SIM118
+        if rows is None or self._state.device.type != "cpu":
+            state, values = self._follow(self._state, read)
+            keep = torch.ones_like(state[:, :1], dtype=torch.bool) if rows is None else rows[:, None]
+            self._state, self._values = torch.where(keep, state, self._state), torch.where(keep, values, self._values)
+            return self._values
+        # On the CPU, the few rows that begin an episode between two scans take little time.
+        index = rows.nonzero().squeeze(-1)
+        state, values = self._follow(self._state[index], {key: value[index] for key, value in read.items()}, index)
+        self._state, self._values = self._state.index_copy(0, index, state), self._values.index_copy(0, index, values)
+        return self._values
+
+    def _follow(
+        self, state: Tensor, observation: Mapping[str, Tensor], index: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Returns the next tracks, and the values of the sensor, in the rows of an ``index``."""
+        pose, imu = taken_at(observation) or (observation["pose"], observation["imu"])
+        state, tracks = self._tracker(state, observation["lidar"], pose, imu, index)
+        tracks = in_base_frame(tracks, observation)
+        ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
+        gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
+        order = gap.sort(dim=-1, stable=True).indices[:, :COUNT]
+        every = torch.cat((tracks.position, tracks.velocity, tracks.radius[..., None]), -1) * tracks.moves[..., None]
+        movers = every.gather(1, order[..., None].expand(-1, -1, NUMBERS))
+        return state, torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Movers(Sensor):
+    """Up to 12 movers around the rover, and the scans that they would give in the next seconds, ``[N, 156]``.
+
+    Each mover has x and y in the base frame (m), its velocity over ground along these axes (m/s), and its radius (m),
+    which is 0 where there is none: 60 numbers. They are tracked in the lidar scans (see
+    :class:`~rover_rl.envs.mover_tracker.MoverTracker`), and those that come nearest in the next two seconds are first.
+    The map of what has been seen leaves them out if the observation has this entry.
+
+    The other 96 numbers are ranges (m) in 24 directions from where the rover is now, if the movers keep their
+    velocity: in 0.5, 1, 1.5 and 2.5 s. See :func:`predicted_scans`.
+
+    Args:
+        name: key of the entry.
+        period: number of steps from one scan that is used to the next.
+    """
+
+    name: str = MOVERS
+    clips = False
+    delayed = None
+    bounds = Bounds(
+        (-30.0, -30.0, -20.0, -20.0, 0.0) * COUNT + (0.0,) * len(INSTANTS) * BEARINGS,
+        (30.0, 30.0, 20.0, 20.0, 5.0) * COUNT + (FARTHEST,) * len(INSTANTS) * BEARINGS,
+    )
+
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns a reader with tracks of its own."""
+        seen = SeenMovers(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device, self.period * rig.control_dt)
+
+        def read(inputs: SensorInput) -> Tensor:
+            due = inputs.due(self.period)
+            return seen(inputs.observation, due, due & (inputs.steps == 0).squeeze(-1))
+
+        return read
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Raises an error: the tracks are the memory of a :meth:`reader`."""
+        raise NotImplementedError("movers have a memory: read them by reader(rig)")
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Encodes the logarithm of the ranges, and the first three movers."""
+        return torch.cat((value[..., TRACKED:].log1p() / 1.3 - 1, _one_by_one(movers_of(value))), -1)
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Mirrors the movers and the scans: direction b becomes -b."""
+        movers = mirrored_signs((1.0, -1.0, 1.0, -1.0, 1.0) * COUNT, value[..., :TRACKED])
+        scans = value[..., TRACKED:].unflatten(-1, (len(INSTANTS), BEARINGS)).flip(-1).roll(1, -1)
+        return torch.cat((movers, scans.flatten(-2)), -1)
+
+
+def movers_of(value: Tensor) -> Tensor:
+    """Returns the movers in values of the sensor, ``[..., COUNT, NUMBERS]``."""
+    return value[..., :TRACKED].unflatten(-1, (COUNT, NUMBERS))
+
+
+def predicted_scans(movers: Tensor) -> Tensor:
+    """Returns the ranges of movers ``[..., COUNT, NUMBERS]`` at later instants, ``[..., instants, bearings]``, m.
+
+    The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
+    """
+    place, velocity, radius = movers.split((2, 2, 1), -1)
+    times = movers.new_tensor(INSTANTS)
+    center = place[..., None, :, :] + times[:, None, None] * velocity[..., None, :, :]
+    distance = center.norm(dim=-1)
+    wide = radius[..., None, :, 0] + distance * math.tan(math.pi / BEARINGS)
+    angles = torch.arange(BEARINGS, device=movers.device) * (2 * math.pi / BEARINGS)
+    rays = torch.stack((angles.cos(), angles.sin()), -1)
+    x, y = center[..., None, :, 0], center[..., None, :, 1]
+    along = x * rays[:, :1] + y * rays[:, 1:]
+    aside = y * rays[:, :1] - x * rays[:, 1:]
+    hit = (aside.abs() < wide[..., None, :]) & (along > -radius[..., None, None, :, 0])
+    near = (distance - radius[..., None, :, 0])[..., None, :].expand_as(hit)
+    near = near.masked_fill(~hit | (radius[..., None, None, :, 0] == 0), FARTHEST)
+    return near.amin(-1).clamp(0.0, FARTHEST)
+
+
+def _one_by_one(movers: Tensor) -> Tensor:
+    """Returns features of the first movers: whether there is one, and its place, distance, velocity and radius."""
+    first = movers[..., :NEAREST, :]
+    place, velocity, radius = first.split((2, 2, 1), -1)
+    exists = (radius > 0).to(movers.dtype)
+    distance = place.norm(dim=-1, keepdim=True)
+    near = (1 - distance / 6).clamp(min=0)
+    parts = (exists, place / (1 + distance), exists * near, velocity / 2, 2 * radius)
+    return torch.cat(parts, -1).flatten(-2)
+
+
+def belong_to_movers(points: Tensor, movers: Tensor) -> Tensor:
+    """Returns which points belong to movers, bool ``[N, P]``.
+
+    Args:
+        points: points in the base frame, ``[N, P, 2]``, m.
+        movers: values of the sensor, ``[N, 156]``.
+    """
+    place, _, radius = movers_of(movers).split((2, 2, 1), -1)
+    reach = torch.where(radius > 0, radius + SLACK, -1.0)[..., 0]
+    x, y = (points[..., axis, None] - place[:, None, :, axis] for axis in range(2))
+    return (x * x + y * y - (reach * reach.abs())[:, None]).amin(-1) < 0
