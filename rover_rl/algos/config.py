@@ -366,7 +366,17 @@ def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequ
 
 
 _POSITIVE = (
-    *("max_std", "prior_reach", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
+    *(
+        "max_std",
+        "prior_reach",
+        "learning_rate",
+        "reward_scale",
+        "max_grad_norm",
+        "clip",
+        "tau",
+        "alpha",
+        "checkpoint_minutes",
+    ),
     *("max_minutes", "curriculum_temperature"),
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")

@@ -17,7 +17,7 @@ from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.suite import ROBOT, ROUTE
+from rover_rl.envs.sensors.suite import MOVERS, ROBOT, ROUTE
 from rover_rl.sims.robots import get_robot
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
@@ -40,6 +40,9 @@ class PlainPolicy(nn.Module):
     A policy that reads ``robot`` is told the robot of its settings. The ``state_size`` entries of state hold the map of
     what the lidar has seen, if the policy reads ``route``, and then the state of the memory. ``inputs`` and ``outputs``
     are the names of arguments and results.
+
+    Raises:
+        ValueError: for a policy that reads ``movers``, whose tracks the exported map does not keep.
     """
 
     _robot: Tensor
@@ -49,6 +52,10 @@ class PlainPolicy(nn.Module):
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
         actor, settings = checkpoint.make_actor(), checkpoint.config.network
+        if MOVERS in settings.observation:
+            raise ValueError(
+                "a policy that reads movers cannot be exported: its tracks are no part of the exported map"
+            )
         self._observation = tuple(settings.observation)
         memory = settings.memory != "none"
         self._network = RecurrentStep(actor[0]) if memory else actor[0].module

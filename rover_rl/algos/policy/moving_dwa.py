@@ -14,8 +14,8 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
-from rover_rl.envs.mover_tracker import MoverTracker, in_base_frame, tracked
 from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.envs.mover_tracker import MoverTracker, in_base_frame, tracked
 from rover_rl.sims.timing import CONTROL_DT
 
 MARGIN = 0.05  # added to the radius of what moves, m

@@ -21,8 +21,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.dwa import LIDAR
-from rover_rl.envs.mover_tracker import MoverTracker, Tracks, in_base_frame, tracked
 from rover_rl.envs.config import EnvConfig, RobotLike
+from rover_rl.envs.mover_tracker import MoverTracker, Tracks, in_base_frame, tracked
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.timing import CONTROL_DT

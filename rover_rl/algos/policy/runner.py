@@ -23,8 +23,8 @@ from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
-from rover_rl.envs.sensors.scan_pose import scan_pose_now
 from rover_rl.envs.sensors.movers import SeenMovers
+from rover_rl.envs.sensors.scan_pose import scan_pose_now
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
@@ -68,9 +68,9 @@ class PolicyRunner:
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
     memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
     reads ``route`` or ``movers``, in an environment without these sensors, it keeps the maps of what the rovers have
-    seen, and the tracks of what moves, and adds what they tell to the observation. For one that reads ``scan_pose``, in an environment whose scans are never late,
-    it adds that the scan is as new as the pose. For one that reads ``bounds``, such as an exported policy that keeps
-    its own map, it adds the bounds of the world.
+    seen, and the tracks of what moves, and adds what they tell to the observation. For one that reads ``scan_pose``, in
+    an environment whose scans are never late, it adds that the scan is as new as the pose. For one that reads
+    ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
 
     Args:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
@@ -162,7 +162,7 @@ class PolicyRunner:
         config = config or EnvConfig(lidar=LidarConfig(points=points))
         interval = self.action_repeat * self._dt
         several = self._env is not None and self._env.robots.are_several
-        robot = self._env.fleet if several else get_robot(config.robot)
+        robot: Any = self._env.fleet if self._env is not None and several else get_robot(config.robot)
         return rows, config.lidar, robot, observation["lidar"].device, interval
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:

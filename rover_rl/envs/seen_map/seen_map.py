@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -220,7 +221,9 @@ class SeenMap:
         cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
         radius = torch.where(movers[..., 4] > 0, movers[..., 4] + self._sides[self._fleet.index], -1.0)
         place, velocity = (
-            torch.stack((cos * movers[..., k] - sin * movers[..., k + 1], sin * movers[..., k] + cos * movers[..., k + 1]), -1)
+            torch.stack(
+                (cos * movers[..., k] - sin * movers[..., k + 1], sin * movers[..., k] + cos * movers[..., k + 1]), -1
+            )
             for k in (0, 2)
         )
         return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]

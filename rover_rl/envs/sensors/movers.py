@@ -58,7 +58,10 @@ class SeenMovers:
         self._values = torch.zeros(rows, len(Movers.bounds.low), device=device)
 
     def __call__(
-        self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None, renewed: Tensor | None = None
+        self,
+        observation: TensorDictBase | Mapping[str, Tensor],
+        rows: Tensor | None = None,
+        renewed: Tensor | None = None,
     ) -> Tensor:
         """Adds the scans of an observation and returns the values of the sensor, ``[N, 156]``.
 

@@ -14,12 +14,13 @@ from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
 from rover_rl.algos.policy.foresight import ForesightPolicy
 from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.moving_dwa import MovingDynamicWindowPolicy
-from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner, MovingMap
+from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs import EnvConfig
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.envs.sensors.movers import Movers
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 from rover_rl.sims.worlds import Terrain, World, box
 from rover_rl.sims.worlds.movers import Box, Cylinder, Door, Mover, Slider, Waypoints
@@ -131,11 +132,11 @@ def test_the_planner_closes_the_way_of_what_moves() -> None:
         env = RoverEnv(EnvConfig(world=worlds[0], num_envs=1, backend="warp", lidar=policy.made_for.lidar, seed=3))
         runner = PolicyRunner(policy, env=env)
         tensordict = env.reset(start=torch.zeros(1, 3), goal=torch.tensor([[8.0, 0.0]]))
-        for _ in range(20):
+        for _ in range(21):
             runner(tensordict)
             tensordict = env.step(tensordict.set("action", torch.zeros(1, 2)))["next"]
-        assert runner._seen is not None
-        routes.append(runner._seen(tensordict))
+        assert runner.seen_map is not None
+        routes.append(runner.seen_map[1])
         env.close()
     # Straight ahead, or around the place where it will be when the rover is there.
     assert routes[0][0, 1].abs() < 0.05
@@ -144,11 +145,12 @@ def test_the_planner_closes_the_way_of_what_moves() -> None:
 
 def test_routes_are_the_same_where_nothing_moves() -> None:
     env = RoverEnv(EnvConfig(world="maze:3", num_envs=4, backend="warp", lidar=GridPlanner().made_for.lidar, seed=3))
-    maps = [kind(4, env.config.lidar) for kind in (SeenMap, MovingMap)]
+    maps, nothing = [SeenMap(4, env.config.lidar) for _ in range(2)], torch.zeros(4, len(Movers.bounds.low))
     tensordict = env.reset()
     renewed = torch.ones(4, dtype=torch.bool)
     for _ in range(3):
-        one, two = (seen(tensordict, renewed=renewed) for seen in maps)
+        one = maps[0](tensordict, renewed=renewed)
+        two = maps[1](tensordict.copy().set("movers", nothing), renewed=renewed)
         assert torch.equal(one, two)
         renewed = torch.zeros_like(renewed)
         tensordict = env.step(tensordict.set("action", torch.zeros(4, 2)))["next"]

@@ -264,6 +264,19 @@ def test_the_driver_of_any_robot_is_that_of_each() -> None:
         torch.testing.assert_close(together[row : row + 1], alone, rtol=0.2, atol=1e-3)
 
 
+@pytest.mark.parametrize(("reach", "stops"), [(1.0, False), (3.0, True)])
+def test_the_reach_of_a_policy_bounds_what_it_takes_back_from_the_driver(reach: float, stops: bool) -> None:
+    encoder = ObservationEncoder(("lidar", "imu", ROUTE), 64)
+    prior = RoutePrior(get_robot("rover_zero"), reach=reach, share=0.8)
+    actor = make_actor(encoder, prior=prior)
+    observation = rows_of("rover_zero")
+    # The driver goes at the share of full speed that it may use.
+    assert actor(observation)["action"][0, 0].item() == pytest.approx(0.8, abs=0.05)
+    with torch.no_grad():
+        [layer for layer in actor.modules() if isinstance(layer, torch.nn.Linear)][-1].bias.fill_(-100.0)
+    assert (actor(observation)["action"][0, 0] < 0) == stops
+
+
 def test_actions_are_within_what_each_robot_can_do() -> None:
     torch.manual_seed(0)
     names = ("leo", "jackal")

@@ -1,0 +1,88 @@
+"""The sensor ``movers``: what moves, where the scans will be, its mirror image, and what the map leaves out."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from rover_rl import RoverEnv
+from rover_rl.algos.policy.dwa import LIDAR
+from rover_rl.envs import EnvConfig
+from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, Movers, movers_of, predicted_scans
+from rover_rl.envs.sensors.route import Route
+from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+
+PERIOD = 2
+PASSING = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))
+"""Passes 3 m ahead of the origin, along y at 1 m/s."""
+
+
+def parked(yaw: Tensor, steps: int, *sensors: object) -> tuple[RoverEnv, Tensor]:
+    """Waits at the origin with given headings beside what passes, and returns the environment and the observation."""
+    world = World("passing", Terrain.flat((20.0, 20.0)), movers=[PASSING])
+    given = [Movers(period=PERIOD), *sensors]
+    env = RoverEnv(EnvConfig(world=world, num_envs=len(yaw), backend="warp", lidar=LIDAR, sensors=given, seed=3))  # type: ignore[arg-type]
+    start = torch.cat((torch.zeros(len(yaw), 2), yaw[:, None]), -1)
+    tensordict = env.reset(start=start, goal=torch.tensor([[8.0, 0.0]]).repeat(len(yaw), 1))
+    for _ in range(steps):
+        tensordict = env.step(tensordict.set("action", torch.zeros(len(yaw), 2)))["next"]
+    env.close()
+    return env, tensordict
+
+
+def test_movers_are_told_in_the_frame_of_each_rover() -> None:
+    yaw = torch.tensor([0.0, 0.5, -2.0])
+    _, tensordict = parked(yaw, 40)
+    movers = movers_of(tensordict["movers"])
+    assert ((movers[..., 4] > 0).sum(-1) == 1).all()
+    place, velocity, radius = movers[:, 0].split((2, 2, 1), -1)
+    cos, sin = yaw.cos(), yaw.sin()
+    # After two seconds at 1 m/s it is at (3, -1).
+    expected = torch.stack((3 * cos - sin, -3 * sin - cos), -1)
+    torch.testing.assert_close(place, expected, atol=0.25, rtol=0)
+    torch.testing.assert_close(velocity, torch.stack((sin, cos), -1), atol=0.25, rtol=0)
+    assert ((radius > 0.3) & (radius < 0.7)).all()
+
+
+def test_a_row_does_not_depend_on_its_company() -> None:
+    yaw = torch.tensor([0.4, 1.4])
+    both, alone = parked(yaw, 20)[1], parked(yaw[:1], 20)[1]
+    assert both["movers"].any()
+    assert torch.equal(both["movers"][:1], alone["movers"])
+
+
+def test_predicted_scans_tell_when_what_comes_is_near() -> None:
+    movers = torch.zeros(1, COUNT, NUMBERS)
+    movers[0, 0] = torch.tensor([4.0, 0.0, -1.0, 0.0, 0.5])
+    movers[0, 1] = torch.tensor([0.0, 6.0, 0.0, 0.0, 0.3])
+    scans = predicted_scans(movers)[0]
+    # It comes from ahead: 4 m less 1 m/s, to its surface.
+    assert scans[:, 0].tolist() == pytest.approx([3.0, 2.5, 2.0, 1.0])
+    assert scans[:, BEARINGS // 4].tolist() == pytest.approx([5.7] * 4)
+    assert (scans[:, BEARINGS // 2] == 12.0).all()
+
+
+def test_the_mirror_image_is_that_of_mirrored_movers() -> None:
+    movers = torch.rand(5, COUNT, NUMBERS, generator=torch.Generator().manual_seed(0)) * 8 - 4
+    movers[..., 4] = movers[..., 4].abs() / 4
+    sensor, image = Movers(), movers * torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0])
+    value, mirrored = (torch.cat((each.flatten(1), predicted_scans(each).flatten(1)), -1) for each in (movers, image))
+    torch.testing.assert_close(sensor.mirror(value), mirrored)
+    assert torch.equal(sensor.mirror(sensor.mirror(value)), value)
+
+
+def test_the_map_leaves_out_what_moves_and_routes_go_around_it() -> None:
+    env, tensordict = parked(torch.zeros(1), 20, Route(period=PERIOD))
+    blind = SeenMap(1, env.config.lidar)
+    blind(tensordict.exclude("movers"))
+    assert (blind.levels()[0] == 0).any()
+    seeing = SeenMap(1, env.config.lidar)
+    seeing(tensordict)
+    assert not (seeing.levels()[0] == 0).any()
+    # It will cross the way ahead when the rover could be there.
+    assert tensordict["route"][0, 1].abs() > math.radians(3)
