@@ -110,7 +110,7 @@ class Movers(Sensor):
     The map of what has been seen leaves them out if the observation has this entry.
 
     The other 96 numbers are ranges (m) in 24 directions from where the rover is now, if the movers keep their
-    velocity: in 0.5, 1, 1.5 and 2.5 s. See :func:`predicted_scans`.
+    velocity: in 0.5, 1, 1.5 and 2.5 s.
 
     Args:
         name: key of the entry.
