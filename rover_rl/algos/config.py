@@ -272,6 +272,8 @@ class TrainingConfig:
         network, entries = self.network, {*self.network.observation}
         if not network.hidden or not all(1 <= units <= MAX_COUNT for units in network.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {network.hidden}")
+        if not 0 < network.prior_share < 1:
+            raise ValueError(f"prior_share must be greater than 0 and less than 1, got {network.prior_share}")
         if network.prior == "route":
             self._check_prior()
         if network.north_up and not {"lidar", "imu", "target"} <= entries:
@@ -366,21 +368,11 @@ def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequ
 
 
 _POSITIVE = (
-    *(
-        "max_std",
-        "prior_reach",
-        "learning_rate",
-        "reward_scale",
-        "max_grad_norm",
-        "clip",
-        "tau",
-        "alpha",
-        "checkpoint_minutes",
-    ),
-    *("max_minutes", "curriculum_temperature"),
+    *("max_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
+    *("max_minutes", "curriculum_temperature", "prior_reach"),
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
-_FRACTIONS = ("gamma", "prior_share", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
+_FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
 _CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
 
 

@@ -17,6 +17,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.scans import reading_angles
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -90,9 +91,7 @@ class MoverTracker:
         self._fleet = robot if isinstance(robot, Fleet) else None
         robots = robot.robots if isinstance(robot, Fleet) else (robot,)
         self._mounts = torch.tensor([each.lidar_position[:2] for each in robots])
-        share = lidar.beams / lidar.points
-        self._spacing = 2 * math.pi / lidar.points
-        self._angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+        self._spacing, self._angles = 2 * math.pi / lidar.points, reading_angles(lidar)
 
     def __call__(
         self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, rows: Tensor | None = None

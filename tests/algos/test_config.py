@@ -34,6 +34,8 @@ ROUTE = ("lidar", "imu", "route")
         (PPO, "logger", ("csb",)),
         (PPO, "curriculum", "hardest"),
         (PPO, "curriculum_share", 1.5),
+        (PPO, "prior_share", 1.0),
+        (PPO, "prior_reach", 0.0),
         (PPO, "curriculum_temperature", 0.0),
         (PPO, "observation", ()),
         (PPO, "observation", ("lidar", "camera")),

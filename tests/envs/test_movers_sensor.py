@@ -12,7 +12,7 @@ from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, Movers, movers_of, predicted_scans
+from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, TRACKED, Movers, movers_of, predicted_scans
 from rover_rl.envs.sensors.route import Route
 from rover_rl.sims.worlds import Terrain, World
 from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
@@ -86,3 +86,18 @@ def test_the_map_leaves_out_what_moves_and_routes_go_around_it() -> None:
     assert not (seeing.levels()[0] == 0).any()
     # It will cross the way ahead when the rover could be there.
     assert tensordict["route"][0, 1].abs() > math.radians(3)
+
+
+def test_the_map_leaves_out_what_moves_in_a_late_scan() -> None:
+    """Since the scan, the rover has driven 0.6 m and turned by 0.5 rad."""
+    env, tensordict = parked(torch.zeros(1), 20)
+    place, velocity, radius = movers_of(tensordict["movers"]).split((2, 2, 1), -1)
+    way, cos, sin = torch.tensor([0.6, 0.0, 0.0]), math.cos(0.5), math.sin(0.5)
+    turn = torch.tensor([[cos, -sin], [sin, cos]])
+    now = torch.cat(((place - way[:2]) @ turn, velocity @ turn, radius), -1)
+    late = tensordict.copy().update({"movers": torch.cat((now.flatten(1), tensordict["movers"][:, TRACKED:]), -1)})
+    late.update({"pose": tensordict["pose"] + way, "imu": torch.tensor([[0.0, 0.0, 0.5]])})
+    late["scan_pose"] = torch.tensor([[-0.6 * cos, 0.6 * sin, 0.0, 0.0, 0.0, -0.5]])
+    seen = SeenMap(1, env.config.lidar)
+    seen(late)
+    assert not (seen.levels()[0] == 0).any()

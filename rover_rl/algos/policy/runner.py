@@ -42,8 +42,8 @@ only with the rows that decide."""
 def default_action_repeat(policy: Policy | None, given: int | None = None, dt: float = CONTROL_DT) -> int:
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
-    A policy with a memory or a map, which change with each decision, decides as often as in training, others at each
-    step. ``dt`` is the duration of a step, s, which may be another one than in training.
+    A policy with a memory, a map or tracks, which change with each decision, decides as often as in training, others at
+    each step. ``dt`` is the duration of a step, s, which may be another one than in training.
     """
     if given is not None:
         return given

@@ -7,6 +7,8 @@ import math
 import torch
 from torch import Tensor
 
+from rover_rl.envs.sensors.scan_pose import seen_from_now
+
 
 def hit_points(
     lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5, scan_pose: Tensor | None = None
@@ -23,7 +25,4 @@ def hit_points(
     points = lidar.shape[-1]
     angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)
     x, y = lidar * angles.cos() + lidar_offset, lidar * angles.sin()
-    if scan_pose is None:
-        return x, y
-    ahead, left, turn = scan_pose[..., :1], scan_pose[..., 1:2], scan_pose[..., 5:]
-    return ahead + x * turn.cos() - y * turn.sin(), left + x * turn.sin() + y * turn.cos()
+    return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)

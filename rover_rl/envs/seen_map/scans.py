@@ -214,13 +214,18 @@ class ScanReader(nn.Module):
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
 
 
-def reading_directions(lidar: LidarConfig) -> Tensor:
-    """Returns the directions of the readings of a lidar in the plane, ``[P, 2]``.
+def reading_angles(lidar: LidarConfig) -> Tensor:
+    """Returns the angles of the readings of a lidar, ``[P]``, rad.
 
-    A reading is the minimum over several beams: its direction is that of their center.
+    A reading is the minimum over several beams: its angle is that of their center.
     """
     share = lidar.beams / lidar.points
-    angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+    return (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+
+
+def reading_directions(lidar: LidarConfig) -> Tensor:
+    """Returns the directions of the readings of a lidar in the plane, ``[P, 2]``."""
+    angles = reading_angles(lidar)
     return torch.stack((angles.cos(), angles.sin()), -1)
 
 

@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.envs.config import SCAN_POSE, LidarConfig, RobotLike
 from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
@@ -38,7 +38,7 @@ from rover_rl.envs.seen_map.scans import (
     route_in_meters,
 )
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
-from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -181,7 +181,8 @@ class SeenMap:
             scan, state = self._reader(self._state, ranges, place, imu, readings, (taken[0] / unit, taken[1]))
         movers, ways = observation.get(MOVERS, None), list[Tensor]()
         if movers is not None:
-            scan = scan._replace(hits=scan.hits & ~belong_to_movers(self._points_of(lidar), movers))
+            points = self._points_of(lidar, observation.get(SCAN_POSE, None))
+            scan = scan._replace(hits=scan.hits & ~belong_to_movers(*points, movers))
             ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal_positions(place, imu, goal), bounds, rows, ways)
@@ -208,10 +209,11 @@ class SeenMap:
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
-    def _points_of(self, lidar: Tensor) -> Tensor:
-        """Returns the ends of readings in the base frame, ``[N, points, 2]``, m."""
-        mounts = (self._readings[:, :2] * self._units)[self._fleet.index]
-        return mounts[:, None] + lidar[..., None] * self._directions
+    def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Returns x and y of the ends of readings in the base frame now, ``[N, points]`` each, m."""
+        ahead, left = (self._readings[:, :2] * self._units)[self._fleet.index].split(1, -1)
+        x, y = ahead + lidar * self._directions[:, 0], left + lidar * self._directions[:, 1]
+        return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)
 
     def _ways_of(self, movers: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
         """Returns position, velocity and radius of movers in the world, in cells, ``[N, COUNT, NUMBERS]``.
@@ -243,14 +245,16 @@ class SeenMap:
         scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
         # Movers close cells for one plan only.
-        levels = torch.empty_like(self._levels) if ways else self._levels
-        closing = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels, levels]
+        levels, closing = self._levels, list[Tensor]()
+        if ways:
+            levels = torch.empty_like(self._levels)
+            closing = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels, levels]
         plans = [goals, bounds, rows, center, levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
             wp.launch(add_scans, last - first, [*scans, first], **options)
-            if ways:
+            if closing:
                 wp.launch(close_ways, last - first, [*closing, first], **options)
             inputs = [*plans, *memory, self._corners, self._lengths, first, last]
             wp.launch(plan_routes, len(memory[0]), inputs, **options)

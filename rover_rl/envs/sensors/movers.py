@@ -73,7 +73,8 @@ class SeenMovers:
         """
         if renewed is not None:
             self._state = self._state.masked_fill(renewed[:, None], 0.0)
-        read = {key: observation[key] for key in ("lidar", "pose", "imu", SCAN_POSE) if key in observation.keys()}  # noqa: SIM118
+        entries = {key: observation.get(key, None) for key in ("lidar", "pose", "imu", SCAN_POSE)}
+        read = {key: value for key, value in entries.items() if value is not None}
         if rows is None or self._state.device.type != "cpu":
             state, values = self._follow(self._state, read)
             keep = torch.ones_like(state[:, :1], dtype=torch.bool) if rows is None else rows[:, None]
@@ -187,14 +188,14 @@ def _one_by_one(movers: Tensor) -> Tensor:
     return torch.cat(parts, -1).flatten(-2)
 
 
-def belong_to_movers(points: Tensor, movers: Tensor) -> Tensor:
+def belong_to_movers(x: Tensor, y: Tensor, movers: Tensor) -> Tensor:
     """Returns which points belong to movers, bool ``[N, P]``.
 
     Args:
-        points: points in the base frame, ``[N, P, 2]``, m.
+        x, y: points in the base frame, ``[N, P]`` each, m.
         movers: values of the sensor, ``[N, 156]``.
     """
     place, _, radius = movers_of(movers).split((2, 2, 1), -1)
     reach = torch.where(radius > 0, radius + SLACK, -1.0)[..., 0]
-    x, y = (points[..., axis, None] - place[:, None, :, axis] for axis in range(2))
-    return (x * x + y * y - (reach * reach.abs())[:, None]).amin(-1) < 0
+    dx, dy = x[..., None] - place[:, None, :, 0], y[..., None] - place[:, None, :, 1]
+    return (dx * dx + dy * dy - (reach * reach.abs())[:, None]).amin(-1) < 0

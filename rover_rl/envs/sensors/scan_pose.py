@@ -57,6 +57,15 @@ def taken_at(observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor] | None:
     return pose_of_scan(observation["pose"], observation["imu"], relative)
 
 
+def seen_from_now(x: Tensor, y: Tensor, scan_pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns x and y in the base frame now, ``[..., points]`` each, m, of points in that of the scan.
+
+    ``scan_pose`` are values of the sensor, ``[..., 6]``.
+    """
+    ahead, left, turn = scan_pose[..., :1], scan_pose[..., 1:2], scan_pose[..., 5:]
+    return ahead + x * turn.cos() - y * turn.sin(), left + x * turn.sin() + y * turn.cos()
+
+
 def pose_of_scan(pose: Tensor, imu: Tensor, relative: Tensor) -> tuple[Tensor, Tensor]:
     """Returns what :func:`taken_at` does, of the entries ``pose``, ``imu`` and ``scan_pose``."""
     ahead, left, up, pitch, roll, turn = relative.split(1, -1)

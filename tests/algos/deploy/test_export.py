@@ -22,7 +22,7 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
+from rover_rl.algos.policy.networks import ObservationEncoder, actor_of, make_actor
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
@@ -188,6 +188,14 @@ def test_the_command_exports(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["export", "pretrained:moon-sac"]) == 0
     assert "moon-sac.onnx: acts as pretrained:moon-sac does" in capsys.readouterr().out
+
+
+@needs_onnx
+def test_a_policy_that_reads_movers_is_refused(tmp_path):
+    config = training_config("ppo", hidden=(8,), observation=("lidar", "target", "movers"))
+    checkpoint = Checkpoint(config=config, steps=0, actor=actor_of(config).state_dict())
+    with pytest.raises(ValueError, match="a policy that reads movers cannot be exported"):
+        export(checkpoint, tmp_path / "movers.onnx")
 
 
 @pytest.mark.slow
