@@ -138,7 +138,7 @@ class TrainingRun:
         self._from_start = folder is not None and self._saved_steps is None
         self._steps_before = self._collected = self.steps
         self.stopwatch = Stopwatch()
-        self._last_snapshot = int(self.share * config.run.snapshots)
+        self._last_snapshot = int(self._share_at(self._minutes_before) * config.run.snapshots)
         self._log = ProgressLog(self.folder, self.updates, self.steps)
 
     def _resume(self, folder: Path) -> None:
@@ -175,8 +175,11 @@ class TrainingRun:
     @property
     def share(self) -> float:
         """Fraction of the budget that is used, of steps or time, whichever is larger. At most 1."""
+        return self._share_at(self.minutes)
+
+    def _share_at(self, minutes: float) -> float:
         limit = self.config.run.max_minutes
-        return min(1.0, max(self.steps / self.config.run.total_steps, self.minutes / limit if limit else 0.0))
+        return min(1.0, max(self.steps / self.config.run.total_steps, minutes / limit if limit else 0.0))
 
     @property
     def summary(self) -> TrainingSummary:
