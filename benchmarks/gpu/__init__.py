@@ -40,8 +40,10 @@ def measure(options: Options) -> dict[str, Any] | None:
     if device is None:
         return None
     results: dict[str, Any] = {"device": device}
+    # Warp needs its number: "cuda" alone has none.
+    place = torch.empty(0, device=device).device
     for name in SECTIONS:
-        results[name] = _attempt(_module(name).measure, options, torch.device(device), results)
+        results[name] = _attempt(_module(name).measure, options, place, results)
         write_json(options.out / "gpu.json", results)
     _module("plot").draw(results, options.out / "gpu.png")
     return results

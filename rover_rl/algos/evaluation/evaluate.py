@@ -256,7 +256,7 @@ def _drive(
             action = runner(tensordict.set("episode", offset + episode[:, None]))
             tensordict = env.step(tensordict.set("action", action).set("_step", driving))["next"]
             recorder.add(env, tensordict, episode, driving)
-            restarting = driving & tensordict["done"].squeeze(-1)
+            restarting = driving & tensordict["done"].squeeze(-1).to("cpu")
             for row in restarting.nonzero().squeeze(-1).tolist():
                 recorder.end(tensordict[row], int(episode[row]))
                 next_episode = schedule.next(row)
@@ -318,8 +318,8 @@ class _Recorder:
         if self._has_movers:
             gap = (outcome["mover_distance"] - env.robot.radius).clamp(min=0)
             values += [outcome["mover_contact"], gap, env.movers.nearest_center(rover.position[:, :2])]
-        record = torch.cat(values, -1)
-        steps = outcome["steps"].squeeze(-1)
+        record = torch.cat(values, -1).to("cpu")
+        steps = outcome["steps"].squeeze(-1).to("cpu")
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
         if self._tracks is not None and env.movers.parts is not None:

@@ -160,12 +160,12 @@ class ScanReader(nn.Module):
             directions = self._turn * is_seen[..., None]
         mount, no_return, patience = numbers.split((3, 1, 1), -1)
         _, was_rough, place, waits, corner = state.split(STATE, -1)
-        axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
+        axes, xy = euler_to_matrix(_roll_first(imu)), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
         center = (xy / CELL).floor()
         at, attitude = taken or (pose, imu)
-        tilted = axes if taken is None else euler_to_matrix(attitude[:, [1, 0, 2]])
+        tilted = axes if taken is None else euler_to_matrix(_roll_first(attitude))
         origin, beams = self._beams(lidar, at[:, :2], attitude[:, 2:], tilted, mount, directions)
         size, reach = beams[..., :2].abs().amax(-1), torch.full_like(xy[:, :1], REACH)
         if taken is not None:
@@ -212,6 +212,12 @@ class ScanReader(nn.Module):
         """
         rise = beams + (mount[..., 2:] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+def _roll_first(imu: Tensor) -> Tensor:
+    """Returns roll, pitch and yaw of pitch, roll and yaw, ``[N, 3]``. A list of indices would wait for a GPU."""
+    pitch, roll, yaw = imu.split(1, -1)
+    return torch.cat((roll, pitch, yaw), -1)
 
 
 def reading_angles(lidar: LidarConfig) -> Tensor:

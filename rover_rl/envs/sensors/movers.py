@@ -162,8 +162,7 @@ def predicted_scans(movers: Tensor) -> Tensor:
     The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
     """
     place, velocity, radius = movers.split((2, 2, 1), -1)
-    times = movers.new_tensor(INSTANTS)
-    center = place[..., None, :, :] + times[:, None, None] * velocity[..., None, :, :]
+    center = torch.stack([place + time * velocity for time in INSTANTS], -3)
     distance = center.norm(dim=-1)
     wide = radius[..., None, :, 0] + distance * math.tan(math.pi / BEARINGS)
     angles = torch.arange(BEARINGS, device=movers.device) * (2 * math.pi / BEARINGS)
