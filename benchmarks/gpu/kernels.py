@@ -21,6 +21,7 @@ from benchmarks.gpu.speed import driving
 from benchmarks.gpu.timing import timed
 from benchmarks.kernel_resources import resident_threads
 from benchmarks.options import Options
+from rover_rl.envs.seen_map.mover_kernels import close_ways
 from rover_rl.envs.seen_map.route_kernels import plan_routes
 from rover_rl.envs.seen_map.scan_kernels import add_scans
 from rover_rl.sims.native.warp import wp
@@ -28,7 +29,7 @@ from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.simulator import GPU_BLOCK_SIZE
 
-KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_scans, plan_routes)}
+KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_scans, close_ways, plan_routes)}
 """Kernels of a step, of a reset and of the map, by their names."""
 ROVERS = 65_536
 """Number of rovers, at most."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.scan_kernels import HALF, SIZE, address
+from rover_rl.envs.seen_map.scan_kernels import CROSSED, HALF, address
 from rover_rl.sims.native.warp import wp
 
 STEPS = wp.constant(16)
@@ -12,7 +12,7 @@ STEP_DT = wp.constant(0.25)
 EARLY = wp.constant(0.75)
 """Time before and after the rover could be in a cell, in which the cell is closed, s."""
 TIGHT = wp.constant(1)
-"""Level of closed cells: the rover does not fit there, but gets out if it is there."""
+"""Level that closed cells have in a plan: the rover does not fit there, but gets out if it is there."""
 
 
 @wp.kernel
@@ -23,10 +23,13 @@ def close_ways(
     ways: wp.array3d[float],
     speeds: wp.array[float],
     levels: wp.array2d[wp.uint8],
-    closed: wp.array2d[wp.uint8],
+    closes: bool,
     first: int,
 ):
-    """Copies levels and closes the cells where the rover would meet what moves; thread ``t`` does row ``first + t``.
+    """Closes the cells where the rover would meet what moves, or opens them again.
+
+    Thread ``(t, m)`` does so for mover ``m`` of row ``first + t``. Threads of one row that write to the same cell write
+    the same.
 
     Args:
         planned: rows to plan for.
@@ -35,32 +38,32 @@ def close_ways(
         ways: x, y, velocity along x and y (1/s), and radius of what moves, ``[N, K, 5]``. A negative one counts for
             nothing.
         speeds: speeds of the rovers, 1/s.
-        levels: level of each cell.
-        closed: results.
+        levels: level of each cell, to which ``CROSSED`` is added in those that are closed.
+        closes: whether to close the cells, or to open them again.
         first: first row.
     """
-    i = wp.tid() + first
-    if not planned[i]:
+    t, m = wp.tid()
+    i = t + first
+    radius = ways[i, m, 4]
+    if not planned[i] or radius <= 0.0:
         return
-    for k in range(SIZE * SIZE):
-        closed[i, k] = levels[i, k]
     center = centers[i]
-    for m in range(ways.shape[1]):
-        radius = ways[i, m, 4]
-        if radius > 0.0:
-            for n in range(STEPS):
-                time = STEP_DT * float(n)
-                x = ways[i, m, 0] + time * ways[i, m, 2]
-                y = ways[i, m, 1] + time * ways[i, m, 3]
-                reach = int(wp.ceil(radius))
-                for row in range(int(wp.floor(y)) - reach, int(wp.floor(y)) + reach + 1):
-                    for column in range(int(wp.floor(x)) - reach, int(wp.floor(x)) + reach + 1):
-                        u = float(column) + 0.5
-                        v = float(row) + 0.5
-                        from_way = wp.length(wp.vec2(u - x, v - y))
-                        arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speeds[i]
-                        inside = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
-                        if inside and from_way < radius and wp.abs(arrival - time) < EARLY:
-                            cell = address(column, row)
-                            if int(closed[i, cell]) > TIGHT:
-                                closed[i, cell] = wp.uint8(TIGHT)
+    for n in range(STEPS):
+        time = STEP_DT * float(n)
+        x = ways[i, m, 0] + time * ways[i, m, 2]
+        y = ways[i, m, 1] + time * ways[i, m, 3]
+        reach = int(wp.ceil(radius))
+        for row in range(int(wp.floor(y)) - reach, int(wp.floor(y)) + reach + 1):
+            for column in range(int(wp.floor(x)) - reach, int(wp.floor(x)) + reach + 1):
+                u = float(column) + 0.5
+                v = float(row) + 0.5
+                from_way = wp.length(wp.vec2(u - x, v - y))
+                arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speeds[i]
+                inside = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
+                if inside and from_way < radius and wp.abs(arrival - time) < EARLY:
+                    cell = address(column, row)
+                    level = int(levels[i, cell])
+                    if closes and level > TIGHT and level < CROSSED:
+                        levels[i, cell] = wp.uint8(level + CROSSED)
+                    elif not closes and level >= CROSSED:
+                        levels[i, cell] = wp.uint8(level - CROSSED)

@@ -10,7 +10,8 @@ The map changes with each scan, and each rover has its own, so that this search,
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.scan_kernels import CELL, DOUBTFUL, HALF, LAST, OPEN, SIZE, address
+from rover_rl.envs.seen_map.mover_kernels import TIGHT
+from rover_rl.envs.seen_map.scan_kernels import CELL, CROSSED, DOUBTFUL, HALF, LAST, OPEN, SIZE, address
 from rover_rl.sims.free_space.path_kernels import link, unlink
 from rover_rl.sims.native.warp import wp
 
@@ -89,6 +90,7 @@ def level_of(x: int, y: int, window: Window):
     """Returns the level of cell (x, y), with suspected cells around it."""
     cell = address(x + window.center[0] - HALF, y + window.center[1] - HALF)
     level = int(window.levels[cell])
+    level = wp.where(level >= CROSSED, TIGHT, level)
     return wp.where(window.doubts[cell] > wp.int16(0), wp.min(level, DOUBTFUL), level)
 
 
@@ -117,21 +119,28 @@ def weight_of(x: int, y: int, window: Window):
 
 @wp.func
 def spread(
-    window: Window, costs: wp.array[int], heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]
+    window: Window,
+    costs: wp.array[int],
+    heads: wp.array[int],
+    following: wp.array[int],
+    preceding: wp.array[int],
+    reached: wp.array[int],
 ):
     """Computes the costs from the goal to all cells that may be on a cheapest path to the center.
+
+    Lists the cells whose costs it has ``reached``, and returns their number.
 
     A* from the goal (P. E. Hart, N. J. Nilsson, B. Raphael, "A formal basis for the heuristic determination of minimum
     cost paths", IEEE Transactions on Systems Science and Cybernetics 4, 1968) with a circular queue of buckets. It ends
     when no cell with a lower or equal cost is left, so that the costs along *all* cheapest paths are exact.
     """
-    for cell in range(SIZE * SIZE):
-        costs[cell] = UNKNOWN_COST
     for bucket in range(BUCKETS):
         heads[bucket] = -1
     home = int(HALF * SIZE + HALF)
     goal = window.goal
     costs[goal] = 0
+    reached[0] = goal
+    count = int(1)
     level = least_cost((goal & LAST) - HALF, goal / SIZE - HALF) / WIDTH
     link(goal, level % BUCKETS, heads, following, preceding)
     empty = int(0)
@@ -160,10 +169,14 @@ def spread(
                     known = costs[other]
                     if candidate < known and (other == home or weight_of(to_x, to_y, window) > 0):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
-                        if known < UNKNOWN_COST and following[other] != REMOVED:
+                        if known == UNKNOWN_COST:
+                            reached[count] = other
+                            count += 1
+                        elif following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
                         costs[other] = candidate
                         link(other, (candidate + estimate) / WIDTH % BUCKETS, heads, following, preceding)
+    return count
 
 
 @wp.func
@@ -254,6 +267,7 @@ def plan_routes(
     heads: wp.array2d[int],
     following: wp.array2d[int],
     preceding: wp.array2d[int],
+    reached: wp.array2d[int],
     corners: wp.array3d[float],
     lengths: wp.array[float],
     first: int,
@@ -267,7 +281,8 @@ def plan_routes(
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
         levels, doubts: the map: see ``scan_kernels.Cells``.
-        costs, heads, following, preceding: working memory, ``[T, SIZE * SIZE]``, and ``[T, BUCKETS]`` for ``heads``.
+        costs, heads, following, preceding, reached: working memory, ``[T, SIZE * SIZE]``, and ``[T, BUCKETS]`` for
+            ``heads``. Between plans, all costs are ``UNKNOWN_COST``.
         corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
         lengths: results: cost of the route, as the length of an open route of that cost, ``[N]``, m; -1 without a path.
     """
@@ -290,7 +305,7 @@ def plan_routes(
                 edge(bounds[i, 2], center[0]) - ROOM,
                 edge(bounds[i, 3], center[1]) - ROOM,
             )
-            spread(window, costs[t], heads[t], following[t], preceding[t])
+            count = spread(window, costs[t], heads[t], following[t], preceding[t], reached[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
             found = int(0)
@@ -301,3 +316,5 @@ def plan_routes(
                 # The last corner is the goal itself.
                 corners[i, k, 0] = goals[i, 0]
                 corners[i, k, 1] = goals[i, 1]
+            for n in range(count):
+                costs[t, reached[t, n]] = UNKNOWN_COST

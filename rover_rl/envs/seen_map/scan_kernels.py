@@ -17,6 +17,8 @@ MOST, CLOSED = wp.constant(scans.MOST), wp.constant(scans.CLOSED)
 OPEN, DOUBTFUL = wp.constant(scans.OPEN), wp.constant(scans.DOUBTFUL)
 REACH, NO_GAP, STRETCH = wp.constant(scans.REACH), wp.constant(scans.NO_GAP), wp.constant(scans.STRETCH)
 MAX_TILT = wp.constant(scans.MAX_TILT)
+CROSSED = wp.constant(8)
+"""Added to the level of a cell on the way of what moves, while routes are planned."""
 
 
 @wp.func

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -105,7 +106,7 @@ class SeenMap:
         interval: float = 0.2,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
-        from rover_rl.envs.seen_map.route_kernels import BUCKETS
+        from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
         self._points, self._directions = lidar.points, reading_directions(lidar).to(device)
@@ -134,9 +135,9 @@ class SeenMap:
         on_gpu = device.type == "cuda"
         self._shares = [*pairwise(torch.linspace(0, rows, 1 + (1 if on_gpu else min(threads, rows))).long().tolist())]
         self._pool = ThreadPoolExecutor(len(self._shares) - 1) if len(self._shares) > 1 else None
-        sizes = (cells, BUCKETS, cells, cells)
+        sizes, unknown = (cells, BUCKETS, cells, cells, cells), int(UNKNOWN_COST)
         self._memory = [
-            [torch.empty(rows if on_gpu else 1, size, dtype=torch.int32, device=device) for size in sizes]
+            [torch.full((rows if on_gpu else 1, size), unknown, dtype=torch.int32, device=device) for size in sizes]
             for _ in self._shares
         ]
 
@@ -238,26 +239,28 @@ class SeenMap:
         from rover_rl.sims.native.warp import wp
 
         device = wp.device_from_torch(rows.device)
-        options = {"device": device, "stream": wp.stream_from_torch(rows.device) if device.is_cuda else None}
+        options: dict[str, Any] = {"device": device}
+        if device.is_cuda:
+            # Each thread has much to do: small blocks spread few rows over all multiprocessors.
+            options |= {"stream": wp.stream_from_torch(rows.device), "block_dim": 32}
         before, center = self._state[:, :2].int(), scan.center.int()
         limits = self._limits[self._fleet.index]
         limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
         scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
-        # Movers close cells for one plan only.
-        levels, closing = self._levels, list[Tensor]()
-        if ways:
-            levels = torch.empty_like(self._levels)
-            closing = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels, levels]
-        plans = [goals, bounds, rows, center, levels, self._doubts]
+        crossed = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels]
+        plans = [goals, bounds, rows, center, self._levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
             wp.launch(add_scans, last - first, [*scans, first], **options)
-            if closing:
-                wp.launch(close_ways, last - first, [*closing, first], **options)
+            # Movers close cells for one plan only.
+            if ways:
+                wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, True, first], **options)
             inputs = [*plans, *memory, self._corners, self._lengths, first, last]
             wp.launch(plan_routes, len(memory[0]), inputs, **options)
+            if ways:
+                wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, False, first], **options)
 
         parts = list(zip(self._shares, self._memory, strict=True))
         others = [self._pool.submit(launch, *part) for part in parts[1:]] if self._pool else []
