@@ -219,6 +219,9 @@ class WarpSimulator:
         else:
             self._buffers.active.copy_(active)
         self._follow_movers()
+        if self.device.type == "cuda":
+            # The threads of a warp wait for the slowest: neighbors should have about as much to do.
+            self._buffers.order.copy_(self._buffers.work.argsort())
         self.launch()
         return self.state()
 

@@ -30,6 +30,8 @@ from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel
 EXTRA_CONTACTS = 8
 """Maximum number of contacts besides those of the wheels with the ground; the deepest are kept."""
 MAX_CONTACTS = 2 * MAX_WHEELS + EXTRA_CONTACTS
+MAX_PAIRS = 16
+"""Number of pairs of a part of the rover and an obstacle that are collected before they are tested."""
 LEFT = wp.constant(wp.vec3(0.0, 1.0, 0.0))
 """Direction of the axle of a wheel that points ahead, in the base frame."""
 UP = wp.constant(wp.vec3(0.0, 0.0, 1.0))
@@ -58,6 +60,11 @@ class Contact:
 
     # 1 if the contact takes part in the current substep, else 0.
     active: int
+    # Contact point, and the point where friction acts, relative to the center of mass, m.
+    arm: wp.vec3
+    friction_arm: wp.vec3
+    # Velocity of the other surface at the contact point, m/s.
+    surface: wp.vec3
     # Identifies the same pair of features in the next substep, for the warm start.
     key: int
     # Index of the touching wheel, or NO_WHEEL.
@@ -142,14 +149,10 @@ def axle_moment(lever: wp.vec3, direction: wp.vec3, axle: wp.vec3, wheel: int) -
 
 
 @wp.func
-def prepare_contact(
+def set_contact(
     contacts: wp.array[Contact],
     k: int,
-    body: Body,
-    model: RobotModel,
-    solver: Solver,
     wheel: int,
-    axle: wp.vec3,
     arm: wp.vec3,
     friction_arm: wp.vec3,
     normal: wp.vec3,
@@ -157,7 +160,37 @@ def prepare_contact(
     friction: float,
     surface: wp.vec3,
 ):
-    """Fills in the constraint rows of contact ``k``; its key and accumulated impulse stay as they are.
+    """Sets where contact ``k`` is; its key and accumulated impulse stay as they are.
+
+    Args:
+        contacts: contacts of the thread.
+        k: index of the contact.
+        wheel: index of the touching wheel, or ``NO_WHEEL``.
+        arm: contact point relative to the center of mass, m.
+        friction_arm: point where friction acts, relative to the center of mass, m.
+        normal: unit normal from the other surface to the rover.
+        gap: distance of the two surfaces, m; negative for a penetration.
+        friction: friction coefficient.
+        surface: velocity of the other surface at the contact point, in the body frame, m/s.
+    """
+    contacts[k].active = 1
+    contacts[k].wheel = wheel
+    contacts[k].arm = arm
+    contacts[k].friction_arm = friction_arm
+    contacts[k].normal = normal
+    contacts[k].gap = gap
+    contacts[k].friction = friction
+    contacts[k].surface = surface
+
+
+@wp.func
+def prepare_contacts(
+    contacts: wp.array[Contact], count: int, body: Body, model: RobotModel, solver: Solver, axles: wp.array[wp.vec3]
+):
+    """Fills in the constraint rows of the active ones among the first ``count`` contacts.
+
+    All are prepared here, after the search: neighboring threads of a GPU, which find contacts at different times, do
+    this together.
 
     Effective masses: ``m_n = 1 / (1/m + moment . response + a^2 / J + softness)``, and for friction the smaller of the
     two tangents' masses without softness. Target speed along the normal:
@@ -169,83 +202,81 @@ def prepare_contact(
 
     Args:
         contacts: contacts of the thread.
-        k: index of the contact.
+        count: number of contacts.
         body: pose and inertia of the rover.
         model: model of the robot.
         solver: solver parameters.
-        wheel: index of the touching wheel, or ``NO_WHEEL``.
-        axle: direction of its axle.
-        arm: contact point relative to the center of mass, m.
-        friction_arm: point where friction acts, relative to the center of mass, m.
-        normal: unit normal from the other surface to the rover.
-        gap: distance of the two surfaces, m; negative for a penetration.
-        friction: friction coefficient.
-        surface: velocity of the other surface at the contact point, in the body frame, m/s.
+        axles: directions of the axles of the wheels.
     """
-    lever = arm
-    if wheel != NO_WHEEL:
-        lever = arm - (model.hubs[wheel] - body.center)
-    # Longitudinal: the rolling direction of a wheel, axle x normal. On contacts near the axle's direction, where that
-    # vanishes, normal x z.
-    longitudinal = rolling_direction(axle, normal)
-    if wp.abs(wp.dot(axle, normal)) > 0.9:
-        longitudinal = wp.vec3(normal[1], -normal[0], 0.0)
-    longitudinal = wp.normalize(longitudinal)
-    lateral = wp.cross(normal, longitudinal)
-    if wheel != NO_WHEEL and model.rollers.shape[0] > 0:
-        # Ideal rollers: friction acts along the axle of the roller, and nothing holds the wheel across it.
-        roller = model.rollers[wheel]
-        if wp.length_sq(roller) > 0.0:
-            longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
-            lateral = wp.vec3(0.0, 0.0, 0.0)
-    normal_axle = axle_moment(lever, normal, axle, wheel)
-    longitudinal_axle = axle_moment(lever, longitudinal, axle, wheel)
-    lateral_axle = axle_moment(lever, lateral, axle, wheel)
-    normal_moment = body_moment(arm, normal, axle, normal_axle)
-    longitudinal_moment = body_moment(friction_arm, longitudinal, axle, longitudinal_axle)
-    lateral_moment = body_moment(friction_arm, lateral, axle, lateral_axle)
-    normal_response = body.inverse_inertia * normal_moment
-    longitudinal_response = body.inverse_inertia * longitudinal_moment
-    lateral_response = body.inverse_inertia * lateral_moment
+    for k in range(count):
+        if contacts[k].active == 1:
+            wheel = contacts[k].wheel
+            arm = contacts[k].arm
+            friction_arm = contacts[k].friction_arm
+            normal = contacts[k].normal
+            axle = LEFT
+            lever = arm
+            if wheel != NO_WHEEL:
+                axle = axles[wheel]
+                lever = arm - (model.hubs[wheel] - body.center)
+            # Longitudinal: the rolling direction of a wheel, axle x normal. On contacts near the axle's direction,
+            # where that vanishes, normal x z.
+            longitudinal = rolling_direction(axle, normal)
+            if wp.abs(wp.dot(axle, normal)) > 0.9:
+                longitudinal = wp.vec3(normal[1], -normal[0], 0.0)
+            longitudinal = wp.normalize(longitudinal)
+            lateral = wp.cross(normal, longitudinal)
+            if wheel != NO_WHEEL and model.rollers.shape[0] > 0:
+                # Ideal rollers: friction acts along the axle of the roller, and nothing holds the wheel across it.
+                roller = model.rollers[wheel]
+                if wp.length_sq(roller) > 0.0:
+                    longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
+                    lateral = wp.vec3(0.0, 0.0, 0.0)
+            normal_axle = axle_moment(lever, normal, axle, wheel)
+            longitudinal_axle = axle_moment(lever, longitudinal, axle, wheel)
+            lateral_axle = axle_moment(lever, lateral, axle, wheel)
+            normal_moment = body_moment(arm, normal, axle, normal_axle)
+            longitudinal_moment = body_moment(friction_arm, longitudinal, axle, longitudinal_axle)
+            lateral_moment = body_moment(friction_arm, lateral, axle, lateral_axle)
+            normal_response = body.inverse_inertia * normal_moment
+            longitudinal_response = body.inverse_inertia * longitudinal_moment
+            lateral_response = body.inverse_inertia * lateral_moment
 
-    contacts[k].active = 1
-    contacts[k].wheel = wheel
-    contacts[k].gap = gap
-    contacts[k].friction = friction
-    contacts[k].normal = normal
-    contacts[k].normal_moment = normal_moment
-    contacts[k].normal_response = normal_response
-    contacts[k].normal_axle = normal_axle
-    contacts[k].longitudinal = longitudinal
-    contacts[k].longitudinal_moment = longitudinal_moment
-    contacts[k].longitudinal_response = longitudinal_response
-    contacts[k].longitudinal_axle = longitudinal_axle
-    contacts[k].lateral = lateral
-    contacts[k].lateral_moment = lateral_moment
-    contacts[k].lateral_response = lateral_response
-    contacts[k].lateral_axle = lateral_axle
-    contacts[k].normal_mass = 1.0 / (
-        body.inverse_mass
-        + wp.dot(normal_moment, normal_response)
-        + normal_axle * normal_axle * body.inverse_spin
-        + solver.softness
-    )
-    # Both tangents take steps of the same size, so that the friction stays opposite to the slip; with a step of its own
-    # for each, it would turn toward the tangent with the larger mass.
-    contacts[k].tangent_mass = 1.0 / (
-        body.inverse_mass
-        + wp.max(
-            wp.dot(longitudinal_moment, longitudinal_response)
-            + longitudinal_axle * longitudinal_axle * body.inverse_spin,
-            wp.dot(lateral_moment, lateral_response) + lateral_axle * lateral_axle * body.inverse_spin,
-        )
-    )
-    if gap > 0.0:
-        contacts[k].bias = -gap / solver.dt
-    else:
-        contacts[k].bias = wp.min(-gap * solver.error_reduction / solver.dt, solver.max_correction)
-    contacts[k].bias += wp.dot(normal, surface)
-    contacts[k].drift = wp.vec2(wp.dot(longitudinal, surface), wp.dot(lateral, surface))
+            contacts[k].normal_moment = normal_moment
+            contacts[k].normal_response = normal_response
+            contacts[k].normal_axle = normal_axle
+            contacts[k].longitudinal = longitudinal
+            contacts[k].longitudinal_moment = longitudinal_moment
+            contacts[k].longitudinal_response = longitudinal_response
+            contacts[k].longitudinal_axle = longitudinal_axle
+            contacts[k].lateral = lateral
+            contacts[k].lateral_moment = lateral_moment
+            contacts[k].lateral_response = lateral_response
+            contacts[k].lateral_axle = lateral_axle
+            contacts[k].normal_mass = 1.0 / (
+                body.inverse_mass
+                + wp.dot(normal_moment, normal_response)
+                + normal_axle * normal_axle * body.inverse_spin
+                + solver.softness
+            )
+            # Both tangents take steps of the same size, so that the friction stays opposite to the slip; with a step of
+            # its own for each, it would turn toward the tangent with the larger mass.
+            contacts[k].tangent_mass = 1.0 / (
+                body.inverse_mass
+                + wp.max(
+                    wp.dot(longitudinal_moment, longitudinal_response)
+                    + longitudinal_axle * longitudinal_axle * body.inverse_spin,
+                    wp.dot(lateral_moment, lateral_response) + lateral_axle * lateral_axle * body.inverse_spin,
+                )
+            )
+            gap = contacts[k].gap
+            if gap > 0.0:
+                contacts[k].bias = -gap / solver.dt
+            else:
+                contacts[k].bias = wp.min(-gap * solver.error_reduction / solver.dt, solver.max_correction)
+            surface = contacts[k].surface
+            contacts[k].bias += wp.dot(normal, surface)
+            contacts[k].drift = wp.vec2(wp.dot(longitudinal, surface), wp.dot(lateral, surface))
 
 
 @wp.func
@@ -304,21 +335,7 @@ def collide_wheels_with_ground(
                     # A roller touches the ground below the hub.
                     inset = 1.0
             friction_arm = best_arm - inset * offset * axle
-            prepare_contact(
-                contacts,
-                k,
-                body,
-                model,
-                solver,
-                wheel,
-                axle,
-                best_arm,
-                friction_arm,
-                best_normal,
-                best_gap,
-                friction,
-                AT_REST,
-            )
+            set_contact(contacts, k, wheel, best_arm, friction_arm, best_normal, best_gap, friction, AT_REST)
         else:
             contacts[k].active = 0
             contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
@@ -328,12 +345,9 @@ def collide_wheels_with_ground(
 def add_contact(
     contacts: wp.array[Contact],
     count: int,
-    body: Body,
     model: RobotModel,
-    solver: Solver,
     key: int,
     wheel: int,
-    axle: wp.vec3,
     arm: wp.vec3,
     normal: wp.vec3,
     gap: float,
@@ -354,7 +368,7 @@ def add_contact(
                 k = other
         if contacts[k].gap <= gap:
             return count
-    prepare_contact(contacts, k, body, model, solver, wheel, axle, arm, arm, normal, gap, friction, surface)
+    set_contact(contacts, k, wheel, arm, arm, normal, gap, friction, surface)
     contacts[k].key = key
     contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
     return wp.max(count, k + 1)
@@ -362,13 +376,7 @@ def add_contact(
 
 @wp.func
 def collide_chassis_with_ground(
-    contacts: wp.array[Contact],
-    count: int,
-    scene: Scene,
-    body: Body,
-    model: RobotModel,
-    solver: Solver,
-    friction: float,
+    contacts: wp.array[Contact], count: int, scene: Scene, body: Body, model: RobotModel, friction: float
 ) -> int:
     """Adds a contact for each sample point of the chassis that is below the ground; returns the contact count."""
     to_body = wp.transpose(body.rotation)
@@ -380,21 +388,13 @@ def collide_chassis_with_ground(
         if gap < 0.0:
             normal = to_body * ground_normal(ground)
             # Keys: 1 to the number of points.
-            count = add_contact(
-                contacts, count, body, model, solver, n + 1, NO_WHEEL, LEFT, arm, normal, gap, friction, AT_REST
-            )
+            count = add_contact(contacts, count, model, n + 1, NO_WHEEL, arm, normal, gap, friction, AT_REST)
     return count
 
 
 @wp.func
 def collide_peaks_with_chassis(
-    contacts: wp.array[Contact],
-    count: int,
-    scene: Scene,
-    body: Body,
-    model: RobotModel,
-    solver: Solver,
-    friction: float,
+    contacts: wp.array[Contact], count: int, scene: Scene, body: Body, model: RobotModel, friction: float
 ) -> int:
     """Adds a contact for each grid point of the ground inside a chassis box; returns the contact count.
 
@@ -435,66 +435,48 @@ def collide_peaks_with_chassis(
                         normal = wp.vec3(0.0, -wp.sign(local[1]), 0.0)
                     # Keys: negative.
                     key = -1 - (j * columns + i)
-                    count = add_contact(
-                        contacts, count, body, model, solver, key, NO_WHEEL, LEFT, peak, normal, gap, friction, AT_REST
-                    )
+                    count = add_contact(contacts, count, model, key, NO_WHEEL, peak, normal, gap, friction, AT_REST)
     return count
 
 
 @wp.func
-def collide_with_solid(
+def collide_part(
     contacts: wp.array[Contact],
     count: int,
     scene: Scene,
     solid: int,
+    part: int,
     position: wp.vec3,
     rotation: wp.mat33,
     velocity: wp.vec3,
     turn: wp.vec3,
     body: Body,
     model: RobotModel,
-    solver: Solver,
     axles: wp.array[wp.vec3],
     friction: float,
     key: int,
     touched: wp.array[wp.bool],
     rover: int,
 ) -> int:
-    """Adds a contact for each part (box or wheel) of the rover that overlaps with a solid; returns the contact count.
+    """Adds a contact if a part (box or wheel) of the rover overlaps with a solid; returns the contact count.
 
-    Sets ``touched[rover]`` if there is one, also if the array of contacts is full. Bounding spheres and face planes
-    reject most parts; the rest is :func:`rover_rl.sims.warp.kernels.convex.find_overlap`.
+    Sets ``touched[rover]`` if it does, also if the array of contacts is full.
 
     ``position`` (m) is the rover's center of mass in the frame of the scene, and ``rotation`` that from the body to
     this frame. The solid turns at ``turn`` (rad/s) and would move at ``velocity`` (m/s) at the center of mass, both in
-    the body frame. ``key`` is the least key of the contacts, which identify solid and part from step to step.
+    the body frame. ``key`` identifies solid and part from step to step.
     """
-    boxes = model.box_centers.shape[0]
-    for part in range(boxes + model.wheels):
-        middle = position + rotation * (part_center(model, part) - body.center)
-        if is_near(scene, solid, middle, part_radius(model, part)):
-            axle = LEFT
-            if part >= boxes:
-                axle = axles[part - boxes]
-            hit = find_overlap(scene, model, body.center, position, rotation, part, axle, solid)
-            if hit.depth > 0.0:
-                touched[rover] = True
-                wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
-                count = add_contact(
-                    contacts,
-                    count,
-                    body,
-                    model,
-                    solver,
-                    key + part,
-                    wheel,
-                    axle,
-                    hit.arm,
-                    hit.normal,
-                    -hit.depth,
-                    friction,
-                    velocity + wp.cross(turn, hit.arm),
-                )
+    wheel = part - model.box_centers.shape[0]
+    axle = LEFT
+    if wheel >= 0:
+        axle = axles[wheel]
+    else:
+        wheel = NO_WHEEL
+    hit = find_overlap(scene, model, body.center, position, rotation, part, axle, solid)
+    if hit.depth > 0.0:
+        touched[rover] = True
+        surface = velocity + wp.cross(turn, hit.arm)
+        count = add_contact(contacts, count, model, key, wheel, hit.arm, hit.normal, -hit.depth, friction, surface)
     return count
 
 
@@ -505,15 +487,18 @@ def collide_with_obstacles(
     scene: Scene,
     body: Body,
     model: RobotModel,
-    solver: Solver,
     axles: wp.array[wp.vec3],
     friction: float,
+    pairs: wp.array[int],
     touched: wp.array[wp.bool],
+    work: wp.array[int],
     rover: int,
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
 
-    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover. See :func:`collide_with_solid`.
+    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover, and bounding spheres and face planes
+    reject most pairs. The others are collected in ``pairs`` before they are tested: neighboring threads of a GPU, which
+    find theirs at different times, test them together. Their number is added to ``work[rover]``.
     """
     if scene.grid_columns == 0:
         return count
@@ -521,25 +506,41 @@ def collide_with_obstacles(
     row = wp.clamp(int((body.position[1] - scene.grid_origin[1]) / scene.grid_cell), 0, scene.grid_rows - 1)
     cell = row * scene.grid_columns + column
     parts = model.box_centers.shape[0] + model.wheels
-    for n in range(scene.grid_starts[cell], scene.grid_starts[cell + 1]):
-        obstacle = scene.grid_obstacles[n]
-        if is_near(scene, obstacle, body.position, model.bounding_radius):
-            # Keys: from 1024, above those of the chassis points.
-            count = collide_with_solid(
+    pair = scene.grid_starts[cell] * parts
+    end = scene.grid_starts[cell + 1] * parts
+    while pair < end:
+        found = int(0)
+        while pair < end and found < MAX_PAIRS:
+            obstacle = scene.grid_obstacles[pair // parts]
+            part = pair % parts
+            step = int(1)
+            if part == 0 and not is_near(scene, obstacle, body.position, model.bounding_radius):
+                # None of the parts is near.
+                step = parts
+            else:
+                middle = body.position + body.rotation * (part_center(model, part) - body.center)
+                if is_near(scene, obstacle, middle, part_radius(model, part)):
+                    # Also the key, above those of the chassis points.
+                    pairs[found] = obstacle * parts + part
+                    found += 1
+            pair += step
+        work[rover] += found
+        for k in range(found):
+            count = collide_part(
                 contacts,
                 count,
                 scene,
-                obstacle,
+                pairs[k] // parts,
+                pairs[k] % parts,
                 body.position,
                 body.rotation,
                 AT_REST,
                 AT_REST,
                 body,
                 model,
-                solver,
                 axles,
                 friction,
-                1024 + obstacle * parts,
+                1024 + pairs[k],
                 touched,
                 rover,
             )
@@ -554,7 +555,6 @@ def collide_with_movers(
     movers: MoverArrays,
     body: Body,
     model: RobotModel,
-    solver: Solver,
     axles: wp.array[wp.vec3],
     friction: float,
     rest: float,
@@ -565,7 +565,7 @@ def collide_with_movers(
 
     A part of a mover is a solid in a frame that moves: with its position x and orientation q at this time, the pose of
     the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface moves at ``v + w z x (c - x)`` at a point c. See
-    :func:`collide_with_solid`.
+    :func:`collide_part`.
 
     ``forms`` has the solids, each in its own frame. ``rest`` is the time from the start of this substep to the end of
     the control step, s.
@@ -586,25 +586,28 @@ def collide_with_movers(
         rotation = wp.transpose(wp.quat_to_matrix(frame)) * body.rotation
         to_body = wp.transpose(body.rotation)
         turning = turn * (to_body * UP)
-        # Keys: from 2^24, above those of the obstacles.
-        count = collide_with_solid(
-            contacts,
-            count,
-            forms,
-            form,
-            position,
-            rotation,
-            to_body * velocity + wp.cross(turning, to_body * (body.position - place)),
-            turning,
-            body,
-            model,
-            solver,
-            axles,
-            friction,
-            MOVER_KEYS + n * parts,
-            touched,
-            rover,
-        )
+        for part in range(parts):
+            middle = position + rotation * (part_center(model, part) - body.center)
+            if is_near(forms, form, middle, part_radius(model, part)):
+                count = collide_part(
+                    contacts,
+                    count,
+                    forms,
+                    form,
+                    part,
+                    position,
+                    rotation,
+                    to_body * velocity + wp.cross(turning, to_body * (body.position - place)),
+                    turning,
+                    body,
+                    model,
+                    axles,
+                    friction,
+                    # From 2^24, above those of the obstacles.
+                    MOVER_KEYS + n * parts + part,
+                    touched,
+                    rover,
+                )
     return count
 
 

@@ -31,6 +31,7 @@ from rover_rl.sims.warp.kernels.contacts import (
     EXTRA_CONTACTS,
     LEFT,
     MAX_CONTACTS,
+    MAX_PAIRS,
     NO_WHEEL,
     Body,
     Contact,
@@ -39,6 +40,7 @@ from rover_rl.sims.warp.kernels.contacts import (
     collide_wheels_with_ground,
     collide_with_movers,
     collide_with_obstacles,
+    prepare_contacts,
     restore_impulses,
 )
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, RoverArrays, Scene, Solver
@@ -53,6 +55,19 @@ class Motion:
 
     velocity: wp.vec3
     angular: wp.vec3
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+__syncthreads();
+#endif
+""")
+def meet():
+    """Waits for the other threads of a block on a GPU, so that they read the same instructions at the same time.
+
+    The instructions of a substep do not fit into the instruction cache.
+    """
+    ...
 
 
 @wp.func
@@ -205,12 +220,12 @@ def step_dynamics(
     movers: MoverArrays,
     first: int,
 ):
-    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
+    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``rovers.order[first + t]``.
 
     Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
     next control step; those of the extra contacts start from zero.
     """
-    row = first + wp.tid()
+    row = rovers.order[first + wp.tid()]
     if not rovers.active[row]:
         return
     scene = scenes[rovers.scene[row]]
@@ -219,6 +234,7 @@ def step_dynamics(
     wheel_contacts = 2 * wheels
     # Working memory of the thread.
     contacts = wp.zeros(shape=(MAX_CONTACTS,), dtype=Contact)
+    pairs = wp.zeros(shape=(MAX_PAIRS,), dtype=int)
     keys = wp.zeros(shape=(EXTRA_CONTACTS,), dtype=int)
     impulses = wp.zeros(shape=(EXTRA_CONTACTS,), dtype=wp.vec3)
     wheel_spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
@@ -245,11 +261,13 @@ def step_dynamics(
     orientation = rovers.orientation[row]
     velocity = rovers.velocity[row]
     angular_velocity = rovers.angular_velocity[row]
-    friction_scale = rovers.friction_scale[row]
+    ground_friction = rovers.friction_scale[row] * solver.ground_friction
+    obstacle_friction = rovers.friction_scale[row] * solver.obstacle_friction
     max_impulse = rovers.motor_torque[row] * solver.dt
     dt = solver.dt
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
+    rovers.work[row] = 0
 
     for wheel in range(wheels):
         motor = model.motor_of_wheel[wheel]
@@ -277,27 +295,17 @@ def step_dynamics(
         body.angular_velocity -= dt * (body.inverse_inertia * wp.cross(body.angular_velocity, momentum))
 
         # 2. Collision detection and constraint rows.
-        collide_wheels_with_ground(contacts, scene, body, model, solver, axles, friction_scale * solver.ground_friction)
+        meet()
+        collide_wheels_with_ground(contacts, scene, body, model, solver, axles, ground_friction)
         count = wheel_contacts
-        count = collide_chassis_with_ground(
-            contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
-        )
-        count = collide_peaks_with_chassis(
-            contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
-        )
+        count = collide_chassis_with_ground(contacts, count, scene, body, model, ground_friction)
+        count = collide_peaks_with_chassis(contacts, count, scene, body, model, ground_friction)
+        meet()
         count = collide_with_obstacles(
-            contacts,
-            count,
-            scene,
-            body,
-            model,
-            solver,
-            axles,
-            friction_scale * solver.obstacle_friction,
-            rovers.contact,
-            row,
+            contacts, count, scene, body, model, axles, obstacle_friction, pairs, rovers.contact, rovers.work, row
         )
         if movers.form.shape[1] > 0:
+            rest = float(solver.substeps - substep) * dt
             count = collide_with_movers(
                 contacts,
                 count,
@@ -305,13 +313,15 @@ def step_dynamics(
                 movers,
                 body,
                 model,
-                solver,
                 axles,
-                friction_scale * solver.obstacle_friction,
-                float(solver.substeps - substep) * dt,
+                obstacle_friction,
+                rest,
                 rovers.mover_contact,
                 row,
             )
+        rovers.work[row] += count - wheel_contacts
+        meet()
+        prepare_contacts(contacts, count, body, model, solver, axles)
         restore_impulses(contacts, wheel_contacts, count, keys, impulses)
 
         # 3. Warm start: few iterations suffice, since the impulses of the last substep are close to the solution.
@@ -328,6 +338,7 @@ def step_dynamics(
                 )
 
         # 4. Solver iterations.
+        meet()
         for _iteration in range(solver.iterations):
             motion = solve_contacts(
                 motion, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
