@@ -2,53 +2,39 @@
 
 Readings of neighboring directions that are near each other belong to one cluster. Clusters of up to 1.6 m are compared
 from scan to scan: a Kalman filter with constant velocity follows each of up to 32 tracks, and a track and a cluster
-belong together if each is the nearest of the other. Everything is a tensor operation over the rows of a batch, and the
-tracks are one tensor, which a policy keeps as its memory.
+belong together if each is the nearest of the other. Two legs are one person.
+
+- An object hidden in part is as large as its track, and its center follows from the edge that is seen.
+- One that is hidden goes on at its velocity for up to 1.8 s, as long as its place is known within 0.35 m. One that
+  should be seen but is not ends after 0.3 s.
+- A track moves once its way is longer than its errors. Where one of its edges is mostly hidden, as that of a wall
+  behind people, beams must also pass where it was.
+
+It is a Warp kernel with a thread for each row. The tracks are one tensor, which a policy keeps as its memory.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.seen_map.scans import reading_angles
+from rover_rl.envs.seen_map.scans import reading_angles, reading_directions
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 
 TRACKS = 32
 """Number of tracks of a row."""
-STATE = 11
-"""Numbers of a track: exists, x, y, velocity along x and y, radius, number of scans, time since it was last seen, and
-variances of position, of position and velocity, and of velocity. All are 0 without a track."""
-GAP, SPREAD = 0.25, 1.5
-"""Distance of neighboring readings below which they belong together, m, and what is added for the spacing of beams."""
-WIDEST = 1.6
-"""Largest extent of a cluster that is tracked, m. Walls are larger."""
-SMALLEST, LARGEST = 0.1, 0.8
-"""Least and largest radius of a track, m."""
-NOISE = 0.1
-"""Standard deviation of the center of a cluster, m."""
-ACCELERATION = 1.0
-"""Standard deviation of the acceleration of a track, m/s^2."""
-FASTEST = 1.5
-"""Standard deviation of the velocity of a new track, m/s."""
-GATE = 0.8
-"""Largest distance of a track from its cluster, m."""
-LOST = 0.6
-"""Time without a cluster after which a track ends, s."""
-SURE = 4
-"""Number of scans after which the velocity of a track counts."""
-SLOWEST = 0.3
-"""Speed below which a track counts as at rest, m/s."""
-_FAR = 1e4
-"""Distance of what does not exist, m."""
+BLOCK_SIZE = 32
+"""Number of threads of a block on a GPU."""
+STATE = 17
+"""Numbers of a track: see :mod:`~rover_rl.envs.mover_tracker_kernels`. All are 0 without a track."""
 
 
 class Tracks(NamedTuple):
@@ -69,14 +55,6 @@ class Tracks(NamedTuple):
     readings: Tensor
 
 
-class _Clusters(NamedTuple):
-    """Clusters of readings: which exist ``[N, C]``, centers ``[N, C, 2]`` and radii ``[N, C]``, m."""
-
-    exists: Tensor
-    center: Tensor
-    radius: Tensor
-
-
 class MoverTracker:
     """Follows what moves, from scan to scan.
 
@@ -91,10 +69,18 @@ class MoverTracker:
         self._fleet = robot if isinstance(robot, Fleet) else None
         robots = robot.robots if isinstance(robot, Fleet) else (robot,)
         self._mounts = torch.tensor([each.lidar_position[:2] for each in robots])
-        self._spacing, self._angles = 2 * math.pi / lidar.points, reading_angles(lidar)
+        self._directions = reading_directions(lidar)
+        # Of the first reading, and from one to the next, rad.
+        self._angles = float(reading_angles(lidar)[0]), 2 * math.pi / lidar.points
 
     def __call__(
-        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, rows: Tensor | None = None
+        self,
+        state: Tensor,
+        lidar: Tensor,
+        pose: Tensor,
+        imu: Tensor,
+        rows: Tensor | None = None,
+        due: Tensor | None = None,
     ) -> tuple[Tensor, Tracks]:
         """Adds a scan.
 
@@ -104,121 +90,45 @@ class MoverTracker:
             pose: x, y and z of the rovers, ``[N, 3]``, m.
             imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
             rows: numbers of the rows among those of different robots; ``None``: all of them.
+            due: which of the scans are added, bool ``[N]``; ``None``: all.
 
         Returns:
-            The next state, and what moves.
+            The next state, and what moves: nothing in rows that are not due.
         """
-        origin, points = self._points(lidar, pose, imu, rows)
-        labels = self._labels(lidar, points)
-        clusters = self._clusters(lidar, points, labels, origin)
-        tracks = self._predicted(state.unflatten(-1, (TRACKS, STATE)))
-        x, y = (tracks[..., None, 1 + axis] - clusters.center[:, None, :, axis] for axis in range(2))
-        distance = torch.sqrt(x * x + y * y)
-        distance = distance.masked_fill((tracks[..., :1] == 0) | ~clusters.exists[:, None], _FAR)
-        nearest, cluster = distance.min(2)
-        number = torch.arange(TRACKS, device=lidar.device)
-        seen = (nearest < GATE) & (distance.amin(1).gather(1, cluster) == nearest)
-        tracks = self._corrected(tracks, seen, cluster, clusters)
-        owner = torch.full_like(labels[:, :1], TRACKS).repeat(1, clusters.exists.shape[1] + 1)
-        owner = owner.scatter(1, torch.where(seen, cluster, clusters.exists.shape[1]), number.expand_as(cluster))[
-            :, :-1
-        ]
-        tracks = _with_new(tracks, clusters, clusters.exists & (owner == TRACKS))
-        speed = tracks[..., 3:5].norm(dim=-1)
-        moves = (tracks[..., 0] > 0) & (tracks[..., 6] >= SURE) & (speed > SLOWEST)
-        moves &= speed > 1.5 * tracks[..., 10].sqrt()
-        padded = torch.cat((moves, torch.zeros_like(moves[:, :1])), 1)
-        readings = padded.gather(1, owner.gather(1, labels)) & (lidar < self._range)
-        return tracks.flatten(1), Tracks(tracks[..., 1:3], tracks[..., 3:5], tracks[..., 5], moves, readings)
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
+        from rover_rl.sims.native.warp import stream_of, wp
 
-    def _points(self, lidar: Tensor, pose: Tensor, imu: Tensor, rows: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Returns the positions of the lidars ``[N, 2]`` and of the ends of the readings ``[N, points, 2]``, m."""
-        yaw = imu[:, 2:]
-        mounts = self._mounts.to(lidar)
-        if self._fleet is not None:
-            mounts = mounts[self._fleet.index if rows is None else self._fleet.index[rows]]
-        ahead, left = mounts.split(1, -1)
-        offset = torch.cat((ahead * yaw.cos() - left * yaw.sin(), ahead * yaw.sin() + left * yaw.cos()), -1)
-        origin = pose[:, :2] + offset
-        angles = yaw + self._angles.to(lidar)
-        return origin, origin[:, None] + lidar[..., None] * torch.stack((angles.cos(), angles.sin()), -1)
-
-    def _labels(self, lidar: Tensor, points: Tensor) -> Tensor:
-        """Returns the number of each reading's cluster, int64 ``[N, points]``."""
-        valid = lidar < self._range
-        step = (points - points.roll(-1, 1)).norm(dim=-1)
-        linked = valid & valid.roll(-1, 1) & (step < GAP + SPREAD * self._spacing * lidar)
-        # The first cluster may begin before direction 0.
-        labels = (~linked.roll(1, 1)).long().cumsum(1)
-        return torch.where(linked[:, -1:] & (labels == labels[:, -1:]), 0, labels)
-
-    def _clusters(self, lidar: Tensor, points: Tensor, labels: Tensor, origin: Tensor) -> _Clusters:
-        """Returns the clusters that may be tracked."""
-        count = lidar.shape[1] + 1
-        valid = (lidar < self._range).to(lidar.dtype)
-        size = torch.zeros_like(lidar[:, :1]).repeat(1, count).scatter_add(1, labels, valid)
-        index = labels[..., None].expand_as(points)
-        blank = points.new_zeros(len(points), count, 2)
-        low, high = (blank.scatter_reduce(1, index, points, kind, include_self=False) for kind in ("amin", "amax"))
-        near = torch.zeros_like(size).scatter_reduce(1, labels, lidar, "amin", include_self=False)
-        extent = (high - low).norm(dim=-1)
-        radius = (extent / 2 + near * self._spacing / 4).clamp(SMALLEST, LARGEST)
-        middle = (low + high) / 2
-        away = middle - origin[:, None]
-        away = away / away.norm(dim=-1, keepdim=True).clamp(min=1e-3)
-        # What is seen of a disc is its front.
-        return _Clusters((size > 0) & (extent < WIDEST), middle + 0.5 * radius[..., None] * away, radius)
-
-    def _predicted(self, tracks: Tensor) -> Tensor:
-        """Moves tracks by one interval."""
-        dt = self._dt
-        exists, position, velocity, radius, scans, unseen, a, b, c = tracks.split((1, 2, 2, 1, 1, 1, 1, 1, 1), -1)
-        noise = ACCELERATION**2
-        a, b = a + 2 * dt * b + dt**2 * c + noise * dt**4 / 4, b + dt * c + noise * dt**3 / 2
-        c = c + noise * dt**2
-        moved = torch.cat((exists, position + dt * velocity, velocity, radius, scans, unseen + dt, a, b, c), -1)
-        return moved * exists
-
-    def _corrected(self, tracks: Tensor, seen: Tensor, cluster: Tensor, clusters: _Clusters) -> Tensor:
-        """Corrects the tracks that are ``seen``, by their clusters, and ends those that have been lost."""
-        exists, position, velocity, radius, scans, unseen, a, b, c = tracks.split((1, 2, 2, 1, 1, 1, 1, 1, 1), -1)
-        center = clusters.center.gather(1, cluster[..., None].expand(*cluster.shape, 2))
-        size = clusters.radius.gather(1, cluster)[..., None]
-        gain, rate = a / (a + NOISE**2), b / (a + NOISE**2)
-        error = center - position
-        better = torch.cat(
-            (
-                exists,
-                position + gain * error,
-                velocity + rate * error,
-                # An obstacle may be hidden in part.
-                torch.maximum(size, radius - 0.02),
-                scans + 1,
-                torch.zeros_like(unseen),
-                (1 - gain) * a,
-                (1 - gain) * b,
-                c - rate * b,
-            ),
-            -1,
+        device, (count, points) = lidar.device, lidar.shape
+        self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
+        due = torch.ones(count, dtype=torch.bool, device=device) if due is None else due.contiguous()
+        after, moves = torch.empty_like(state), torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
+        readings = torch.zeros(count, points, dtype=torch.bool, device=device)
+        ends, clusters = (torch.empty(count, points, size, device=device) for size in (2, CLUSTER))
+        labels, seen = (
+            torch.empty(count, *size, dtype=torch.int32, device=device) for size in ((points,), (2, TRACKS))
         )
-        kept = torch.where(seen[..., None], better, tracks)
-        return kept * (kept[..., 7:8] < LOST)
+        inputs: list[Any] = [due, *(value.contiguous() for value in (lidar, pose, imu))]
+        inputs += [self._mounts, self._robots(lidar, rows)]
+        inputs += [self._directions, self._angles, self._range, self._dt, _by_track(state.contiguous())]
+        inputs += [ends, labels, clusters, seen, _by_track(after), moves, readings]
+        # Each thread has much to do: small blocks spread few rows over all multiprocessors of a GPU.
+        wp.launch(
+            follow, count, inputs, device=wp.device_from_torch(device), stream=stream_of(device), block_dim=BLOCK_SIZE
+        )
+        position, velocity, radius = _by_track(after)[..., 1:6].split((2, 2, 1), -1)
+        return after, Tracks(position, velocity, radius[..., 0], moves, readings)
+
+    def _robots(self, lidar: Tensor, rows: Tensor | None) -> Tensor:
+        """Returns the number of each row's robot, int64 ``[N]``."""
+        if self._fleet is None:
+            return torch.zeros(len(lidar), dtype=torch.int64, device=lidar.device)
+        return self._fleet.index if rows is None else self._fleet.index[rows]
 
 
-def _with_new(tracks: Tensor, clusters: _Clusters, new: Tensor) -> Tensor:
-    """Starts tracks of the ``new`` clusters, bool ``[N, C]``, where there is room."""
-    free, count = tracks[..., 0] == 0, new.shape[1]
-    turn = new.long().cumsum(1) - 1
-    numbers = torch.arange(count, device=new.device).expand_as(new)
-    order = torch.zeros_like(turn[:, :1]).repeat(1, count + 1).scatter(1, torch.where(new, turn, count), numbers)
-    place = (free.long().cumsum(1) - 1).clamp(0, count)
-    starts = free & (place < new.sum(1, keepdim=True))
-    cluster = order.gather(1, place)
-    center = clusters.center.gather(1, cluster[..., None].expand(*cluster.shape, 2))
-    one, zero = torch.ones_like(center[..., :1]), torch.zeros_like(center)
-    radius = clusters.radius.gather(1, cluster)[..., None]
-    fresh = (one, center, zero, radius, one, 0 * one, NOISE**2 * one, 0 * one, FASTEST**2 * one)
-    return torch.where(starts[..., None], torch.cat(fresh, -1), tracks)
+def _by_track(state: Tensor) -> Tensor:
+    """Returns the numbers of each track, ``[N, TRACKS, STATE]``."""
+    return state.view(len(state), TRACKS, STATE)
 
 
 def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:

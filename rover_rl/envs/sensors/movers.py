@@ -76,7 +76,7 @@ class SeenMovers:
         entries = {key: observation.get(key, None) for key in ("lidar", "pose", "imu", SCAN_POSE)}
         read = {key: value for key, value in entries.items() if value is not None}
         if rows is None or self._state.device.type != "cpu":
-            state, values = self._follow(self._state, read)
+            state, values = self._follow(self._state, read, due=rows)
             keep = torch.ones_like(state[:, :1], dtype=torch.bool) if rows is None else rows[:, None]
             self._state, self._values = torch.where(keep, state, self._state), torch.where(keep, values, self._values)
             return self._values
@@ -87,11 +87,11 @@ class SeenMovers:
         return self._values
 
     def _follow(
-        self, state: Tensor, observation: Mapping[str, Tensor], index: Tensor | None = None
+        self, state: Tensor, observation: Mapping[str, Tensor], index: Tensor | None = None, due: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """Returns the next tracks, and the values of the sensor, in the rows of an ``index``."""
         pose, imu = taken_at(observation) or (observation["pose"], observation["imu"])
-        state, tracks = self._tracker(state, observation["lidar"], pose, imu, index)
+        state, tracks = self._tracker(state, observation["lidar"], pose, imu, index, due)
         tracks = in_base_frame(tracks, observation)
         ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
         gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)

@@ -8,6 +8,7 @@ import pickle
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
@@ -18,7 +19,8 @@ from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs import EnvConfig
-from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
+from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.movers import Movers
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
@@ -42,6 +44,34 @@ def watched(world: World, steps: int, action: tuple[float, float], rows: int = 1
     return env, seen
 
 
+class Tracked:
+    """Tracks of a rover that rests with its lidar at the origin, at 10 Hz."""
+
+    def __init__(self) -> None:
+        self.tracker, self.state = MoverTracker(ROVER_ZERO, LIDAR, 0.1), torch.zeros(1, TRACKS * STATE)
+        self.pose = -torch.tensor([[*ROVER_ZERO.lidar_position[:2], 0.0]])
+
+    def __call__(self, lidar: Tensor) -> Tracks:
+        before = self.state.clone()
+        state, tracks = self.tracker(self.state, lidar, self.pose, torch.zeros(1, 3))
+        assert torch.equal(self.state, before)
+        self.state = state
+        return tracks
+
+
+def scan_of(*discs: tuple[float, float, float], wall: float = 1e3) -> Tensor:
+    """Readings from the origin among discs (x, y, radius) and a wall at some y, ``[1, 128]``."""
+    directions = reading_directions(LIDAR)
+    ranges = wall / directions[:, 1].clamp(min=1e-6)
+    for x, y, radius in discs:
+        along = x * directions[:, 0] + y * directions[:, 1]
+        under = radius**2 - (x**2 + y**2 - along.square())
+        ranges = torch.where(
+            (under > 0) & (along > 0), torch.minimum(ranges, along - under.clamp(min=0).sqrt()), ranges
+        )
+    return ranges.clamp(max=12.0)[None]
+
+
 @pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.3)])
 def test_the_tracker_finds_what_moves_and_how(action: tuple[float, float]) -> None:
     passing = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))
@@ -51,9 +81,9 @@ def test_the_tracker_finds_what_moves_and_how(action: tuple[float, float]) -> No
     assert tracks.moves.sum() == 1
     position, velocity = (value[tracks.moves][0] for value in (tracks.position, tracks.velocity))
     # Two seconds at 1 m/s; the scan is two steps old.
-    assert position.tolist() == pytest.approx([3.0, -1.0], abs=0.25)
-    assert velocity.tolist() == pytest.approx([0.0, 1.0], abs=0.25)
-    assert 0.3 < tracks.radius[tracks.moves].item() < 0.7
+    assert position.tolist() == pytest.approx([3.0, -1.0], abs=0.1)
+    assert velocity.tolist() == pytest.approx([0.0, 1.0], abs=0.15)
+    assert 0.4 < tracks.radius[tracks.moves].item() < 0.6
     assert tracks.readings.sum() >= 3
     env.close()
 
@@ -155,6 +185,67 @@ def test_routes_are_the_same_where_nothing_moves() -> None:
         renewed = torch.zeros_like(renewed)
         tensordict = env.step(tensordict.set("action", torch.zeros(4, 2)))["next"]
     env.close()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
+def test_the_center_of_a_disc_is_found_in_any_direction(angle: float) -> None:
+    track = Tracked()
+    for step in range(12):
+        aside = 0.1 * step - 0.5
+        center = (3 * math.cos(angle) - aside * math.sin(angle), 3 * math.sin(angle) + aside * math.cos(angle))
+        tracks = track(scan_of((*center, 0.5)))
+    assert tracks.moves.sum() == 1
+    assert tracks.position[tracks.moves][0].tolist() == pytest.approx(center, abs=0.05)
+    assert tracks.radius[tracks.moves].item() == pytest.approx(0.5, abs=0.1)
+
+
+def test_who_walks_behind_a_column_is_known_there_and_comes_back_as_the_same() -> None:
+    track, column = Tracked(), (2.0, 0.0, 0.25)
+    numbers = []
+    for step in range(40):
+        y = 0.1 * step - 2.0
+        tracks = track(scan_of((4.0, y, 0.3), column))
+        if step > 5:
+            assert tracks.moves.sum() == 1
+            assert tracks.position[tracks.moves][0].tolist() == pytest.approx([4.0, y], abs=0.25)
+            numbers.append(tracks.moves.nonzero()[0, 1].item())
+    assert len(set(numbers)) == 1
+
+
+def test_two_that_pass_each_other_stay_two() -> None:
+    track = Tracked()
+    for step in range(30):
+        x = 0.1 * step - 1.5
+        tracks = track(scan_of((x, 2.0, 0.3), (-x, 3.0, 0.3)))
+    ways = sorted(zip(tracks.position[tracks.moves].tolist(), tracks.velocity[tracks.moves].tolist(), strict=True))
+    assert len(ways) == 2
+    for (position, velocity), place, speed in zip(ways, ((-1.4, 3.0), (1.4, 2.0)), (-1.0, 1.0), strict=True):
+        assert position == pytest.approx(place, abs=0.15)
+        assert velocity == pytest.approx((speed, 0.0), abs=0.2)
+
+
+def test_the_shadow_on_a_wall_behind_who_walks_does_not_move() -> None:
+    track = Tracked()
+    for step in range(30):
+        x = 0.1 * step - 1.5
+        # A wall 4 m to the left.
+        tracks = track(scan_of((x, 2.0, 0.3), wall=4.0))
+        if step > 5:
+            assert tracks.moves.sum() == 1
+            assert tracks.position[tracks.moves][0].tolist() == pytest.approx((x, 2.0), abs=0.15)
+
+
+def test_an_empty_scan_ends_what_should_be_seen() -> None:
+    track = Tracked()
+    for step in range(10):
+        tracks = track(scan_of((3.0, 0.1 * step - 0.5, 0.5)))
+    assert tracks.moves.any()
+    for _ in range(4):
+        tracks = track(torch.full((1, 128), 12.0))
+    assert not tracks.moves.any()
+    assert not track.state.any()
+    # A lidar that is covered measures nothing.
+    assert track(torch.zeros(1, 128)).position.isfinite().all()
 
 
 @pytest.mark.parametrize(
