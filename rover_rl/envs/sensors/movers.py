@@ -33,7 +33,7 @@ INSTANTS = (0.5, 1.0, 1.5, 2.5)
 """Times of the predicted scans from now, s."""
 FARTHEST = 12.0
 """Range of a predicted scan in directions without a mover, m."""
-NEAREST = 3
+NEAREST = 6
 """Number of movers that a network also reads one by one."""
 SLACK = 0.25
 """Distance from a mover up to which readings belong to it, m."""
@@ -141,7 +141,7 @@ class Movers(Sensor):
         raise NotImplementedError("movers have a memory: read them by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
-        """Encodes the logarithm of the ranges, and the first three movers."""
+        """Encodes the logarithm of the ranges, and the first six movers."""
         return torch.cat((value[..., TRACKED:].log1p() / 1.3 - 1, _one_by_one(movers_of(value))), -1)
 
     def mirror(self, value: Tensor) -> Tensor:
