@@ -10,11 +10,11 @@ from typing import Any
 import torch
 from rich.table import Table
 from tensordict import TensorDictBase
-from torchrl.envs.utils import step_mdp
 
 from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
 from rover_rl import make_env
+from rover_rl.algos.train.collectors import with_new_episodes
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp import WarpSettings
 
@@ -98,12 +98,12 @@ class Drive:
         return self._now
 
     def step(self) -> None:
-        """Resets the episodes that have ended, and takes a step. So all rovers have moved in the end."""
-        now = self.env.maybe_reset(self._now)
+        """Resets the episodes that have ended, and takes a step, as training does. All rovers have moved in the end."""
+        now = with_new_episodes(self.env, self._now)
         self._steps += 1
         # An action is held for half a second, so that the rovers get somewhere.
         action = self._actions[self._steps // 10 % len(self._actions)]
-        self._now = step_mdp(self.env.step(now.set("action", action)), exclude_reward=True)
+        self._now = self.env.step_mdp(self.env.step(now.set("action", action)))
 
 
 @contextmanager

@@ -111,14 +111,14 @@ def _rollouts(env: TransformedEnv, actor: ProbabilisticActor, length: int) -> Ba
             for _ in range(length):
                 step = env.step(actor(current))
                 steps.append(step)
-                current = _with_new_episodes(env, env.step_mdp(step))
+                current = with_new_episodes(env, env.step_mdp(step))
             batch = torch.stack(steps, -1)
         for transform in per_batch:
             transform.batch_collected(batch)
         yield batch
 
 
-def _with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDictBase:
+def with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDictBase:
     """Returns the data ``[N]`` before the next step: that of new episodes in rows whose episode has ended.
 
     ``EnvBase.reset`` would check the values of the mask and of the new data.

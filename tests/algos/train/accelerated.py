@@ -15,11 +15,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl import make_env
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.evaluation.cores import dumps
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.names import make_baseline
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.sac import SACLearner
-from rover_rl.envs.config import Randomization
+from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.sims import RoverState
@@ -152,6 +155,7 @@ def on_both() -> bytes:
         found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
         there, looks = _changed(on)
         found |= {"changes": (there, _changed(None)[0]), "looks of changes": looks}
+        found["evaluation"] = _evaluated(on), _evaluated(None)
         for name, config in LEARNERS.items():
             found[name] = _learned(on, config), _learned(None, config)
         for name, config in COLLECTED.items():
@@ -199,6 +203,14 @@ def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
             looks += on.looks
         seen += [_on_host(result) for result in results]
     return seen, looks
+
+
+def _evaluated(on: Accelerator | None) -> list[tuple[Tensor, str]]:
+    """Path and ending of each of some episodes that a planner drives, each rover several of them."""
+    env = EnvConfig(backend=SlidingBackend(), device=None if on is None else str(on.device))
+    episodes = draw_episodes(FIELD, 5, seed=3)
+    driven = evaluate(make_baseline("scripted"), episodes, env=env, rows=2, seconds=3).trajectories
+    return [(one.position, one.ending) for one in driven]
 
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:

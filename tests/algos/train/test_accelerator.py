@@ -40,6 +40,14 @@ def test_an_environment_steps_and_changes_worlds_as_on_the_cpu_without_waiting(
             assert torch.equal(a[key], b[key]), (step, key)
 
 
+def test_a_policy_is_evaluated_as_on_the_cpu(found: dict[str, Any]) -> None:
+    there, here = found["evaluation"]
+    assert len(there) == 5
+    for (path, ending), (same_path, same_ending) in zip(there, here, strict=True):
+        assert torch.equal(path, same_path)
+        assert ending == same_ending
+
+
 @pytest.mark.parametrize("learner", COLLECTED)
 def test_batches_are_collected_as_on_the_cpu_without_waiting(learner: str, found: dict[str, Any]) -> None:
     (there, looks), here = found[f"batches of {learner}"]
