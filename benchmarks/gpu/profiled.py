@@ -44,7 +44,7 @@ def map_work(drive: Drive, device: torch.device, most: int | None = None) -> Cal
 
 def main(options: Options) -> None:
     """Drives the rovers, then launches physics, lidar and map between the marks of the profiler."""
-    device = torch.device(options.device)
+    device = torch.empty(0, device=options.device).device
     with driving(options.world, options.rovers, options.beams, device) as drive:
         add_and_plan = map_work(drive, device, MAPS)
         for _ in range(SEEN):

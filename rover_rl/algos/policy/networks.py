@@ -49,6 +49,8 @@ class BoundedTanhNormal(TanhNormal):
     """TorchRL's ``TanhNormal`` within bounds ``[n]``, without its checks of them, which would wait for a GPU."""
 
     def __init__(self, loc: Tensor, scale: Tensor, low: Tensor, high: Tensor) -> None:
+        # The module that holds the bounds may have been moved to another device since it was made.
+        low, high = low.to(loc.device), high.to(loc.device)
         # Does what the constructor of TanhNormal does after its checks.
         self.tanh_loc, self.upscale, self._event_dims = False, 5.0, min(1, loc.ndim)
         self.device, self.low, self.high = loc.device, low, high

@@ -17,7 +17,7 @@ from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.evaluation.cores import dumps
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.policy.names import make_baseline
+from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
@@ -206,10 +206,12 @@ def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
 
 
 def _evaluated(on: Accelerator | None) -> list[tuple[Tensor, str]]:
-    """Path and ending of each of some episodes that a planner drives, each rover several of them."""
-    env = EnvConfig(backend=SlidingBackend(), device=None if on is None else str(on.device))
-    episodes = draw_episodes(FIELD, 5, seed=3)
-    driven = evaluate(make_baseline("scripted"), episodes, env=env, rows=2, seconds=3).trajectories
+    """Path and ending of each of some episodes that an actor drives, each rover several of them."""
+    device = "cpu" if on is None else str(on.device)
+    torch.manual_seed(0)
+    actor, episodes = make_actor().to(device), draw_episodes(FIELD, 5, seed=3)
+    env = EnvConfig(backend=SlidingBackend(), device=device)
+    driven = evaluate(actor, episodes, env=env, rows=2, seconds=3).trajectories
     return [(one.position, one.ending) for one in driven]
 
 
