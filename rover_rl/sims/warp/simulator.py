@@ -39,7 +39,7 @@ HEAVY = 100.0
 """Mass of a robot above which stiffness and damping of its contacts are in proportion to the mass, kg."""
 GPU_BLOCK_SIZE = 32
 """Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
-GPU_LIDAR_LANES = 8
+GPU_LIDAR_LANES = 4
 """Threads that scan for one rover on a GPU: see :class:`WarpSettings`."""
 
 
@@ -219,9 +219,6 @@ class WarpSimulator:
         else:
             self._buffers.active.copy_(active)
         self._follow_movers()
-        if self.device.type == "cuda":
-            # The threads of a warp wait for the slowest: neighbors should have about as much to do.
-            self._buffers.order.copy_(self._buffers.work.argsort())
         self.launch()
         return self.state()
 

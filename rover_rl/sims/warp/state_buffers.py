@@ -32,8 +32,6 @@ class StateBuffers:
             (rad/s) and angle of each steering joint (rad), ``[N, 7 + M + S]``.
         contact: whether the rovers touched an obstacle or a mover in the last control step, bool ``[N, 1]``.
         mover_contact: whether they touched a mover, bool ``[N, 1]``.
-        order: rover of each thread of the physics, int32 ``[N]``.
-        work: measure of the work that each rover's contacts were in the last control step, int32 ``[N]``.
     """
 
     def __init__(self, fleet: Fleet, models: Sequence[InertialModel]) -> None:
@@ -50,7 +48,6 @@ class StateBuffers:
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.base_state = zeros(count, 7 + motors + steering)
         self.contact, self.mover_contact = zeros(count, 1, dtype=torch.bool), zeros(count, 1, dtype=torch.bool)
-        self.order, self.work = torch.arange(count, dtype=torch.int32, device=device), zeros(count, dtype=torch.int32)
         self._parameters = {
             "mass": zeros(count),
             "center": zeros(count, 3),
@@ -77,8 +74,6 @@ class StateBuffers:
             "base_state": self.base_state,
             "contact": self.contact.view(count),
             "mover_contact": self.mover_contact.view(count),
-            "order": self.order,
-            "work": self.work,
         }
         self.rovers = self.struct()
         self._nominal = self._parameters_of(torch.arange(len(models), device=device))

@@ -491,14 +491,13 @@ def collide_with_obstacles(
     friction: float,
     pairs: wp.array[int],
     touched: wp.array[wp.bool],
-    work: wp.array[int],
     rover: int,
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
 
     Broad phase: a uniform grid over (x, y) lists the obstacles near the rover, and bounding spheres and face planes
     reject most pairs. The others are collected in ``pairs`` before they are tested: neighboring threads of a GPU, which
-    find theirs at different times, test them together. Their number is added to ``work[rover]``.
+    find theirs at different times, test them together.
     """
     if scene.grid_columns == 0:
         return count
@@ -524,7 +523,6 @@ def collide_with_obstacles(
                     pairs[found] = obstacle * parts + part
                     found += 1
             pair += step
-        work[rover] += found
         for k in range(found):
             count = collide_part(
                 contacts,

@@ -63,7 +63,7 @@ __syncthreads();
 #endif
 """)
 def meet():
-    """Waits for the other threads of a block on a GPU, so that they read the same instructions at the same time.
+    """Lets the threads of a block go on together on a GPU, so that they read the same instructions at the same time.
 
     The instructions of a substep do not fit into the instruction cache.
     """
@@ -220,12 +220,12 @@ def step_dynamics(
     movers: MoverArrays,
     first: int,
 ):
-    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``rovers.order[first + t]``.
+    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
 
     Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
     next control step; those of the extra contacts start from zero.
     """
-    row = rovers.order[first + wp.tid()]
+    row = first + wp.tid()
     if not rovers.active[row]:
         return
     scene = scenes[rovers.scene[row]]
@@ -267,7 +267,6 @@ def step_dynamics(
     dt = solver.dt
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
-    rovers.work[row] = 0
 
     for wheel in range(wheels):
         motor = model.motor_of_wheel[wheel]
@@ -302,7 +301,7 @@ def step_dynamics(
         count = collide_peaks_with_chassis(contacts, count, scene, body, model, ground_friction)
         meet()
         count = collide_with_obstacles(
-            contacts, count, scene, body, model, axles, obstacle_friction, pairs, rovers.contact, rovers.work, row
+            contacts, count, scene, body, model, axles, obstacle_friction, pairs, rovers.contact, row
         )
         if movers.form.shape[1] > 0:
             rest = float(solver.substeps - substep) * dt
@@ -319,7 +318,6 @@ def step_dynamics(
                 rovers.mover_contact,
                 row,
             )
-        rovers.work[row] += count - wheel_contacts
         meet()
         prepare_contacts(contacts, count, body, model, solver, axles)
         restore_impulses(contacts, wheel_contacts, count, keys, impulses)

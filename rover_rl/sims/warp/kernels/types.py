@@ -140,8 +140,6 @@ class RoverArrays:
     target_speeds: wp.array2d[float]
     target_angles: wp.array2d[float]
     active: wp.array[wp.bool]
-    # Rover of each thread of the dynamics.
-    order: wp.array[int]
     scanned: wp.array[wp.bool]
     # Outputs: base state [N, 7 + motors + steering] (position of the base frame, its orientation, mean speed of the
     # wheels of each motor relative to the chassis, angles), scan [N, beams], m, and whether the rover touched an
@@ -151,7 +149,5 @@ class RoverArrays:
     contact: wp.array[wp.bool]
     # Whether the rover touched a mover in the last control step.
     mover_contact: wp.array[wp.bool]
-    # Number of overlaps that were looked for and of contacts besides those of the wheels, in the last control step.
-    work: wp.array[int]
     # Working memory of the scan: bounds of how far each sector sees, [N, SECTORS], m.
     visible: wp.array2d[float]
