@@ -52,18 +52,23 @@ def close_ways(
         time = STEP_DT * float(n)
         x = ways[i, m, 0] + time * ways[i, m, 2]
         y = ways[i, m, 1] + time * ways[i, m, 3]
-        reach = int(wp.ceil(radius))
-        for row in range(int(wp.floor(y)) - reach, int(wp.floor(y)) + reach + 1):
-            for column in range(int(wp.floor(x)) - reach, int(wp.floor(x)) + reach + 1):
-                u = float(column) + 0.5
+        # The rover can be in a ring around its place.
+        inner = wp.max(time - EARLY, 0.0) * speeds[i]
+        outer = (time + EARLY) * speeds[i]
+        away = wp.length(wp.vec2(x - places[i, 0], y - places[i, 1]))
+        if away - radius < outer and away + radius > inner:
+            for row in range(int(wp.floor(y - radius)), int(wp.floor(y + radius)) + 1):
                 v = float(row) + 0.5
-                from_way = wp.length(wp.vec2(u - x, v - y))
-                arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speeds[i]
-                inside = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
-                if inside and from_way < radius and wp.abs(arrival - time) < EARLY:
-                    cell = address(column, row)
-                    level = int(levels[i, cell])
-                    if closes and level > TIGHT and level < CROSSED:
-                        levels[i, cell] = wp.uint8(level + CROSSED)
-                    elif not closes and level >= CROSSED:
-                        levels[i, cell] = wp.uint8(level - CROSSED)
+                half = wp.sqrt(wp.max(radius * radius - (v - y) * (v - y), 0.0))
+                # The cells whose middles are on the disc of the mover.
+                for column in range(int(wp.ceil(x - half - 0.5)), int(wp.floor(x + half - 0.5)) + 1):
+                    u = float(column) + 0.5
+                    square = wp.length_sq(wp.vec2(u - places[i, 0], v - places[i, 1]))
+                    in_window = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
+                    if in_window and square > inner * inner and square < outer * outer:
+                        cell = address(column, row)
+                        level = int(levels[i, cell])
+                        if closes and level > TIGHT and level < CROSSED:
+                            levels[i, cell] = wp.uint8(level + CROSSED)
+                        elif not closes and level >= CROSSED:
+                            levels[i, cell] = wp.uint8(level - CROSSED)
