@@ -75,8 +75,6 @@ class Drive:
     def __init__(
         self, world: str, rovers: int, beams: int, device: torch.device, settings: WarpSettings | None = None
     ) -> None:
-        # Warp needs the number of the device: "cuda" alone has none.
-        device = torch.empty(0, device=device).device
         before = _used(device)
         self.env = make_env(
             world_n=world,

@@ -31,8 +31,6 @@ from rover_rl.sims.robots.fleet import Fleet
 
 TRACKS = 32
 """Number of tracks of a row."""
-BLOCK_SIZE = 32
-"""Number of threads of a block on a GPU."""
 STATE = 17
 """Numbers of a track: see :mod:`~rover_rl.envs.mover_tracker_kernels`. All are 0 without a track."""
 
@@ -97,7 +95,7 @@ class MoverTracker:
         """
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
-        from rover_rl.sims.native.warp import stream_of, wp
+        from rover_rl.sims.native.warp import launch_options, wp
 
         device, (count, points) = lidar.device, lidar.shape
         self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
@@ -112,10 +110,7 @@ class MoverTracker:
         inputs += [self._mounts, self._robots(lidar, rows)]
         inputs += [self._directions, self._angles, self._range, self._dt, _by_track(state.contiguous())]
         inputs += [ends, labels, clusters, seen, _by_track(after), moves, readings]
-        # Each thread has much to do: small blocks spread few rows over all multiprocessors of a GPU.
-        wp.launch(
-            follow, count, inputs, device=wp.device_from_torch(device), stream=stream_of(device), block_dim=BLOCK_SIZE
-        )
+        wp.launch(follow, count, inputs, **launch_options(device))
         position, velocity, radius = _by_track(after)[..., 1:6].split((2, 2, 1), -1)
         return after, Tracks(position, velocity, radius[..., 0], moves, readings)
 

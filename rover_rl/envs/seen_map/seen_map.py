@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -236,13 +235,9 @@ class SeenMap:
         from rover_rl.envs.seen_map.mover_kernels import close_ways
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
-        from rover_rl.sims.native.warp import wp
+        from rover_rl.sims.native.warp import launch_options, wp
 
-        device = wp.device_from_torch(rows.device)
-        options: dict[str, Any] = {"device": device}
-        if device.is_cuda:
-            # Each thread has much to do: small blocks spread few rows over all multiprocessors.
-            options |= {"stream": wp.stream_from_torch(rows.device), "block_dim": 32}
+        options = launch_options(rows.device)
         before, center = self._state[:, :2].int(), scan.center.int()
         limits = self._limits[self._fleet.index]
         limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
