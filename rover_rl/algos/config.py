@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
-from rover_rl.algos.workers import default_workers
+from rover_rl.algos.workers import default_workers, usable_cores
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
@@ -248,6 +248,11 @@ class TrainingConfig:
         """Kind of collector: ``"process"``, ``"processes"`` or ``"ray"``."""
         kind = self.collection.collector
         return kind if kind != "auto" else "processes" if self.workers > 1 else "process"
+
+    @property
+    def learner_threads(self) -> int:
+        """Number of CPU threads that take gradient steps: one for each worker that waits for them."""
+        return 1 if self.algorithm.asynchronous or self.collector != "processes" else min(self.workers, usable_cores())
 
     @property
     def rovers_per_worker(self) -> int:

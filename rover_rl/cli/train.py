@@ -74,7 +74,7 @@ class Train:
     jumps, odometry, noise, all (docs/randomization.md). The options of --randomization, --pose and --limits override
     them."""
     view: bool = False
-    """Open a page with the learning curve and a few rovers that drive with the newest policy (needs the extra view)."""
+    """Open a page with the learning curve and some of the rovers that learn (needs the extra view)."""
     host: str = "127.0.0.1"
     """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
     port: int = 8080

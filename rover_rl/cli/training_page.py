@@ -20,8 +20,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rover_rl.view.viewer import Viewer
 
-ROVERS = 4
-"""Number of rovers on the page, at least."""
 LEAST = 19
 """Lowest priority of a process."""
 _PROGRAM = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
@@ -71,8 +69,9 @@ class TrainingPage:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Opens the page of a run: a few rovers of its own in the environment of the training, with the newest policy."""
+    """Opens the page of a run: the rovers of the training. A few others can be driven in its environment."""
     from rover_rl.algos.experiments.run_files import RunFiles
+    from rover_rl.algos.train.live import ROVERS
     from rover_rl.envs.make import make_env
     from rover_rl.view.viewer import Viewer
 
@@ -80,7 +79,7 @@ def open_viewer(folder: Path, host: str, port: int) -> Viewer:
     trained = run.env
     rows = -(-ROVERS // trained.agents) * trained.agents
     env = make_env(replace(trained, num_envs=rows, device=None))
-    return Viewer(env, None, name="newest", host=host, port=port, run=run, background=True)
+    return Viewer(env, None, name="newest", host=host, port=port, run=run)
 
 
 def main(host: str, port: str) -> None:

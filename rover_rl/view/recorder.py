@@ -18,7 +18,7 @@ from rover_rl.algos.video.film import write_film
 SIZE = (540, 960)  # height and width of pictures and films, pixels
 RATE = 15  # frames per second of a film
 LONGEST = 120.0  # duration of a film at most, s
-TIMEOUT = 10.0  # time after which a page that draws nothing is gone, s
+TIMEOUT = 60.0  # time after which a page that draws nothing is gone, s
 
 
 class Recorder:

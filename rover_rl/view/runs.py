@@ -1,4 +1,4 @@
-"""A training run on a page: its learning curve, where its time goes, and its policies on a slider."""
+"""A training run on a page: its learning curve, where its time goes, its own rovers, and its policies on a slider."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, Checkpoint
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.train.progress import TIME
+from rover_rl.algos.video.live import LiveMoment, LiveWatch
 from rover_rl.algos.video.session import Critic
 from rover_rl.view.panels import Plot
 
@@ -20,7 +21,7 @@ Load: TypeAlias = Callable[[], tuple[Policy, Critic | None]]
 
 
 class TrainingPanel:
-    """Slider of policies, learning curve and shares of the time of a run.
+    """Learning curve, shares of the time, own rovers and slider of policies of a run.
 
     Args:
         server: page.
@@ -32,6 +33,9 @@ class TrainingPanel:
         self._server, self._run, self._choose = server, run, choose
         gui = server.gui
         self._text = gui.add_markdown("")
+        hint = "As long as the run trains. Otherwise the rovers of this page drive."
+        self._own = gui.add_checkbox("Watch the training's own rovers", True, hint=hint)
+        self._watch = LiveWatch(run.folder)
         self._newest = gui.add_checkbox("Always drive with the newest policy", True)
         self._slider = gui.add_slider("Policy", 0, 1, 1, 0, hint="the policies of the run so far, first to last")
         self._slider.on_update(self._on_slide)
@@ -47,6 +51,14 @@ class TrainingPanel:
         self._seen: tuple[Path, int] | None = None
         self._driver = "Random actions until the run writes its first policy."
         self.refresh()
+
+    def live(self) -> LiveMoment | None:
+        """Returns the training's own rovers, if the run trains and the person on the page wants to see them."""
+        return self._watch.read() if self._own.value else None
+
+    def drive(self) -> None:
+        """Leaves the training's own rovers: from now on, those of the page drive."""
+        self._own.value = False
 
     def refresh(self) -> None:
         """Reads what the run has written since the last call."""
@@ -68,6 +80,7 @@ class TrainingPanel:
         if event.client is None:
             return  # The slider follows the newest policy.
         self._newest.value = False
+        self.drive()
         files = self._run.policies()
         if files:
             self._load(files[min(self._slider.value, len(files) - 1)])

@@ -16,13 +16,11 @@ from rover_rl.algos.video.session import Pose
 from rover_rl.algos.video.views import lidar_beams
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.rendering.daylight import solid, world_meshes
-from rover_rl.sims.rendering.looks import looks_of
-from rover_rl.sims.rendering.mover_surfaces import Form, part_surface
+from rover_rl.sims.rendering.mover_surfaces import Form, forms_of, part_surface
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, post_surface
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.movers.shapes import KINDS
 
 Color: TypeAlias = tuple[int, int, int]
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
@@ -183,13 +181,10 @@ class Stage:
     def _show_movers(self, parts: Parts) -> None:
         """Shows the movers of a row: those of the same form in one node. Other rovers of a group are shown already."""
         assert self.world is not None
-        count = parts.mover.shape[1]
-        looks, shown = looks_of(self.world, count), (parts.mover[0] < len(self.world.movers)).nonzero().squeeze(-1)
         groups: dict[Form, list[int]] = {}
-        for part in shown.tolist():
-            length, width, height = (round(2 * half, 4) for half in parts.half[0, part].tolist())
-            form = Form(KINDS[parts.kind[0, part]], (length, width, height), looks[part])
-            groups.setdefault(form, []).append(part)
+        for part, form in enumerate(forms_of(self.world, parts)):
+            if parts.mover[0, part] < len(self.world.movers):
+                groups.setdefault(form, []).append(part)
         for form, members in groups.items():
             position, turn = parts.position[0, members].numpy(), parts.orientation[0, members].numpy()
             key = f"form{self._forms.setdefault(form, len(self._forms))}"

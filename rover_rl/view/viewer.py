@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from torch import Tensor
 from torchrl.envs import EnvBase
 
 from rover_rl.algos.experiments.run_files import RunFiles
@@ -23,6 +24,9 @@ from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
+from rover_rl.algos.train.live import INTERVAL
+from rover_rl.algos.video.live import LiveMoment
+from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.robots import ROBOTS
@@ -36,9 +40,10 @@ from rover_rl.view.recorder import Recorder
 from rover_rl.view.runs import Load, TrainingPanel
 from rover_rl.view.stage import MAP, Stage
 
-FRAMES, BACKGROUND_FRAMES = 30, 5  # number of updates of the page, 1/s
+FRAMES = 30  # number of updates of the page, 1/s
+TRAINING_FRAMES = 1 / INTERVAL  # the same for the rovers of a training
 PANELS_EVERY = 6  # number of frames after which the panels change
-TRAINING_EVERY = 60  # number of frames after which the files of a training are read again
+TRAINING_EVERY = 2.0  # time after which the files of a training are read again, s
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
 MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches up on at most, s
 RANDOM = "random"  # name of the policy that acts at random
@@ -66,7 +71,6 @@ class Viewer(Page):
         port: port of the page; 0 takes a free one.
         find_policy: function that returns the policy of a name.
         run: run whose learning curve and snapshots the page shows.
-        background: whether other work is more important: fewer updates of the page, and no step while none is open.
 
     Attributes:
         address: address of the page.
@@ -88,11 +92,9 @@ class Viewer(Page):
         port: int = PORT,
         find_policy: Callable[[str], Policy | None] = named_policy,
         run: RunFiles | None = None,
-        background: bool = False,
     ) -> None:
         check_address(host, port)
-        self._find, self._run_folder, self._background = find_policy, run, background
-        self._frame_time = 1 / (BACKGROUND_FRAMES if background else FRAMES)
+        self._find, self._run_folder = find_policy, run
         self._given: dict[str, Policy] = {}
         if isinstance(policy, str):
             name, policy = policy, find_policy(policy)
@@ -100,10 +102,13 @@ class Viewer(Page):
         if policy is not None:
             self._given[name] = policy
         self.session = Session(env, policy)
+        # Those of a training stay the same whatever a person chooses.
+        self._trained = self.session.rovers.robot, self.session.rovers.scanner.angles.cpu()
         super().__init__(host, port)
         self.error, self.frames, self._policy = "", 0, name
         self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
         self._training: TrainingPanel | None = None
+        self._watching, self._due, self._last, self._read = False, 0.0, 0.0, 0.0
         self.stage = Stage(self.server)
         self.cameras = Cameras(self.server)
         self._make_page(name)
@@ -120,6 +125,12 @@ class Viewer(Page):
         """Lets the thread of the simulation call functions between two steps. An error in one pauses the simulation."""
         for act in acts:
             self._requests.put(act)
+
+    def _drive(self, *acts: Callable[[], Any]) -> None:
+        """Does what the person wants with the rovers of the page, in place of watching those of a training."""
+        if self._training is not None:
+            self._training.drive()
+        self.request(*acts)
 
     def play(self, playing: bool) -> None:
         """Runs or pauses the simulation."""
@@ -150,24 +161,24 @@ class Viewer(Page):
     def _make_drive_tab(self, policy: str) -> None:
         gui, session = self.server.gui, self.session
         self._add_play()
-        gui.add_button("Step").on_click(lambda _: self.request(self._step_once))
-        gui.add_button("Reset").on_click(lambda _: self.request(session.reset, self._moved))
+        gui.add_button("Step").on_click(lambda _: self._drive(self._step_once))
+        gui.add_button("Reset").on_click(lambda _: self._drive(session.reset, self._moved))
         explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
         explore.on_update(lambda _: setattr(session, "exploring", explore.value))
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
         chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
-        chosen.on_update(lambda _: self.request(lambda: self.set_policy(chosen.value)))
+        chosen.on_update(lambda _: self._drive(lambda: self.set_policy(chosen.value)))
         world, backend = session.rovers.worlds[0].name, session.config.backend
         if session.can_change:
             worlds = gui.add_dropdown("World", list(dict.fromkeys((world, *world_names()))), initial_value=world)
-            worlds.on_update(lambda _: self.request(lambda: self._change(world=worlds.value)))
+            worlds.on_update(lambda _: self._drive(lambda: self._change(world=worlds.value)))
         if session.can_change and isinstance(backend, str):
             backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
-            backends.on_update(lambda _: self.request(lambda: self._change(backend=backends.value)))
+            backends.on_update(lambda _: self._drive(lambda: self._change(backend=backends.value)))
         robot = session.config.robot
         if session.can_change and isinstance(robot, str):
             robots = gui.add_dropdown("Robot", list(dict.fromkeys((robot, *ROBOTS))), initial_value=robot)
-            robots.on_update(lambda _: self.request(lambda: self.set_robot(robots.value)))
+            robots.on_update(lambda _: self._drive(lambda: self.set_robot(robots.value)))
         if session.rovers.num_envs > 1:
             row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
             row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
@@ -181,9 +192,9 @@ class Viewer(Page):
         if place is None:
             return
         if event.modifier == "shift":
-            self.request(lambda: session.put(row, place), self._moved)
+            self._drive(lambda: session.put(row, place), self._moved)
         else:
-            self.request(lambda: session.set_goal(row, place), self._show_route)
+            self._drive(lambda: session.set_goal(row, place), self._show_route)
 
     def _on_drag(self, event: viser.SceneNodeDragEvent) -> None:
         """Puts a rover that was dragged to the ground under the pointer."""
@@ -193,7 +204,7 @@ class Viewer(Page):
         row, eye = int(session.neighbors()[event.instance_index]), event.client.camera.position
         place = self.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
         if place is not None:
-            self.request(lambda: session.put(row, place), self._moved)
+            self._drive(lambda: session.put(row, place), self._moved)
 
     def set_policy(self, name: str) -> None:
         """Lets another policy drive. Raises an error if there is none, or it was made for another environment."""
@@ -240,35 +251,53 @@ class Viewer(Page):
 
     @single_threaded()
     def _run(self) -> None:
-        """Steps the simulation in real time and updates the page. An error pauses it."""
-        due, last = 0.0, time.monotonic()
-        frame = last
+        """Updates the page. An error pauses the simulation."""
+        frame = time.monotonic()
         while not self._closed.is_set():
-            if self._background and not self.server.get_clients():
-                last = frame = time.monotonic()
-                self._closed.wait(0.2)
-                continue
-            began = time.monotonic()
+            live = None
             try:
                 while not self._requests.empty():
                     self._requests.get()()
                     self.error = ""
-                due = min(due + (began - last) * self.speed, MAX_LAG * max(1.0, self.speed)) if self.playing else 0.0
-                last, dt = began, self.session.rovers.control_dt
-                while due >= dt and self.playing and not self._closed.is_set():
-                    self._step()
-                    due -= dt
-                    if time.monotonic() - began > MAX_STEPPING:
-                        due = 0.0
-                self._show(due / dt if self.playing else 1.0)
+                live = self._read_training()
+                if live is not None:
+                    self._show_live(live)
+                elif self._training is None or self.server.get_clients():
+                    self._drive_on()
             except Exception as error:
                 # Whatever happens in a policy, the page stays, so that one can look and choose another.
-                self.error, last, due = f"{type(error).__name__}: {error}", time.monotonic(), 0.0
+                self.error = f"{type(error).__name__}: {error}"
                 self.play(False)
                 self._show_status()
             # A frame that comes late does not delay those after it.
-            frame = max(frame + self._frame_time, time.monotonic() - self._frame_time)
+            period = 1 / (FRAMES if live is None else TRAINING_FRAMES)
+            frame = max(frame + period, time.monotonic() - period)
             self._closed.wait(max(0.002, frame - time.monotonic()))
+
+    def _read_training(self) -> LiveMoment | None:
+        """Reads the files of a training. Returns its rovers, if it runs and somebody watches them."""
+        if self._training is None:
+            return None
+        if time.monotonic() > self._read + TRAINING_EVERY:
+            self._training.refresh()
+            self._read = time.monotonic()
+        return self._training.live() if self.server.get_clients() else None
+
+    def _drive_on(self) -> None:
+        """Steps the simulation as far as time has passed since the last call, and shows it."""
+        if self._watching:
+            self._watching = False
+            self._moved()
+        began = time.monotonic()
+        passed, self._last, dt = began - self._last, began, self.session.rovers.control_dt
+        most = MAX_LAG * max(1.0, self.speed)
+        self._due = min(self._due + passed * self.speed, most) if self.playing else 0.0
+        while self._due >= dt and self.playing and not self._closed.is_set():
+            self._step()
+            self._due -= dt
+            if time.monotonic() - began > MAX_STEPPING:
+                self._due = 0.0
+        self._show(self._due / dt if self.playing else 1.0)
 
     def _step_once(self) -> None:
         self.play(False)
@@ -286,18 +315,33 @@ class Viewer(Page):
 
     def _show(self, share: float) -> None:
         """Shows the state, ``share`` of the way from the last step but one to the last."""
-        session, self.frames = self.session, self.frames + 1
+        session = self.session
         pose = self._before.toward(self._now, min(1.0, share))
-        row = session.row
-        with self.server.atomic():
-            self.stage.show(session.moment(), row, session.neighbors(), pose)
-            yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
-            self.cameras.follow(pose.position[row].numpy(), yaw)
+        self._show_moment(session.moment(), session.row, session.neighbors(), pose)
         if self.frames % PANELS_EVERY == 0:
             self._show_status()
             self._show_panels()
-        if self._training is not None and self.frames % TRAINING_EVERY == 0:
-            self._training.refresh()
+
+    def _show_live(self, live: LiveMoment) -> None:
+        """Shows the rovers of a training."""
+        row = min(self.session.row, len(live.worlds) - 1)
+        world, moment, rows = live.of(row)
+        self.stage.enter(world, *self._trained)
+        self.cameras.enter(world)
+        if not self._watching:
+            self._watching = True
+            self.stage.forget_path()
+        self._show_moment(moment, row, rows, Pose.of(moment.rover))
+        speed = moment.rover.linear_velocity[row].item()
+        distance = (moment.goal[row] - moment.rover.position[row, :2]).norm().item()
+        self._status.content = f"{world.name} · training · {speed:.2f} m/s · goal {distance:.1f} m"
+
+    def _show_moment(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
+        self.frames += 1
+        with self.server.atomic():
+            self.stage.show(moment, row, rows, pose)
+            yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
+            self.cameras.follow(pose.position[row].numpy(), yaw)
 
     def _show_status(self) -> None:
         session = self.session

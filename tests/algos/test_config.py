@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
-from rover_rl.algos.workers import default_workers
+from rover_rl.algos.workers import default_workers, usable_cores
 from rover_rl.sims.warp.settings import WarpSettings
 
 PPO, SAC = training_config("ppo"), training_config("sac")
@@ -137,3 +137,9 @@ def test_workers_share_the_rovers_equally_and_warp_has_one() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0
     assert (PPO.workers, with_settings(PPO, workers=2).workers) == (1, 2)
+
+
+def test_gradient_steps_take_the_cores_of_workers_that_wait() -> None:
+    assert PPO.learner_threads == 1
+    assert with_settings(PPO, workers=2).learner_threads == min(2, usable_cores())
+    assert with_settings(SAC, workers=2).learner_threads == 1

@@ -5,11 +5,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from rover_rl import make_env
+from rover_rl.algos.config import training_config
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.run import TrainingRun, prepare
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -36,6 +40,16 @@ def settle(viewer: Viewer) -> None:
     done = threading.Event()
     viewer.request(done.set)
     assert done.wait(60.0), "the simulation does not answer"
+
+
+def training_in(runs: Path, **settings: Any) -> Iterator[None]:
+    """Trains in the folder ``run``, and yields in each batch."""
+    given = {"world": "moon", "num_envs": 8, "backend": "warp", "seed": 0, "runs": str(runs), "name": "run"}
+    config = prepare(training_config("ppo", **given, rollout_length=2, hidden=(8,), minibatch=16, **settings))
+    with TrainingRun(config, PPOLearner(config)) as training:
+        for batch in training.batches():
+            yield
+            training.record(training.learner.update(batch, 0.0, training.stopwatch))
 
 
 @pytest.fixture

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+from io import BytesIO
+
+import imageio.v3 as imageio
 import pytest
 import torch
+from PIL import Image
 
+from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.view.live import LivePage
-from tests.view.conftest import settle, until
+from tests.view.conftest import settle, training_in, until
 
 pytestmark = pytest.mark.slow
 
@@ -111,3 +117,48 @@ def test_a_replay_opens_without_a_server(browser, tmp_path):
     page.locator("canvas").first.wait_for(timeout=60_000)
     assert not [url for url in requests if url.startswith("http")]
     page.close()
+
+
+def test_what_the_page_shows_is_saved_as_a_picture_and_as_a_film(open_viewer, open_page):
+    page = open_page(open_viewer().address)
+    page.get_by_role("tab", name="Show").click()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save a picture").click()
+    picture = Image.open(BytesIO(saved.value.path().read_bytes()))
+    assert picture.size == (960, 540)
+    # Not of one color.
+    assert len(picture.convert("RGB").resize((32, 18)).getcolors()) > 20
+    page.get_by_role("button", name="Record a film").click()
+    button = page.get_by_role("button", name="Stop and save the film")
+    button.wait_for()
+    page.wait_for_timeout(1500)
+    with page.expect_download() as saved:
+        button.click()
+    assert saved.value.suggested_filename == "rover.mp4"
+    frames = imageio.imread(saved.value.path().read_bytes(), extension=".mp4")
+    assert len(frames) > 10
+    assert frames.shape[1:] == (540, 960, 3)
+
+
+def test_the_rovers_of_a_training_are_on_the_page_until_a_person_drives(tmp_path, open_viewer, open_page):
+    batches, ended = training_in(tmp_path), threading.Event()
+    next(batches)
+
+    def train() -> None:
+        while not ended.is_set():
+            next(batches)
+
+    thread = threading.Thread(target=train)
+    thread.start()
+    try:
+        viewer = open_viewer(None, run=RunFiles.find(tmp_path / "run"))
+        page = open_page(viewer.address)
+        page.get_by_text("moon · training").wait_for()
+        assert not viewer.session.seconds
+        page.get_by_role("button", name="Step", exact=True).click()
+        until(lambda: viewer.session.seconds)
+        assert not page.get_by_label("Watch the training's own rovers").is_checked()
+    finally:
+        ended.set()
+        thread.join()
+        batches.close()

@@ -24,16 +24,18 @@ from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import FOLDER
 from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, spread_bars
+from rover_rl.algos.video.live import LiveWatch
 from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
+from rover_rl.sims.worlds import get_world
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.pilot import TURN
 from rover_rl.view.replay import ReplayPage, write_replay
-from tests.view.conftest import settle, until
+from tests.view.conftest import settle, training_in, until
 
 
 def paused(viewer: Viewer) -> Viewer:
@@ -290,8 +292,30 @@ def test_the_page_of_a_training_rests_until_somebody_looks(run):
         assert viewer.session.rovers.config.world == run.env.world
         time.sleep(0.3)
         assert not viewer.frames
+        assert not viewer.session.seconds
     finally:
         viewer.close()
+
+
+@pytest.mark.parametrize("collection", [{"workers": 1}, {"workers": 2, "collector": "processes"}])
+def test_rovers_of_a_training_are_written_while_somebody_watches(tmp_path, collection):
+    batches = training_in(tmp_path, **collection)
+    next(batches)
+    folder = tmp_path / "run"
+    assert not (folder / "live" / "rovers.pt").exists()
+    watch = LiveWatch(folder)
+    assert watch.read() is None
+    until(lambda: next(batches, True) or watch.read() is not None)
+    live = watch.read()
+    world, moment, rows = live.of(1)
+    assert world is get_world("moon")
+    assert rows.tolist() == [0, 1, 2, 3]
+    assert moment.goal.shape == (4, 2)
+    assert moment.scan.shape[0] == 4
+    until(lambda: next(batches, True) or not watch.read().moment.rover.position.equal(moment.rover.position))
+    batches.close()
+    assert not (folder / "live").exists()
+    assert watch.read() is None
 
 
 def test_a_training_goes_on_without_its_page(run, monkeypatch):

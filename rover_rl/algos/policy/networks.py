@@ -346,11 +346,18 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Se
 
 
 @contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
+def with_threads(count: int) -> Iterator[None]:
+    """Limits PyTorch to a number of threads."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    torch.set_num_threads(count)
     try:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
+    with with_threads(1):
+        yield

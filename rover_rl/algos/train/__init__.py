@@ -37,7 +37,7 @@ def train(
         FileExistsError: if a run of that name exists.
     """
     # They import PyTorch.
-    from rover_rl.algos.policy.networks import single_threaded
+    from rover_rl.algos.policy.networks import single_threaded, with_threads
     from rover_rl.algos.train.run import TrainingRun, prepare
 
     learner_type = getattr(import_module(f"{__name__}.{config.algo}"), f"{config.algo.upper()}Learner")
@@ -49,5 +49,7 @@ def train(
             if begun is not None:
                 begun(run.folder)
             for batch in run.batches():
-                run.record(learner.update(batch, run.share, run.stopwatch))
+                with with_threads(config.learner_threads):
+                    learned = learner.update(batch, run.share, run.stopwatch)
+                run.record(learned)
     return run.summary

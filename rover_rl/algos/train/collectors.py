@@ -47,7 +47,11 @@ class WorkerError(ChildProcessError):
 
 @contextmanager
 def collect(
-    config: TrainingConfig, actor: ProbabilisticActor, session: int = 0, estimates: Estimates | None = None
+    config: TrainingConfig,
+    actor: ProbabilisticActor,
+    session: int = 0,
+    estimates: Estimates | None = None,
+    folder: Path | None = None,
 ) -> Iterator[Batches]:
     """Opens a collector and yields an endless iterator over batches ``[num_envs, rollout_length]``.
 
@@ -56,20 +60,28 @@ def collect(
     the actor whenever a batch is requested. The iterator raises :class:`WorkerError` within seconds after a worker has
     failed. ``session`` is the number of times the run has been resumed, and ``estimates`` the state of the
     :class:`~rover_rl.algos.train.curriculum.Learnability` that a curriculum begins with.
+    ``folder`` is that of the run, in which pages watch it.
     """
-    with _COLLECTORS[config.collector](config, actor, partial(_make_env, config, session, estimates)) as batches:
+    with _COLLECTORS[config.collector](
+        config, actor, partial(_make_env, config, session, estimates, folder)
+    ) as batches:
         yield batches
 
 
 def _make_env(
-    config: TrainingConfig, session: int, estimates: Estimates | None, worker: int = -1, log: Path | None = None
+    config: TrainingConfig,
+    session: int,
+    estimates: Estimates | None,
+    folder: Path | None,
+    worker: int = -1,
+    log: Path | None = None,
 ) -> EnvBase:
     """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster.
 
     Worker -1 is this process.
     """
     if worker < 0:
-        return make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu)
+        return make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu, watched=folder)
     # TorchRL also makes an environment in the training process, to read its specs.
     in_process = log is not None and multiprocessing.parent_process() is not None
     if in_process or log is None:
@@ -83,7 +95,8 @@ def _make_env(
         with log.open("wb", buffering=0) as file:
             os.dup2(file.fileno(), 2)
         faulthandler.enable(all_threads=False)
-    return make_training_env(config, worker, session, estimates)
+    # A worker on a cluster has no such folder.
+    return make_training_env(config, worker, session, estimates, watched=None if log is None else folder)
 
 
 @contextmanager

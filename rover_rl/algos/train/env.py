@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from torch import Tensor
 from torchrl.envs import EnvBase, RewardSum, StepCounter
@@ -12,6 +13,7 @@ from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.recurrent import memory_transforms
 from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
+from rover_rl.algos.train.live import LiveRovers
 from rover_rl.algos.workers import usable_cores
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.make import add_reward
@@ -35,10 +37,12 @@ def make_training_env(
     session: int = 0,
     estimates: Mapping[str, Tensor] | None = None,
     per_batch: bool = False,
+    watched: Path | None = None,
 ) -> EnvBase:
     """Makes the environment of one worker, in which one step is one decision of the policy.
 
     The first episode of each row has a random length, so that the resets of the rows are spread over time.
+    Those who watch the run in the folder ``watched`` see rovers of the first worker.
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
@@ -61,6 +65,8 @@ def make_training_env(
     env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length, rovers.control_dt))
     for transform in memory_transforms(config.network.memory, config.network.memory_size):
         env = env.append_transform(transform)
+    if watched is not None and not worker:
+        env = env.append_transform(LiveRovers(rovers, watched))
     return env.append_transform(StepClock(rovers, worker, per_batch))
 
 

@@ -28,6 +28,7 @@ from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.fine_tuning import load_source
+from rover_rl.algos.train.live import forget_live_rovers
 from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, time_columns
 from rover_rl.algos.train.run_folder import STATE, RunRecord, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
@@ -216,6 +217,7 @@ class TrainingRun:
             if failed:
                 self._log.say(f"A worker failed. To continue: rover-rl train --resume {self.folder}")
         finally:
+            forget_live_rovers(self.folder)
             self._log.__exit__(*raised)
             self._trackers.close()
             for number, handler in self._handlers.items():
@@ -236,7 +238,7 @@ class TrainingRun:
         if self.updates and self.share >= 1:
             return
         estimates = self._curriculum.learnability.state_dict() if self._curriculum else None
-        with collect(self.config, self.learner.actor, self._session, estimates) as batches:
+        with collect(self.config, self.learner.actor, self._session, estimates, self.folder) as batches:
             repeat = self.config.collection.action_repeat
             while not self.updates or (self.share < 1 and not self._stopping):
                 requested = self.stopwatch.elapsed

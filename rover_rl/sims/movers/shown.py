@@ -16,9 +16,11 @@ CLOSE = 1.0
 
 def parts_of(movers: MoverField | None, row: int) -> Parts | None:
     """Returns a copy of the parts that a row has, on the CPU and with one row. ``None`` if it has none."""
-    if movers is None or movers.parts is None:
-        return None
-    parts = movers.parts
+    return None if movers is None or movers.parts is None else parts_in(movers.parts, row)
+
+
+def parts_in(parts: Parts, row: int) -> Parts | None:
+    """Returns a copy of those of ``parts`` that a row has, on the CPU and with one row. ``None`` if it has none."""
     shown = (parts.kind[row] >= 0).nonzero().squeeze(-1)
     return chosen(parts, row, shown) if len(shown) else None
 

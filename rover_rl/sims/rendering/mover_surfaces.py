@@ -32,6 +32,15 @@ class Form(NamedTuple):
     look: Look
 
 
+def forms_of(world: World, parts: Parts) -> list[Form]:
+    """Returns the form of each part of one row in a world. Sizes are rounded, so that equal parts share a form."""
+    forms, kinds, halves = [], parts.kind[0].tolist(), parts.half[0].tolist()
+    for kind, half, look in zip(kinds, halves, looks_of(world, len(kinds)), strict=True):
+        length, width, height = (round(2 * one, 4) for one in half)
+        forms.append(Form(KINDS[kind], (length, width, height), look))
+    return forms
+
+
 class MoverSurfaces:
     """Meshes of the parts of a world's movers, each of a kind and size once. Several threads may call it."""
 
@@ -51,8 +60,8 @@ class MoverSurfaces:
             return None
         position, orientation = parts.position[0].numpy()[shown], parts.orientation[0].numpy()[shown]
         with self._lock:
-            looks = looks_of(self._world, len(parts.mover[0]))
-            numbers = [self._number(parts, part, looks[part]) for part in shown]
+            forms = forms_of(self._world, parts)
+            numbers = [self._number(forms[part]) for part in shown]
             placing.forms = self._forms
             reach = np.array([np.linalg.norm(self._surfaces[number].vertices, axis=1).max() for number in numbers])
             boxes = [array(position + sign * reach[:, None], wp.vec3) for sign in (-1, 1)]
@@ -62,10 +71,8 @@ class MoverSurfaces:
         placing.part_forms = array(numbers, int)
         return tree
 
-    def _number(self, parts: Parts, part: int, look: Look) -> int:
-        """Returns the number of the mesh of a part, and makes it where it is new."""
-        length, width, height = (2 * parts.half[0, part]).tolist()
-        form = Form(KINDS[parts.kind[0, part]], (length, width, height), look)
+    def _number(self, form: Form) -> int:
+        """Returns the number of the mesh of a form, and makes it where it is new."""
         if form not in self._numbers:
             self._numbers[form] = len(self._numbers)
             self._add(part_surface(form))
