@@ -23,6 +23,7 @@ from rover_rl.sims.worlds.generators import (
     ramps,
     rooms,
     with_walkers,
+    yard,
 )
 from rover_rl.sims.worlds.generators.layouts import DEFAULT
 from rover_rl.sims.worlds.layout_cache import stored_layout
@@ -35,7 +36,7 @@ from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[..., World]] = {
     generate.__name__: generate
-    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field)
+    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field, yard)
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 

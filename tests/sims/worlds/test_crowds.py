@@ -32,6 +32,23 @@ def test_a_tenth_of_the_obstacles_of_a_field_rests_and_the_others_are_as_fast_as
     assert len(get_world("field@1").obstacles) == 4 + 2
 
 
+@pytest.mark.parametrize(
+    ("level", "count", "slowest", "fastest"), [(0, 5, 0.5, 0.95), (0.5, 15, 1, 1.45), (1, 24, 1.5, 1.95)]
+)
+def test_cylinders_of_a_yard_go_round_at_constant_speed(level, count, slowest, fastest):
+    world = get_world(f"yard:3@{level}")
+    assert len(world.movers) == count
+    env = RoverEnv(world_n=world, num_envs=2, backend="warp", seed=0)
+    env.reset()
+    # Each episode begins elsewhere on the paths.
+    assert not torch.isclose(env.movers.course.position[0], env.movers.course.position[1]).any()
+    for _ in range(20):
+        env.rand_step()
+        speed = env.movers.course.velocity.norm(dim=-1)
+        assert ((slowest - 0.01 < speed) & (speed < fastest + 0.01)).all()
+    assert env.movers.course.position.abs().max() < 9.01
+
+
 @pytest.mark.usefixtures("own_registries")
 def test_walkers_are_added_to_any_world(tmp_path):
     still = World("yard", Terrain.flat((10, 10)), [box((2, 0, 0.5), (1, 1, 1))])

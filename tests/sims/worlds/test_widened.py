@@ -50,7 +50,7 @@ def test_areas_grow_about_the_middle_of_the_start_area_and_slopes_stay():
 
 
 def test_people_stay_as_large_as_they_are_where_ways_are_wider():
-    for name in ("plaza:3", "corridor:3", "crossing:3", "field:3"):
+    for name in ("plaza:3", "corridor:3", "crossing:3", "field:3", "yard:3"):
         world, wide = get_world(name), get_world(f"{name}*1.5")
         assert [mover.shape for mover in wide.movers] == [mover.shape for mover in world.movers]
         for (low, high), (wide_low, wide_high) in zip(world.bounds, wide.bounds, strict=True):

@@ -1,6 +1,6 @@
 """Generators of worlds: functions from a seed and a difficulty to a layout."""
 
-from rover_rl.sims.worlds.generators.crowds import corridor, crossing, field, plaza, with_walkers
+from rover_rl.sims.worlds.generators.crowds import corridor, crossing, field, plaza, with_walkers, yard
 from rover_rl.sims.worlds.generators.forest import forest
 from rover_rl.sims.worlds.generators.hills import hills
 from rover_rl.sims.worlds.generators.inspect_site import inspect
@@ -22,4 +22,5 @@ __all__ = [
     "ramps",
     "rooms",
     "with_walkers",
+    "yard",
 ]

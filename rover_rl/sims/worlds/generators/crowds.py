@@ -1,4 +1,4 @@
-"""Worlds in which people and obstacles move: plaza, corridor, crossing and field; and walkers in any world.
+"""Worlds in which people and obstacles move: plaza, corridor, crossing, field and yard; and walkers in any world.
 
 The walking speed of people is 1.34 +- 0.26 m/s (U. Weidmann, "Transporttechnik der Fussgaenger", ETH Zurich, 1993).
 Here, it rises with the difficulty to that. The numbers and speeds of the field span those of the DynaBARN worlds, 5 to
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
-from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander
+from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander, Waypoints
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
 from rover_rl.sims.worlds.region import Area
 from rover_rl.sims.worlds.terrain import Terrain
@@ -35,6 +35,10 @@ ARM, CROSSING_PEOPLE = 4.0, (4, 8, 16)
 """Width of the ways that cross, m, and number of people on them."""
 FIELD, FIELD_MOVERS, FIELD_SPEEDS = 20.0, (5, 14, 24), ((0.4, 0.9), (0.5, 1.45), (0.8, 1.95))
 """Side of the field, m, number of obstacles that move in it, and their least and greatest speed, m/s."""
+YARD_MOVERS, YARD_SPEEDS, YARD_RADIUS = (5, 15, 24), ((0.5, 0.95), (1.0, 1.45), (1.5, 1.95)), 0.5
+"""Number of cylinders in a yard, their least and greatest speed, m/s, and their radius, m."""
+CORNERS = (3, 6)
+"""Least and greatest number of corners of a cylinder's path."""
 WALL, HEIGHT = 0.2, 2.0
 """Thickness and height of walls, m."""
 
@@ -209,6 +213,48 @@ def field(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
         goal_range=task,
         movers=movers,
     )
+
+
+def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
+    """Creates a yard within walls, in which cylinders go round closed paths with corners, again and again.
+
+    Args:
+        seed: seed of the paths.
+        difficulty: difficulty in [0, 1]: 5, 15 (at 0.5) or 24 cylinders. At 0, 0.5 and 1, their speeds are those of
+            DynaBARN's easy (0.5 to 0.95 m/s), medium (1 to 1.45) and hard worlds (1.5 to 1.95).
+        scale: factor of the lengths, for larger robots. Cylinders stay as large as they are.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    rng = np.random.default_rng(seed)
+    low, high = (scaled(difficulty, *ends) for ends in zip(*YARD_SPEEDS, strict=True))
+    side = round(FIELD * scale, 1)
+    reach = side / 2 - scale
+    movers = []
+    for number in range(round(scaled(difficulty, *YARD_MOVERS))):
+        corners = rng.uniform(-reach, reach, (rng.integers(CORNERS[0], CORNERS[1] + 1), 2)).round(2)
+        path = Waypoints(_round_trip(corners, round(rng.uniform(low, high), 3)), "loop", random_start=True)
+        movers.append(Mover(path, Cylinder(YARD_RADIUS, 1.0), f"cylinder {number}"))
+    task: Area = ((-reach, reach),) * 2
+    return World(
+        name="yard",
+        terrain=Terrain.flat((side, side)),
+        obstacles=enclosing_walls(side),
+        spawn_range=task,
+        goal_range=task,
+        movers=movers,
+    )
+
+
+def _round_trip(corners: np.ndarray, speed: float) -> list[tuple[float, float, float, float]]:
+    """Returns the keyframes of a closed path through corners ``[n, 2]`` (m) at a speed (m/s)."""
+    path = np.vstack((corners, corners[:1]))
+    steps = np.diff(path, axis=0)
+    times = np.concatenate(([0.0], np.cumsum(np.linalg.norm(steps, axis=1) / speed)))
+    yaws = np.arctan2(steps[:, 1], steps[:, 0])
+    keys = np.column_stack((times, path, np.append(yaws, yaws[0]))).round(3)
+    return [(time, x, y, yaw) for time, x, y, yaw in keys.tolist()]
 
 
 def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tuple[float, Person]]:
