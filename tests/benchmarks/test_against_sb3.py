@@ -45,7 +45,7 @@ def count(*modules) -> int:
 def test_sb3_gets_networks_of_the_same_size(models):
     hidden = (24, 16)
     actor, value = count(make_actor(hidden=hidden)), count(make_critic(hidden=hidden))
-    action_value = count(make_action_critic(ObservationEncoder().features, hidden))
+    action_value = count(make_action_critic(ObservationEncoder(), hidden))
     sac, ppo = models["sac"], models["ppo"]
     assert count(sac.actor) == actor
     assert count(sac.critic) == 2 * action_value

@@ -17,6 +17,7 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
 from rover_rl.algos.config import MemoryKind, TrainingConfig
+from rover_rl.algos.policy.images import ImageFeatures
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
 from rover_rl.envs.config import ActionConfig, LidarConfig
@@ -202,11 +203,11 @@ def make_actor(
     encoder, spec = encoder or ObservationEncoder(), action_spec(action, device)
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     if memory == "none":
-        body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
+        body = _body(encoder, encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
         network = ActorNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), spec, prior, by_robot)
         return _actor(TensorDictModule(network, [*encoder.keys], network.out_keys).to(device), spec)
     *layers, units = hidden
-    body = nn.Sequential(_mlp(encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
+    body = nn.Sequential(_body(encoder, encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
     embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
     head = nn.Sequential(_mlp(units + memory_size, (), 2 * spec.shape[-1], gain=0.01), NormalParameters(max_std))
     return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec)
@@ -272,33 +273,41 @@ def make_critic(
     encoder = encoder or ObservationEncoder()
     beside = PrivilegedEncoder() if privileged else None
     features = encoder.features + (beside.features if beside else 0)
-    network = EncodedNetwork(encoder, _mlp(features, hidden, 1, gain=1.0), beside)
+    network = EncodedNetwork(encoder, _body(encoder, features, hidden, 1, gain=1.0), beside)
     return ValueOperator(network.to(device), in_keys=[*encoder.keys, *(beside.keys if beside else ())])
 
 
 def make_action_critic(
-    features: int,
+    encoder: ObservationEncoder,
     hidden: Sequence[int] = (128, 128),
     action: ActionConfig | None = None,
     device: torch.device | str | None = None,
 ) -> ValueOperator:
     """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
-    ``features`` is the number n of an :class:`~rover_rl.envs.encoding.ObservationEncoder`. See :func:`make_actor`.
+    The features are those of the ``encoder``. See :func:`make_actor`.
     """
-    network = _ActionCritic(features, hidden, action_spec(action))
+    network = _ActionCritic(encoder, hidden, action_spec(action))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 
 class _ActionCritic(_InBounds):
     """Applies an MLP to the features, concatenated with the action scaled to [-1, 1]."""
 
-    def __init__(self, features: int, hidden: Sequence[int], spec: Bounded) -> None:
+    def __init__(self, encoder: ObservationEncoder, hidden: Sequence[int], spec: Bounded) -> None:
         super().__init__(spec)
-        self._mlp = _mlp(features + spec.shape[-1], hidden, 1, gain=1.0)
+        self._mlp = _body(encoder, encoder.features + spec.shape[-1], hidden, 1, gain=1.0)
 
     def forward(self, features: Tensor, action: Tensor) -> Tensor:
         return self._mlp(torch.cat((features, (action - self._middle) / self._half), -1))
+
+
+def _body(encoder: ObservationEncoder, features: int, hidden: Sequence[int], outputs: int, gain: float) -> nn.Module:
+    """Creates an MLP for the features of an encoder and others after them, with convolutions over their images."""
+    if not any(encoder.sensors[key].image for key in encoder.keys):
+        return _mlp(features, hidden, outputs, gain)
+    images = ImageFeatures(encoder)
+    return nn.Sequential(images, _mlp(features + images.added, hidden, outputs, gain))
 
 
 def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:

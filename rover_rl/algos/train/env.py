@@ -15,13 +15,14 @@ from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.algos.train.live import LiveRovers
 from rover_rl.algos.workers import usable_cores
-from rover_rl.envs.config import SCAN_POSE, EnvConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, SensorLike
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
-from rover_rl.envs.sensors.suite import MOVERS, ROUTE
+from rover_rl.envs.sensors.scan_pose import ScanPose
+from rover_rl.envs.sensors.suite import DEPTH, HEIGHTS, MOVERS, ROUTE, own_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -77,18 +78,9 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
         backend = find_settings(backend)(threads=_threads(config))
-    sensors = env.sensors
-    if ROUTE in config.network.observation:
-        # The map changes with each decision.
-        route = Route(period=config.collection.action_repeat, threads=_threads(config))
-        sensors = (*(sensor for sensor in sensors if sensor != ROUTE), route)
-    if MOVERS in config.network.observation:
-        sensors = (*(sensor for sensor in sensors if sensor != MOVERS), Movers(period=config.collection.action_repeat))
-    if SCAN_POSE in config.network.observation and SCAN_POSE not in sensors:
-        sensors = (*sensors, SCAN_POSE)
     return replace(
         env,
-        sensors=sensors,
+        sensors=_sensors(config),
         num_envs=rovers,
         seed=config.seed + worker * rovers + session * SESSION_SEEDS,
         backend=backend,
@@ -96,6 +88,21 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
+
+
+def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
+    """Returns the sensors. Those that take long are read once for a decision."""
+    sensors, read = own_sensors(config.env.sensors), config.network.observation
+    if ROUTE in read:
+        # Not part of the environment that a policy is made for, but of its runner: so are movers.
+        sensors[ROUTE] = Route(threads=_threads(config))
+    if MOVERS in read:
+        sensors[MOVERS] = Movers()
+    for key in {ROUTE, MOVERS, HEIGHTS, DEPTH} & sensors.keys() & {*read}:
+        sensors[key] = replace(sensors[key], period=config.collection.action_repeat)
+    if SCAN_POSE in read and SCAN_POSE not in sensors:
+        sensors[SCAN_POSE] = ScanPose()
+    return tuple(sensors.values())
 
 
 def _threads(config: TrainingConfig) -> int:

@@ -50,7 +50,7 @@ class SACLearner(Learner):
         self.actor = actor_of(config, self._encoder, device)
         self._loss = SACLoss(
             on_features(self.actor),
-            make_action_critic(self._encoder.features, network.hidden, config.env.bounded_action, device),
+            make_action_critic(self._encoder, network.hidden, config.env.bounded_action, device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,

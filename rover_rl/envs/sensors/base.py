@@ -224,6 +224,11 @@ class Sensor(ABC):
         return {}
 
     @property
+    def image(self) -> tuple[int, int] | None:
+        """Rows and columns if the encoded value is an image, or several, which networks read with convolutions."""
+        return None
+
+    @property
     def features(self) -> int:
         """Number of features that a network reads."""
         return self.encode(torch.zeros(len(self.bounds.low))).shape[-1]

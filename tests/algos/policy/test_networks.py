@@ -62,7 +62,7 @@ def test_networks_accept_any_batch_shape_and_keys(shape: tuple[int, ...], keys: 
     encoder = ObservationEncoder(keys)
     td = make_actor(encoder)(observations(*shape).select(*keys))
     td["features"] = encoder(*(td[key] for key in keys))
-    td = make_action_critic(encoder.features)(make_critic(encoder)(td))
+    td = make_action_critic(encoder)(make_critic(encoder)(td))
     assert td["action"].shape == (*shape, 2)
     assert td["action_log_prob"].shape == shape
     assert td["state_value"].shape == td["state_action_value"].shape == (*shape, 1)
@@ -100,9 +100,10 @@ def test_an_actor_on_features_equals_the_actor_on_observations() -> None:
 
 def test_the_critic_scales_actions_by_their_bounds() -> None:
     torch.manual_seed(0)
-    back, forward = make_action_critic(3), make_action_critic(3, action=ActionConfig(min_speed=0.0))
+    encoder = ObservationEncoder(("imu",))
+    back, forward = make_action_critic(encoder), make_action_critic(encoder, action=ActionConfig(min_speed=0.0))
     forward.load_state_dict(back.state_dict())
-    td = TensorDict({"features": torch.randn(5, 3), "action": torch.zeros(5, 2)}, batch_size=5)
+    td = TensorDict({"features": torch.randn(5, encoder.features), "action": torch.zeros(5, 2)}, batch_size=5)
     slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
     torch.testing.assert_close(forward(td)["state_action_value"], back(slow)["state_action_value"])
 

@@ -1,0 +1,106 @@
+"""Height scan: the ground around the robot, on a grid, as an elevation map has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
+from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+
+MAX_SPACING = 10.0
+"""Largest distance between two points, m."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeightScan(Sensor):
+    """Heights of the ground on a grid around the robot, relative to the robot, ``[N, rows * columns]``, m.
+
+    The grid turns with the heading and stays level. The first row is the farthest ahead, and the first column the one
+    farthest to the left, as in an image that is seen from above. Obstacles are not part of the ground.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size: numbers of rows and columns.
+        spacing: distance between two neighbors, m.
+        ahead: distance from the robot to the middle of the grid, m.
+        max_height: largest absolute height, to which heights are clipped, m.
+        noise: standard deviation of the heights, m.
+        holes: fraction of the points without a height, which read 0.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="hills", num_envs=2, seed=0, sensors=[HeightScan(size=(8, 8))])
+        >>> env.reset()["heights"].shape
+        torch.Size([2, 64])
+    """
+
+    name: str = "heights"
+    size: tuple[int, int] = (16, 16)
+    spacing: float = 0.2
+    ahead: float = 1.0
+    max_height: float = 1.0
+    noise: float = 0.0
+    holes: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rows, columns = self.size
+        check_at_least(1, MAX_COUNT, rows=rows, columns=columns)
+        check_positive(MAX_SPACING, spacing=self.spacing, max_height=self.max_height)
+        if not (self.noise >= 0 and 0 <= self.holes <= 1):
+            raise ValueError(f"noise must be at least 0 and holes between 0 and 1, got {self.noise} and {self.holes}")
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the heights, m."""
+        count = self.size[0] * self.size[1]
+        return Bounds((-self.max_height,) * count, (self.max_height,) * count)
+
+    @property
+    def image(self) -> tuple[int, int]:
+        """Rows and columns: the heights are an image."""
+        return self.size
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the heights, some of them changed or lost at random.
+
+        Raises:
+            ValueError: for a live rover, around which the ground is not known.
+        """
+        if inputs.surroundings.is_live:
+            raise ValueError(f"sensor {self.name!r} needs the ground of a simulated world: a live rover has none")
+        truth = inputs.truth
+        position, yaw = truth.rover.position, truth.euler[:, 2:]
+        forward, left = _grid(self.size, self.spacing, self.ahead, position.device)
+        x = position[:, :1] + forward * yaw.cos() - left * yaw.sin()
+        y = position[:, 1:2] + forward * yaw.sin() + left * yaw.cos()
+        heights = inputs.surroundings.height_at(torch.stack((x, y), -1)) - position[:, 2:]
+        count = heights.shape[-1]
+        if self.noise:
+            heights = heights + self.noise * inputs.normal(self, count)
+        if self.holes:
+            heights = heights.masked_fill(inputs.uniform(self, count) < self.holes, 0.0)
+        return heights
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the heights in units of 0.5 m: a step of a few centimeters matters."""
+        return 2 * value
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Swaps left and right."""
+        return value.unflatten(-1, self.size).flip(-1).flatten(-2)
+
+
+@cache
+def _grid(size: tuple[int, int], spacing: float, ahead: float, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Returns the distances of the points ahead of the robot and to its left, ``[rows * columns]`` each, m."""
+    along, across = (spacing * ((count - 1) / 2 - torch.arange(count, device=device)) for count in size)
+    forward, left = torch.meshgrid(ahead + along, across, indexing="ij")
+    return forward.flatten(), left.flatten()

@@ -1,0 +1,148 @@
+"""Depth camera and height scan, and networks with convolutions over them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
+from rover_rl.algos.policy.images import UNITS
+from rover_rl.algos.policy.networks import make_action_critic, make_actor, make_critic, mirrored
+from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.sensors.depth import DepthCamera
+from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from tests.extras import BACKENDS
+
+WALL = box((3.0, 0.0, 1.0), (0.2, 8.0, 2.0))
+FLAT = World("flat", Terrain.flat((20.0, 20.0)), [WALL])
+LEVEL = DepthCamera(size=(8, 12), pitch=0.0, mount=(0.3, 0.0, 0.5), field_of_view=math.radians(60))
+
+
+def _read(sensor, world=FLAT, yaw=0.0, rows=1, **settings):
+    """Reads a sensor of a robot in the middle of a world."""
+    env = RoverEnv(world_n=world, num_envs=rows, seed=0, sensors=[sensor], **{"backend": "warp", **settings})
+    td = env.reset(start=torch.tensor([[0.0, 0.0, yaw]] * rows), goal=torch.tensor([[0.0, -5.0]] * rows))
+    position = env.rover_state.position[0]
+    values = td[sensor.name].unflatten(-1, sensor.size)
+    env.close()
+    return values, position
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_depth_is_the_distance_along_the_optical_axis(backend):
+    depth, position = _read(LEVEL, backend=backend)
+    # The wall is flat: the rays to its ends are longer, but its depth is the same. The upper rays reach it.
+    x, z = position[0].item(), position[2].item()
+    assert depth[0, :4] == pytest.approx(torch.full((4, 12), 2.9 - 0.3 - x), abs=0.02)
+    # Below, each row of pixels meets the ground where its slope says, or the wall before.
+    focal = 6 / math.tan(LEVEL.field_of_view / 2)
+    for row in range(4, 8):
+        ground = (0.5 + z) * focal / (row - 3.5)
+        assert depth[0, row].numpy() == pytest.approx(min(ground, 2.6 - x), abs=0.03)
+
+
+def test_a_camera_looks_where_it_is_mounted():
+    ahead = _read(LEVEL)[0]
+    left = _read(replace(LEVEL, yaw=math.pi / 2, mount=(0.0, 0.3, 0.5)), yaw=-math.pi / 2)[0]
+    torch.testing.assert_close(left, ahead, atol=0.05, rtol=0)
+    down = _read(replace(LEVEL, pitch=math.pi / 2 - 1e-6))[0]
+    assert down.numpy() == pytest.approx(0.5, abs=0.03)
+    away = _read(LEVEL, yaw=math.pi)[0]
+    # Nothing is there above the ground.
+    assert (away[0, :4] == LEVEL.max_range).all()
+
+
+def test_a_camera_sees_what_moves():
+    world = replace(FLAT, movers=[Mover(Waypoints([(0.0, 2.0, 0.0, 0.0)]), Cylinder(0.2, 2.0))])
+    depth, still = _read(LEVEL, world)[0], _read(LEVEL)[0]
+    assert (depth[0, :4, 5:7] < still[0, :4, 5:7] - 0.5).all()
+    assert depth[0, :, 0].equal(still[0, :, 0])
+
+
+def test_pixels_are_lost_too_close_and_noisy():
+    sensor = replace(LEVEL, size=(32, 32), min_range=1.0, noise=0.01, dropout=0.2)
+    depth = _read(sensor, rows=4)[0]
+    exact = _read(replace(LEVEL, size=(32, 32)), rows=4)[0]
+    assert (depth[exact < 0.95] == 0).all()
+    far = exact > 1.1
+    assert (depth[far] == 0).float().mean() == pytest.approx(0.2, abs=0.03)
+    seen = far & (depth > 0)
+    error = (depth - exact)[seen] / exact[seen].square()
+    assert error.std() == pytest.approx(0.01, rel=0.1)
+    assert error.mean().abs() < 0.001
+    assert not depth[0].equal(depth[1])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_heights_are_those_of_the_ground_relative_to_the_robot(backend):
+    heights = torch.linspace(0, 1, 41).expand(41, 41)
+    slope = World("slope", Terrain(heights, cell=0.5))
+    scan = HeightScan(size=(5, 3), spacing=0.4, ahead=0.4)
+    uphill, position = _read(scan, slope, backend=backend)
+    x = 0.4 + 0.4 * torch.tensor([2.0, 1.0, 0.0, -1.0, -2.0])
+    expected = slope.height_at(torch.stack((position[0] + x, torch.zeros(5)), -1).double()).float() - position[2]
+    assert uphill[0] == pytest.approx(expected[:, None].expand(5, 3), abs=0.01)
+    across, _ = _read(scan, slope, yaw=math.pi / 2, backend=backend)
+    # The rover looks along the contour, and the ground falls to its left.
+    assert (across[0, :, 0] < across[0, :, 1] - 0.005).all()
+    assert (across[0, :, 1] < across[0, :, 2] - 0.005).all()
+
+
+def test_heights_are_noisy_and_have_holes():
+    scan = HeightScan(size=(40, 40), noise=0.02, holes=0.1)
+    heights = _read(scan, World("flat", Terrain.flat((20.0, 20.0))), rows=2)[0]
+    holes = heights == 0
+    assert holes.float().mean() == pytest.approx(0.1, abs=0.02)
+    assert heights[~holes].std() == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: DepthCamera(size=(0, 8)), "rows must be"),
+        (lambda: DepthCamera(field_of_view=4.0), "field_of_view must be between 0 and pi"),
+        (lambda: DepthCamera(min_range=9.0), "min_range must be from 0 to below max_range=8.0, got 9.0"),
+        (lambda: DepthCamera(dropout=1.5), "dropout between 0 and 1, got 0.0 and 1.5"),
+        (lambda: HeightScan(size=(8, 0)), "columns must be"),
+        (lambda: HeightScan(spacing=0.0), "spacing must be positive"),
+        (lambda: HeightScan(holes=-0.1), "holes between 0 and 1"),
+        (lambda: RoverEnv(num_envs=1, sensors=[DepthCamera(), DepthCamera()]), "cannot add 'depth'"),
+    ],
+)
+def test_settings_out_of_range_raise(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_images_are_mirrored_with_the_world():
+    world = World("one side", Terrain.flat((20.0, 20.0)), [box((2.0, 1.5, 0.5), (0.5, 1.0, 1.0))])
+    image = World("other side", Terrain.flat((20.0, 20.0)), [box((2.0, -1.5, 0.5), (0.5, 1.0, 1.0))])
+    torch.testing.assert_close(LEVEL.mirror(_read(LEVEL, world)[0].flatten(1)), _read(LEVEL, image)[0].flatten(1))
+    with pytest.raises(ValueError, match="camera 'depth' has no mirror image"):
+        replace(LEVEL, yaw=0.5).mirror(torch.zeros(1, 96))
+
+
+def test_networks_read_images_with_convolutions():
+    keys, sensors = ("lidar", "target", "heights", "depth"), [LEVEL]
+    encoder = ObservationEncoder(keys, sensors=sensors)
+    env = RoverEnv(num_envs=3, seed=0, backend="warp", sensors=["heights", LEVEL], lidar=LidarConfig(points=32))
+    td = env.rollout(2)
+    actor, critic = make_actor(encoder, (16,)), make_critic(encoder, (16,))
+    assert actor(td)["action"].shape == (3, 2, 2)
+    assert critic(td)["state_value"].shape == (3, 2, 1)
+    # The first layer reads each image as so many numbers.
+    first = next(part for part in actor.modules() if isinstance(part, torch.nn.Linear) and part.out_features == 16)
+    assert first.in_features == 32 + 5 + 2 * UNITS
+    seen = td.clone()
+    seen["depth"] = seen["depth"] * 0.5
+    assert not actor(seen)["loc"].equal(actor(td)["loc"])
+    td["features"] = encoder(*(td[key] for key in keys))
+    assert make_action_critic(encoder, (16,))(td)["state_action_value"].shape == (3, 2, 1)
+    every = torch.ones(3, 2, dtype=torch.bool)
+    back = mirrored(mirrored(td, every, encoder.sensors), every, encoder.sensors)
+    assert back["heights"].equal(td["heights"])
+    assert back["depth"].equal(td["depth"])
