@@ -16,8 +16,8 @@ import torch
 import tyro
 
 from rover_rl import EnvConfig, RoverEnv, Sensor
-from rover_rl.envs.sensors.depth import DepthCamera
 from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.sims.bullet.geometry import connect, load_world
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.rotations import rotate
@@ -76,7 +76,7 @@ def bullet_seconds(env: RoverEnv, camera: DepthCamera, world: str) -> float:
 def main(options: Options) -> None:
     """Measures, and prints the results."""
     torch.set_num_threads(1)
-    camera, planes, heights = DepthCamera(), DepthCamera(name="planes", size=(16, 128)), HeightScan()
+    camera, planes, heights = DepthCamera(), Lidar3D(), HeightScan()
     plain = make(options)
     envs = {sensor.name: make(options, sensor) for sensor in (camera, planes, heights)}
     rates: dict[str, list[float]] = {name: [] for name in ("plain", *envs, "bullet")}

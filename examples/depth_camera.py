@@ -14,14 +14,14 @@ import matplotlib.pyplot as plt
 import torch
 
 from rover_rl import make_env
-from rover_rl.envs.sensors.depth import DepthCamera
 from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.envs.sensors.ray_images import DepthCamera
 
 # %%
 # Two sensors
 # -----------
-# Sensors are given to the environment. Each adds an entry to the observation, named as it is. The readings of the camera
-# are depths in m along its optical axis, row by row from the top left.
+# Sensors are given to the environment. Each adds an entry to the observation, named as it is. The readings of the
+# camera are depths in m along its optical axis, row by row from the top left.
 
 camera = DepthCamera(size=(72, 96), field_of_view=math.radians(80), noise=0.005)
 heights = HeightScan(size=(32, 32), spacing=0.1, ahead=1.2)

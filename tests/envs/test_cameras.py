@@ -1,4 +1,4 @@
-"""Depth camera and height scan, and networks with convolutions over them."""
+"""Depth camera, 3D lidar and height scan, and networks with convolutions over them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
 from rover_rl.algos.policy.images import UNITS
 from rover_rl.algos.policy.networks import make_action_critic, make_actor, make_critic, mirrored
 from rover_rl.envs.encoding import ObservationEncoder
-from rover_rl.envs.sensors.depth import DepthCamera
 from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
 from tests.extras import BACKENDS
 
@@ -77,6 +77,20 @@ def test_pixels_are_lost_too_close_and_noisy():
     assert not depth[0].equal(depth[1])
 
 
+def test_a_lidar_with_planes_meets_wall_and_ground_at_the_angles_of_its_beams():
+    sensor = Lidar3D(size=(3, 4), mount=(0.0, 0.0, 0.3), elevation=(-0.5, 0.5), field_of_view=0.4)
+    ranges, position = _read(sensor)
+    x, z = position[0].item(), position[2].item()
+    left = torch.tensor([0.15, 0.05, -0.05, -0.15])
+    assert ranges[0, 1] == pytest.approx((2.9 - x) / left.cos(), abs=0.02)
+    assert ranges[0, 2].numpy() == pytest.approx((0.3 + z) / math.sin(0.5), abs=0.03)
+    assert ranges[0, 0] == pytest.approx((2.9 - x) / left.cos() / math.cos(0.5), abs=0.03)
+    turn = _read(Lidar3D(size=(1, 8), elevation=(0.0, 0.0)))[0]
+    # The wall is ahead, and nothing behind.
+    assert (turn[0, 0, [3, 4]] < 4).all()
+    assert (turn[0, 0, [0, 1, 6, 7]] == 12.0).all()
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_heights_are_those_of_the_ground_relative_to_the_robot(backend):
     heights = torch.linspace(0, 1, 41).expand(41, 41)
@@ -107,6 +121,8 @@ def test_heights_are_noisy_and_have_holes():
         (lambda: DepthCamera(field_of_view=4.0), "field_of_view must be between 0 and pi"),
         (lambda: DepthCamera(min_range=9.0), "min_range must be from 0 to below max_range=8.0, got 9.0"),
         (lambda: DepthCamera(dropout=1.5), "dropout between 0 and 1, got 0.0 and 1.5"),
+        (lambda: Lidar3D(field_of_view=7.0), "field_of_view must be positive and at most 2 pi"),
+        (lambda: Lidar3D(elevation=(0.3, 0.1)), "elevation must be two ascending angles"),
         (lambda: HeightScan(size=(8, 0)), "columns must be"),
         (lambda: HeightScan(spacing=0.0), "spacing must be positive"),
         (lambda: HeightScan(holes=-0.1), "holes between 0 and 1"),
@@ -122,7 +138,7 @@ def test_images_are_mirrored_with_the_world():
     world = World("one side", Terrain.flat((20.0, 20.0)), [box((2.0, 1.5, 0.5), (0.5, 1.0, 1.0))])
     image = World("other side", Terrain.flat((20.0, 20.0)), [box((2.0, -1.5, 0.5), (0.5, 1.0, 1.0))])
     torch.testing.assert_close(LEVEL.mirror(_read(LEVEL, world)[0].flatten(1)), _read(LEVEL, image)[0].flatten(1))
-    with pytest.raises(ValueError, match="camera 'depth' has no mirror image"):
+    with pytest.raises(ValueError, match="sensor 'depth' has no mirror image"):
         replace(LEVEL, yaw=0.5).mirror(torch.zeros(1, 96))
 
 

@@ -1,0 +1,229 @@
+"""Depth camera and 3D lidar, without a renderer: a ray for each pixel."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
+from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+
+MAX_RANGE = 1000.0
+"""Largest range, m."""
+Vectors: TypeAlias = list[list[float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayImage(Sensor):
+    """Image ``[N, rows * columns]`` of distances, m, row by row from the top left: base of cameras and 3D lidars.
+
+    It shows ground, obstacles, movers and the other rovers of a group, but not the robot itself. A pixel without a
+    return reads ``max_range``, and one closer than ``min_range`` or lost reads 0, as those of most devices do.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size: numbers of rows and columns.
+        mount: position in the frame of the robot, whose origin is on the ground and whose axes point forward, left and
+            up, m.
+        yaw: angle by which the device looks to the left, rad.
+        min_range, max_range: least and largest distance, m.
+        noise: standard deviation of a distance, m.
+        dropout: fraction of the pixels that are lost.
+
+    Raises:
+        ValueError: if a setting is out of range.
+    """
+
+    size: tuple[int, int]
+    mount: tuple[float, float, float]
+    yaw: float = 0.0
+    min_range: float = 0.1
+    max_range: float
+    noise: float = 0.0
+    dropout: float = 0.0
+    delayed = "scan"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rows, columns = self.size
+        check_at_least(1, MAX_COUNT, rows=rows, columns=columns)
+        check_positive(MAX_RANGE, max_range=self.max_range)
+        if not 0 <= self.min_range < self.max_range:
+            raise ValueError(f"min_range must be from 0 to below max_range={self.max_range}, got {self.min_range}")
+        if not (self.noise >= 0 and 0 <= self.dropout <= 1):
+            raise ValueError(
+                f"noise must be at least 0 and dropout between 0 and 1, got {self.noise} and {self.dropout}"
+            )
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the distances, m."""
+        count = self.size[0] * self.size[1]
+        return Bounds((0.0,) * count, (self.max_range,) * count)
+
+    @property
+    def image(self) -> tuple[int, int]:
+        """Rows and columns: the distances are an image."""
+        return self.size
+
+    @abstractmethod
+    def rays(self) -> tuple[Vectors, list[float]]:
+        """Returns the direction of each pixel in the frame of the device, and the range at which it reads 1 m.
+
+        The axes of the frame point ahead, left and up.
+        """
+
+    def spread(self, distance: Tensor) -> Tensor | float:
+        """Returns the standard deviation of the noise at distances, m."""
+        return self.noise
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the image, with its noise and without what is lost."""
+        directions, scales = _turned(self)
+        ranges = inputs.scan(self.mount, directions)
+        distance = (ranges / ranges.new_tensor(scales)).clamp(max=self.max_range)
+        count = distance.shape[-1]
+        if self.noise:
+            noisy = distance + self.spread(distance) * inputs.normal(self, count)
+            distance = torch.where(distance < self.max_range, noisy, distance)
+        lost = distance < self.min_range
+        if self.dropout:
+            lost = lost | (inputs.uniform(self, count) < self.dropout)
+        return distance.masked_fill(lost, 0.0)
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the logarithm of the distances, since centimeters matter only at short range."""
+        return value.log1p() / 1.3 - 1
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Swaps left and right.
+
+        Raises:
+            ValueError: for a device that is not in the middle, or does not look ahead.
+        """
+        if self.yaw or self.mount[1]:
+            raise ValueError(
+                f"sensor {self.name!r} has no mirror image, as it is not in the middle or does not look ahead: train "
+                "with --no-mirror-augmentation"
+            )
+        return value.unflatten(-1, self.size).flip(-1).flatten(-2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthCamera(RayImage):
+    """Depth image of a pinhole camera with square pixels, ``[N, rows * columns]``, m, along the optical axis.
+
+    The noise is that of stereo and structured light, whose standard deviation grows with the square of the depth
+    (K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications",
+    Sensors 12, 2012).
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
+        field_of_view: horizontal field of view, rad.
+        pitch: angle by which the camera looks down, rad.
+        noise: standard deviation of the depth at 1 m, m.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[DepthCamera(size=(16, 24))])
+        >>> env.reset()["depth"].unflatten(-1, (16, 24)).shape
+        torch.Size([2, 16, 24])
+    """
+
+    name: str = "depth"
+    size: tuple[int, int] = (64, 64)
+    mount: tuple[float, float, float] = (0.25, 0.0, 0.3)
+    max_range: float = 8.0
+    field_of_view: float = math.radians(87)
+    pitch: float = math.radians(15)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.field_of_view < math.pi:
+            raise ValueError(f"field_of_view must be between 0 and pi, got {self.field_of_view}")
+
+    def rays(self) -> tuple[Vectors, list[float]]:
+        """Returns the directions ``(1, -u / f, -v / f)``, turned down by the pitch, and their lengths.
+
+        A pixel lies ``u`` to the right of the middle of the image and ``v`` below it, and the focal length is ``f``,
+        all in pixels.
+        """
+        focal = self.size[1] / 2 / math.tan(self.field_of_view / 2)
+        v, u = torch.meshgrid(*(torch.arange(count) - (count - 1) / 2 for count in self.size), indexing="ij")
+        directions = torch.stack((torch.ones_like(u), -u / focal, -v / focal), -1).reshape(-1, 3)
+        ahead, left, up = directions.unbind(-1)
+        cos, sin = math.cos(self.pitch), math.sin(self.pitch)
+        turned = torch.stack((cos * ahead + sin * up, left, cos * up - sin * ahead), -1)
+        return turned.tolist(), directions.norm(dim=-1).tolist()
+
+    def spread(self, distance: Tensor) -> Tensor:
+        """Returns ``noise`` times the square of the depth."""
+        return self.noise * distance.square()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar3D(RayImage):
+    """Range image of a lidar with several planes, ``[N, planes * beams]``, m.
+
+    The first row is the highest plane. Beams are equally spaced over the field of view, from left to right; those of a
+    full turn begin behind the robot.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`. The size is the number of
+            planes and of the beams of each.
+        field_of_view: horizontal field of view, rad.
+        elevation: angles of the lowest and the highest plane above the horizon, rad.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[Lidar3D(size=(4, 32))])
+        >>> env.reset()["lidar3d"].shape
+        torch.Size([2, 128])
+    """
+
+    name: str = "lidar3d"
+    size: tuple[int, int] = (16, 128)
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.5)
+    max_range: float = 12.0
+    field_of_view: float = 2 * math.pi
+    elevation: tuple[float, float] = (math.radians(-25), math.radians(15))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.elevation
+        if not 0 < self.field_of_view <= 2 * math.pi:
+            raise ValueError(f"field_of_view must be positive and at most 2 pi, got {self.field_of_view}")
+        if not -math.pi / 2 <= low <= high <= math.pi / 2:
+            raise ValueError(f"elevation must be two ascending angles between -pi/2 and pi/2, got {self.elevation}")
+
+    def rays(self) -> tuple[Vectors, list[float]]:
+        """Returns the directions, of length 1."""
+        planes, beams = self.size
+        low, high = self.elevation
+        up = torch.linspace(high, low, planes) if planes > 1 else torch.tensor([(low + high) / 2])
+        # The middle of the image is ahead, so that its mirror image swaps left and right.
+        left = self.field_of_view * (0.5 - (torch.arange(beams) + 0.5) / beams)
+        up, left = torch.meshgrid(up, left, indexing="ij")
+        directions = torch.stack((up.cos() * left.cos(), up.cos() * left.sin(), up.sin()), -1)
+        return directions.reshape(-1, 3).tolist(), [1.0] * (planes * beams)
+
+
+@cache
+def _turned(sensor: RayImage) -> tuple[Vectors, list[float]]:
+    """Returns the directions of the pixels in the frame of the robot, and the ranges at which they read 1 m."""
+    directions, scales = sensor.rays()
+    cos, sin = math.cos(sensor.yaw), math.sin(sensor.yaw)
+    return [[cos * x - sin * y, sin * x + cos * y, z] for x, y, z in directions], scales
