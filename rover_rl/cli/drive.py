@@ -98,6 +98,8 @@ class Drive:
     """Topic of the lidar scan."""
     imu_topic: str = Connection.imu_topic
     """Topic of the IMU."""
+    camera_topic: str = Connection.camera_topic
+    """Topic of the depth image, for policies that read one."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False
@@ -256,7 +258,7 @@ class Drive:
             randomization=Randomization(),
             guard=self.guard,
             compensate_delay=self.compensate_delay or made_for.compensate_delay,
-            connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),
+            connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, self.camera_topic, self.wait),
             length=UNLIMITED,
             end_on_goal=True,
             seed=self.seed,

@@ -418,7 +418,7 @@ class RoverEnv(EnvBase):
             company = Company(self.robot, agents, self.num_envs, self.control_dt, self._tensor_device)
         self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live, company)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
-        self._surroundings.is_live = is_live
+        self._surroundings.live = self.simulator if is_live else None
         lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)
         self._lidar = in_view(lidar, self.fleet)
         if "movers" in self.simulator.capabilities:

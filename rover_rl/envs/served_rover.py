@@ -17,6 +17,8 @@ import torch
 from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, TaskConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.ray_images import DepthCamera
+from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.served import Report
@@ -30,7 +32,7 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says.
+            ``randomization.scan_period`` says. Of the sensors, it has the depth cameras.
 
     Attributes:
         env: the environment.
@@ -42,7 +44,9 @@ class ServedRover:
         one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
         plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig()}
         plain |= {"privileged": False, "compensate_delay": False}
-        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE,)))
+        sensors = own_sensors(config.sensors).values()
+        self._cameras = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
+        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE, *self._cameras)))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
@@ -54,10 +58,11 @@ class ServedRover:
 
     def step(self, command: tuple[float, float]) -> Report:
         """Takes a step with a command, m/s and rad/s, and returns what arrives from the sensors after it."""
-        steps = self.env.step_commands(torch.tensor([command]))["outcome", "steps"]
-        report = self._report(steps)
+        observation = self.env.step_commands(torch.tensor([command]))
+        report = self._report(observation["outcome", "steps"])
         is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
-        return report if is_new else report._replace(ranges=None)
+        depth = {camera.topic: observation[camera.name].unflatten(-1, camera.size)[0] for camera in self._cameras}
+        return report._replace(depth=depth) if is_new else report._replace(depth=depth, ranges=None)
 
     def close(self) -> None:
         """Releases the simulator."""

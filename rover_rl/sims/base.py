@@ -126,6 +126,19 @@ class StampedSensors(Protocol):
 
 
 @runtime_checkable
+class DepthCarrier(Protocol):
+    """A live backend with depth cameras."""
+
+    def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Returns the latest depth image in a size (rows and columns), ``[rows, columns]``, m.
+
+        ``inf`` is a pixel without a return, and 0 one that is lost or too close. Before the first image, all are lost.
+        ``topic`` is that of the camera; ``None``: that of :class:`~rover_rl.sims.connection.Connection`.
+        """
+        ...
+
+
+@runtime_checkable
 class Simulator(Protocol):
     """Interface of a backend: a batch of simulated rovers, or one real rover.
 

@@ -15,7 +15,7 @@ class Connection:
         scan_topic: Topic of the ``sensor_msgs/LaserScan``.
         imu_topic: Topic of the ``sensor_msgs/Imu``.
         cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
-        camera_topic: Topic of the camera; reserved for vision, as in the original.
+        camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, which is received if a sensor asks for it.
         timeout: Time to wait for the first scan, s.
     """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from torch import Tensor
@@ -17,12 +19,14 @@ class Report(NamedTuple):
         state: pose and velocities as the sensors tell them, ``[1]``, with the stamp of their time.
         ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
         scan_stamp: time of the scan, s.
+        depth: depth image of each camera, ``[rows, columns]``, m, by its topic; ``None``: that of the connection.
     """
 
     time: float
     state: RoverState
     ranges: Tensor | None
     scan_stamp: float
+    depth: Mapping[str | None, Tensor] = MappingProxyType({})
 
 
 class Served(Protocol):

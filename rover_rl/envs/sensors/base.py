@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 from zlib import crc32
 
 import torch
@@ -40,8 +40,8 @@ class Surroundings:
 
     def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
         self._worlds, self._movers = worlds, movers
-        self.is_live = False
-        """Whether the rover is a live one, around which nothing is known but the map of its world."""
+        self.live: Any = None
+        """Simulator of a live rover, around which nothing is known but the map of its world. ``None``: not live."""
 
     def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
         """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`.
@@ -49,7 +49,7 @@ class Surroundings:
         Raises:
             ValueError: for a live rover.
         """
-        if self.is_live:
+        if self.live is not None:
             raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
         ranges, parts = self._caster.cast(origins, directions), self._movers.parts
         return ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)

@@ -74,7 +74,7 @@ class HeightScan(Sensor):
         Raises:
             ValueError: for a live rover, around which the ground is not known.
         """
-        if inputs.surroundings.is_live:
+        if inputs.surroundings.live is not None:
             raise ValueError(f"sensor {self.name!r} needs the ground of a simulated world: a live rover has none")
         truth = inputs.truth
         position, yaw = truth.rover.position, truth.euler[:, 2:]

@@ -14,6 +14,7 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
+from rover_rl.sims.base import DepthCarrier
 
 MAX_RANGE = 1000.0
 """Largest range, m."""
@@ -84,8 +85,18 @@ class RayImage(Sensor):
         """Returns the standard deviation of the noise at distances, m."""
         return self.noise
 
+    def received(self, inputs: SensorInput) -> Tensor:
+        """Returns the image ``[rows, columns]`` of a live rover.
+
+        Raises:
+            ValueError: if the rover has none.
+        """
+        raise ValueError(f"sensor {self.name!r} casts rays, which needs a simulated world: a live rover has none")
+
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the image, with its noise and without what is lost."""
+        """Returns the image, with its noise and without what is lost. That of a live rover is its own."""
+        if inputs.surroundings.live is not None:
+            return self.received(inputs).clamp(max=self.max_range).flatten()[None]
         directions, scales = _turned(self)
         ranges = inputs.scan(self.mount, directions)
         distance = (ranges / ranges.new_tensor(scales)).clamp(max=self.max_range)
@@ -130,6 +141,8 @@ class DepthCamera(RayImage):
         field_of_view: horizontal field of view, rad.
         pitch: angle by which the camera looks down, rad.
         noise: standard deviation of the depth at 1 m, m.
+        topic: topic of the ``sensor_msgs/Image`` of a live rover. ``None``: that of the connection. The camera must see
+            what this one does: the same field of view from the same place.
 
     Raises:
         ValueError: if a setting is out of range.
@@ -146,6 +159,7 @@ class DepthCamera(RayImage):
     max_range: float = 8.0
     field_of_view: float = math.radians(87)
     pitch: float = math.radians(15)
+    topic: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -165,6 +179,11 @@ class DepthCamera(RayImage):
         cos, sin = math.cos(self.pitch), math.sin(self.pitch)
         turned = torch.stack((cos * ahead + sin * up, left, cos * up - sin * ahead), -1)
         return turned.tolist(), directions.norm(dim=-1).tolist()
+
+    def received(self, inputs: SensorInput) -> Tensor:
+        """Returns the latest depth image on the topic."""
+        live = inputs.surroundings.live
+        return live.depth_image(self.topic, self.size) if isinstance(live, DepthCarrier) else super().received(inputs)
 
     def spread(self, distance: Tensor) -> Tensor:
         """Returns ``noise`` times the square of the depth."""

@@ -85,6 +85,7 @@ TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
 Odometry = message_class("nav_msgs/msg/Odometry")
 Imu = message_class("sensor_msgs/msg/Imu")
 LaserScan = message_class("sensor_msgs/msg/LaserScan")
+Image = message_class("sensor_msgs/msg/Image")
 Clock = message_class("rosgraph_msgs/msg/Clock")
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.images import depth_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
@@ -31,7 +33,7 @@ NOT_MEASURED = -1.0
 
 
 class RobotNode:
-    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, pose array and clock; subscribes to commands.
+    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and depth images; receives commands.
 
     Args:
         rover: the rover, in ``world``.
@@ -75,6 +77,8 @@ class RobotNode:
                 ("/clock", ros.Clock),
             )
         }
+        self._transport, self._camera_topic = transport, connection.camera_topic
+        self._publish_depth: dict[str | None, Callable[[Any], None]] = {}
         transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
@@ -121,6 +125,11 @@ class RobotNode:
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
+        for topic, depth in report.depth.items():
+            if topic not in self._publish_depth:
+                name = topic or self._camera_topic
+                self._publish_depth[topic] = self._transport.publisher(name, ros.Image, reliable=True)
+            self._publish_depth[topic](depth_message(depth, scan_time, "camera_link"))
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
+from rover_rl.sims.ros2.images import read_depth
+from rover_rl.sims.ros2.messages import Image, Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
     IDENTITY_ORIENTATION,
     ORIGIN_POSE,
@@ -134,6 +135,7 @@ class Sensors:
         self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
         for kind, (topic, message, _) in sources.items():
             transport.subscribe(topic, message, partial(self.receive, kind))
+        self._transport, self._camera_topic = transport, connection.camera_topic
 
     @property
     def has_recent_scan(self) -> bool:
@@ -155,6 +157,19 @@ class Sensors:
     def wheel_velocity(self) -> Tensor:
         """Latest forward speed (m/s) and yaw rate (rad/s) by wheel odometry, ``[2]``; zeros before the first one."""
         return self.messages.value("odometry", torch.zeros(2))
+
+    def depth_image(self, topic: str | None) -> Tensor | None:
+        """Returns the latest depth image on a topic, ``[rows, columns]``, m; ``None`` before the first one.
+
+        The first call subscribes to the topic.
+        """
+        topic = topic or self._camera_topic
+        kind = f"camera {topic}"
+        if kind not in self.topics:
+            self._readers[kind], self.topics[kind] = {kind: read_depth}, topic
+            self._transport.subscribe(topic, Image, partial(self.receive, kind))
+        image: Tensor | None = self.messages.value(kind, None)
+        return image
 
     def receive(self, kind: str, msg: Any) -> bool:
         """Processes a message: see :meth:`Ros2Simulator.receive`."""

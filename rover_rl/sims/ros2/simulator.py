@@ -17,6 +17,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.images import resized
 from rover_rl.sims.ros2.messages import Clock
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
@@ -286,6 +287,11 @@ class Ros2Simulator:
         stamp = 0.0 if self._scan is None else self._scan.value.stamp
         position, orientation = self._sensors.pose_at(stamp)
         return position[None], orientation[None]
+
+    def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
+        image = self._sensors.depth_image(topic)
+        return torch.zeros(size) if image is None else resized(image, size)
 
     def follow_clock(self) -> None:
         """Begins to read ``/clock``, which simulators publish."""
