@@ -58,6 +58,7 @@ class Panels:
             self._lidar = server.gui.add_html("")
             self._spread = server.gui.add_html("")
             self._bars = server.gui.add_html("")
+        self._folder, self._images = folder, dict[str, viser.GuiImageHandle]()
         self._speed, self._distance = Plot(folder, "speed, m/s"), Plot(folder, "distance to the goal, m")
         self._reward, self._value = Plot(folder, "reward components"), Plot(folder, "estimate of the value")
 
@@ -88,6 +89,17 @@ class Panels:
             self._lidar.content = lidar_picture(lidar, max_range)
         self._spread.content = "" if spread is None else spread_bars(spread)
         self._bars.content = reward_bars({name: line.sum() for name, line in rewards.items()}, inside)
+
+    def show_images(self, pictures: Mapping[str, np.ndarray]) -> None:
+        """Shows what cameras and the like see, pictures ``[height, width, 3]`` by name. Others disappear."""
+        for name in self._images.keys() - pictures.keys():
+            self._images.pop(name).remove()
+        for name, picture in pictures.items():
+            if name in self._images:
+                self._images[name].image = picture
+                continue
+            with self._folder:
+                self._images[name] = self._server.gui.add_image(picture, label=name)
 
 
 def episode_table(episodes: Iterable[Episode]) -> str:

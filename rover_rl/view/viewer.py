@@ -25,6 +25,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.train.live import INTERVAL
+from rover_rl.algos.video.diagrams import sensor_picture
 from rover_rl.algos.video.live import LiveMoment
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
@@ -363,6 +364,10 @@ class Viewer(Page):
         readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
         dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
         self.panels.show(session.history, dt, readings, max_range, session.inside(), session.action_spread())
+        images = {key: sensor for key, sensor in session.rovers.sensors.items() if sensor.image}
+        self.panels.show_images(
+            {key: sensor_picture(one, session.observation[key][row]) for key, one in images.items()}
+        )
         self.stage.show_map(session.seen_map() if self.stage.shows(MAP) else None)
         if session.episodes:
             self._episodes.content = episode_table(session.episodes)

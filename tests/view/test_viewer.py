@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,18 +18,19 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl import RoverEnv
+from rover_rl import RoverEnv, make_env
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import FOLDER
-from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, spread_bars
+from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, sensor_picture, spread_bars
 from rover_rl.algos.video.live import LiveWatch
 from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
+from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.sims.worlds import get_world
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
@@ -227,6 +229,21 @@ def test_pictures_of_lidar_and_rewards():
     bar = spread_bars(torch.tensor([[-1.0, -0.5, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.5, 2.0]]))
     assert bar.count('x="49.5"') == 2
     assert bar.count('width="50.0"') == 2
+
+
+def test_a_page_shows_what_a_camera_sees():
+    with closing(
+        Viewer(make_env(world="moon", num_envs=1, seed=0, backend="warp", sensors=["heights"]), port=0)
+    ) as viewer:
+        until(lambda: "heights" in viewer.panels._images or viewer.error)
+        assert viewer.panels._images["heights"].image.shape == (192, 192, 3)
+        viewer.request(lambda: viewer.panels.show_images({}))
+        settle(viewer)
+    scan = HeightScan(size=(2, 2))
+    picture = sensor_picture(scan, torch.tensor([-1.0, 1.0, 0.0, 0.0]))
+    assert picture[0, 0].tolist() == [68, 1, 84]
+    assert picture[0, -1].tolist() == [253, 231, 36]
+    assert (picture[96:] == picture[96, 0]).all()
 
 
 @pytest.fixture

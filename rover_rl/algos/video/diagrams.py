@@ -6,10 +6,14 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib import colormaps
 from torch import Tensor
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, RED, SKY
+from rover_rl.envs.sensors.base import Sensor
 
+PICTURE = 192
+"""Width or height of the picture of an image, pixels, whichever is larger."""
 ACTIONS = ("speed, m/s", "heading, rad")
 """Names of the parts of an action."""
 
@@ -31,6 +35,19 @@ def lidar_picture(readings: np.ndarray, max_range: float) -> str:
         f'<div style="text-align:center;font-size:12px"><svg viewBox="-100 -100 200 200" width="220">'
         f"{ring}{''.join(wedges)}{rover}</svg><br>{caption}</div>"
     )
+
+
+def sensor_picture(sensor: Sensor, value: Tensor) -> np.ndarray:
+    """Returns a picture ``[height, width, 3]``, uint8, of the ``value [k]`` of a sensor whose value is an image.
+
+    Dark is low or near, bright is high or far. Pixels of small images are enlarged.
+    """
+    assert sensor.image is not None
+    low, high = (sensor.encode(bound) for bound in sensor.bounds.tensors(value.device))
+    shares = ((sensor.encode(value) - low) / (high - low)).unflatten(-1, sensor.image).cpu().numpy()
+    zoom = max(1, PICTURE // max(sensor.image))
+    colors = (255 * colormaps["viridis"](shares)[..., :3]).astype(np.uint8)
+    return colors.repeat(zoom, 0).repeat(zoom, 1)
 
 
 def reward_bars(rewards: Mapping[str, float], inside: Mapping[str, float]) -> str:
