@@ -6,6 +6,7 @@ form ``module:attribute``, in this order. Does not import PyTorch.
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -68,13 +69,19 @@ class Registry:
             return self._import(name, name)
         raise ValueError(self._unknown(name, name))
 
-    def call(self, name: str, factory: Callable[..., Any], *arguments: Any) -> Any:
+    def call(self, name: str, factory: Callable[..., Any], /, *arguments: Any, **settings: Any) -> Any:
         """Calls the function or class that makes the part ``name``. Names it if it does not take these arguments."""
         try:
-            signature(factory).bind(*arguments)
+            signature(factory).bind(*arguments, **settings)
         except TypeError as error:
-            raise ValueError(f"{self._kind} {name!r} is called with {len(arguments)} arguments: {error}") from error
-        return factory(*arguments)
+            given = f"the settings {[*settings]}" if settings else f"{len(arguments)} arguments"
+            raise ValueError(f"{self._kind} {name!r} is called with {given}: {error}") from error
+        try:
+            return factory(*arguments, **settings)
+        except TypeError as error:
+            if not settings:
+                raise
+            raise ValueError(f"{self._kind} {name!r} does not take the settings {settings}: {error}") from error
 
     def _unknown(self, name: str, path: str) -> str:
         """Returns the message about a name, whose part would be at ``path``, ``"module:attribute"``."""
@@ -123,6 +130,30 @@ def _module_advice(name: str) -> str:
     if top not in sys.modules and find_spec(top) is None:
         return f": there is no module {top!r}"
     return "" if is_path(name) else f", perhaps '{module}:{attribute}'"
+
+
+def split_settings(name: str) -> tuple[str, dict[str, Any]]:
+    """Returns the name and the settings of ``"name(setting=value, ...)"``. Values are literals of Python.
+
+    Raises:
+        ValueError: for something else in parentheses. Nothing in it is executed.
+
+    Example:
+        >>> split_settings("depth(size=(24, 32), period=2)")
+        ('depth', {'size': (24, 32), 'period': 2})
+    """
+    before, parenthesis, rest = name.partition("(")
+    if not parenthesis:
+        return name, {}
+    try:
+        call = ast.parse(f"_({rest}", mode="eval").body
+        if not isinstance(call, ast.Call) or call.args or not isinstance(call.func, ast.Name):
+            raise ValueError
+        return before, {str(one.arg): ast.literal_eval(one.value) for one in call.keywords}
+    except (SyntaxError, ValueError) as error:
+        raise ValueError(
+            f"settings are NAME(setting=value, ...) with numbers, texts and tuples, got {name!r}"
+        ) from error
 
 
 def is_path(name: str) -> bool:

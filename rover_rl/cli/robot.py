@@ -13,7 +13,7 @@ from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
-from rover_rl.envs.sensors.suite import DEPTH
+from rover_rl.envs.sensors.suite import DEPTH, own_sensors
 from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
@@ -123,7 +123,7 @@ class RobotCommand:
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         connection = replace(config.connection, **given)
-        if self.camera and DEPTH not in config.sensors:
+        if self.camera and DEPTH not in own_sensors(config.sensors):
             changes["sensors"] = (*config.sensors, DEPTH)
         described = replace(config, connection=connection, robot_options=self.robot_options, **changes)
         return imperfect(described, "harsh") if self.harsh else described

@@ -134,6 +134,24 @@ def test_settings_out_of_range_raise(make, message):
         make()
 
 
+def test_names_have_settings():
+    env = RoverEnv(
+        num_envs=1, seed=0, backend="warp", sensors=["depth(size=(4, 6), name='small', noise=0.01)", "depth"]
+    )
+    assert env.sensors["small"] == DepthCamera(size=(4, 6), name="small", noise=0.01)
+    assert env.reset()["small"].shape == (1, 24)
+    for name, message in {
+        "depth(sizes=(4, 6))": "is called with the settings \\['sizes'\\]: got an unexpected keyword argument 'sizes'",
+        "depth(size=4)": "does not take the settings {'size': 4}",
+        "depth(size=__import__('os'))": "with numbers, texts and tuples",
+        "depth(4)": "settings are NAME",
+        "depth(size=(4, 6)": "settings are NAME",
+        "deep(size=(4, 6))": "unknown sensor 'deep', perhaps",
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            RoverEnv(num_envs=1, seed=0, backend="warp", sensors=[name])
+
+
 def test_images_are_mirrored_with_the_world():
     world = World("one side", Terrain.flat((20.0, 20.0)), [box((2.0, 1.5, 0.5), (0.5, 1.0, 1.0))])
     image = World("other side", Terrain.flat((20.0, 20.0)), [box((2.0, -1.5, 0.5), (0.5, 1.0, 1.0))])

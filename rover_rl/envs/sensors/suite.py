@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.registry import Registry
+from rover_rl.registry import Registry, split_settings
 
 if TYPE_CHECKING:
     from rover_rl.envs.config import LidarConfig, SensorLike
@@ -60,6 +60,8 @@ def register_sensor(name: str, sensor: Any) -> None:
 def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
     """Returns the sensors that are given as objects or by name, by the key of their entry.
 
+    A name may have settings, as in ``"depth(size=(24, 32))"``.
+
     Raises:
         ValueError: if a sensor is unknown or something else, or its key is taken.
     """
@@ -69,9 +71,12 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
     found: dict[str, Sensor] = {}
     for each in sensors:
-        part = _REGISTRY.find(each) if isinstance(each, str) else each
+        name, settings = split_settings(each) if isinstance(each, str) else (str(each), {})
+        part = _REGISTRY.find(name) if isinstance(each, str) else each
         if callable(part) and not isinstance(part, Sensor):
-            part = _REGISTRY.call(str(each), part)
+            part = _REGISTRY.call(name, part, **settings)
+        elif settings:
+            raise ValueError(f"sensor {name!r} has its settings already, and takes none, got {each!r}")
         if not isinstance(part, Sensor):
             raise ValueError(f"a sensor must be a Sensor, or a function or class that makes one, got {part!r}")
         if part.name in _TAKEN or part.name in found:
