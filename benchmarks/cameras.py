@@ -10,16 +10,19 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import numpy as np
 import pybullet
 import torch
+import trimesh
 import tyro
 
 from rover_rl import EnvConfig, RoverEnv, Sensor
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
-from rover_rl.sims.bullet.geometry import connect, load_world
-from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.rays import world_mesh
 from rover_rl.sims.rotations import rotate
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.worlds import get_world
@@ -57,8 +60,12 @@ def seconds_of(act: Callable[[], object], least: float = 1.0) -> float:
 
 def bullet_seconds(env: RoverEnv, camera: DepthCamera, world: str) -> float:
     """Returns the time that Bullet's renderer takes for an image of the camera of the first rover, s."""
-    client = connect(BulletSettings())
-    load_world(client, get_world(world), BulletSettings())
+    client = pybullet.connect(pybullet.DIRECT)
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "world.obj")
+        trimesh.Trimesh(*world_mesh(get_world(world)), process=False).export(file)
+        shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(file), physicsClientId=client)
+    pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
     rover = env.rover_state
     axis = torch.tensor((math.cos(camera.pitch), 0.0, -math.sin(camera.pitch)))
     mount, ahead = rotate(rover.orientation[0], torch.stack((torch.tensor(camera.mount), axis)))
@@ -68,6 +75,9 @@ def bullet_seconds(env: RoverEnv, camera: DepthCamera, world: str) -> float:
     projection = pybullet.computeProjectionMatrixFOV(degrees, 1.0, camera.min_range, camera.max_range)
     rows, columns = camera.size
     options = {"renderer": pybullet.ER_TINY_RENDERER, "physicsClientId": client, "shadow": 0}
+    depth = np.array(pybullet.getCameraImage(columns, rows, view, projection, **options)[3])
+    if not (depth < 1).any():
+        raise RuntimeError("Bullet's image is empty")
     seconds = seconds_of(lambda: pybullet.getCameraImage(columns, rows, view, projection, **options))
     pybullet.disconnect(client)
     return seconds

@@ -127,7 +127,7 @@ def test_what_the_page_shows_is_saved_as_a_picture_and_as_a_film(open_viewer, op
     picture = Image.open(BytesIO(saved.value.path().read_bytes()))
     assert picture.size == (960, 540)
     # Not of one color.
-    assert len(picture.convert("RGB").resize((32, 18)).getcolors()) > 20
+    assert len(picture.convert("RGB").resize((32, 18)).getcolors(32 * 18)) > 20
     page.get_by_role("button", name="Record a film").click()
     button = page.get_by_role("button", name="Stop and save the film")
     button.wait_for()
@@ -154,9 +154,11 @@ def test_the_rovers_of_a_training_are_on_the_page_until_a_person_drives(tmp_path
         viewer = open_viewer(None, run=RunFiles.find(tmp_path / "run"))
         page = open_page(viewer.address)
         page.get_by_text("moon · training").wait_for()
-        assert not viewer.session.seconds
+        seconds = viewer.session.seconds
+        page.wait_for_timeout(300)
+        assert viewer.session.seconds == seconds
         page.get_by_role("button", name="Step", exact=True).click()
-        until(lambda: viewer.session.seconds)
+        until(lambda: viewer.session.seconds > seconds)
         assert not page.get_by_label("Watch the training's own rovers").is_checked()
     finally:
         ended.set()

@@ -328,6 +328,7 @@ def test_rovers_of_a_training_are_written_while_somebody_watches(tmp_path, colle
     assert world is get_world("moon")
     assert rows.tolist() == [0, 1, 2, 3]
     assert moment.goal.shape == (4, 2)
+    assert moment.rover[rows].position.shape == (4, 3)
     assert moment.scan.shape[0] == 4
     until(lambda: next(batches, True) or not watch.read().moment.rover.position.equal(moment.rover.position))
     batches.close()

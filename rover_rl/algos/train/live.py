@@ -54,10 +54,11 @@ class LiveRovers(Transform):
 
     def _write(self) -> None:
         env, first = self._env, slice(self._count)
+        rover = env.rover_state[first].cpu().to_dict()
         parts = None if env.movers is None else env.movers.parts
         data: dict[str, Any] = {
             "format": FORMAT,
-            "rover": env.rover_state[first].cpu().to_dict(),
+            "rover": {key: value for key, value in rover.items() if value is not None},
             "scan": env.scan[first].cpu(),
             "goal": env.goal[first].cpu(),
             "worlds": [world.name for world in env.worlds[first]],
