@@ -159,7 +159,8 @@ def test_the_rovers_of_a_training_are_on_the_page_until_a_person_drives(tmp_path
         assert viewer.session.seconds == seconds
         page.get_by_role("button", name="Step", exact=True).click()
         until(lambda: viewer.session.seconds > seconds)
-        assert not page.get_by_label("Watch the training's own rovers").is_checked()
+        # The page leaves the training's rovers for good.
+        assert viewer._training.live() is None
     finally:
         ended.set()
         thread.join()
