@@ -26,14 +26,15 @@ Color: TypeAlias = tuple[int, int, int]
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
 RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
 """Colors of lidar rays, hits, the driven path and the shortest path."""
-PLANNED = (200, 40, 200)
-"""Color of the route that a policy plans on its map."""
+PLANNED, TRACKED = (200, 40, 200), (40, 200, 220)
+"""Colors of the route that a policy plans on its map, and of the movers that it tracks."""
 MARKED = ((150, 20, 40), (235, 90, 60), (250, 190, 60))
 """Colors of the cells of a map: occupied, too close to that for the rover, and narrow."""
 MAX_RAYS = 64  # number of lidar rays that are shown at most
 MAX_HITS = 20_000  # number of lidar hits that are shown at most. Of more rovers, every second, third ... beam is shown
 FEW = 128  # number of copies up to which distant ones are drawn as finely as near ones
 OTHERS = 0.4  # size of the goals of rovers that are not followed
+CIRCLE = np.stack([(np.cos(angle), np.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 17)])
 MAX_PATH = 4_000  # number of points of the driven path that are kept
 MAP = "map of the policy"
 LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers", MAP)
@@ -137,14 +138,22 @@ class Stage:
         line = self._on_ground(points)
         self._lines("shortest path", np.stack((line[:-1], line[1:]), 1), SHORTEST, 0.05)
 
-    def show_map(self, seen: tuple[Tensor, Tensor] | None) -> None:
-        """Shows what a policy has seen, and its route: see :meth:`~rover_rl.algos.video.session.Session.seen_map`."""
-        assert self.world is not None
+    def show_map(self, seen: tuple[Tensor, Tensor] | None, tracked: Tensor) -> None:
+        """Shows what a policy has seen, its route, and the movers that it tracks, with their ways of the next second.
+
+        See :meth:`~rover_rl.algos.video.session.Session.seen_map` and
+        :meth:`~rover_rl.algos.video.session.Session.tracked`.
+        """
         cells, route = seen or (torch.zeros(0, 3), torch.zeros(0, 2))
         for level, color in enumerate(MARKED):
             self._cloud(f"{MAP}/{level}", self._on_ground(cells[cells[:, 2] == level, :2]), color, 0.06)
         line = self._on_ground(route)
         self._lines(f"{MAP}/route", np.stack((line[:-1], line[1:]), 1), PLANNED, 0.05)
+        place, velocity, radius = tracked[:, None].split((2, 2, 1), -1)
+        outline = place + radius * torch.from_numpy(CIRCLE).float()
+        sides = torch.stack((outline[:, :-1], outline[:, 1:]), 2).reshape(-1, 2)
+        ends = torch.cat((sides, torch.cat((place, place + velocity), 1).reshape(-1, 2)))
+        self._lines(f"{MAP}/movers", self._on_ground(ends).reshape(-1, 2, 3), TRACKED, 0.05)
 
     def _on_ground(self, places: Tensor) -> np.ndarray:
         """Returns points just above the ground, ``[n, 3]``, at ``places [n, 2]``, m."""

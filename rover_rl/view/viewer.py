@@ -368,6 +368,7 @@ class Viewer(Page):
         self.panels.show_images(
             {key: sensor_picture(one, session.observation[key][row]) for key, one in images.items()}
         )
-        self.stage.show_map(session.seen_map() if self.stage.shows(MAP) else None)
+        if self.stage.shows(MAP):
+            self.stage.show_map(session.seen_map(), session.tracked())
         if session.episodes:
             self._episodes.content = episode_table(session.episodes)

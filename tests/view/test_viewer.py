@@ -144,10 +144,22 @@ def test_a_robot_is_chosen_for_a_baseline_and_refused_for_a_policy_of_another(op
     assert len(cells) > 20
     assert (cells[:, :2] - rover).norm(dim=-1).max() < 20
     assert route[0].equal(rover)
-    viewer.stage.show_map((cells, route))
+    viewer.stage.show_map((cells, route), torch.zeros(0, 5))
     viewer.request(lambda: viewer.set_policy("pretrained:anywhere"), lambda: viewer.set_robot("husky"))
     until(lambda: viewer.error)
     assert "the policy was made for the robot" in viewer.error
+
+
+def test_the_movers_that_a_policy_tracks_are_where_they_are(open_viewer):
+    viewer = paused(open_viewer("gridplanner-moving", "plaza:3@1"))
+    viewer.request(*[viewer._step_once] * 30)
+    settle(viewer)
+    tracked, parts = viewer.session.tracked(), viewer.session.moment().movers
+    assert len(tracked) >= 2
+    nearest = torch.cdist(tracked[:, :2], parts.position[0, :, :2]).amin(-1)
+    assert (nearest < 0.6).float().mean() >= 0.8
+    assert (tracked[:, 2:4].norm(dim=-1) > 0.3).any()
+    viewer.stage.show_map(viewer.session.seen_map(), tracked)
 
 
 def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):

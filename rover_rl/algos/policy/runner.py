@@ -93,6 +93,7 @@ class PolicyRunner:
         self._movers: SeenMovers | None = None
         self._route: Tensor | None = None
         self._distribution: tuple[Tensor, Tensor] | None = None
+        self._tracked: Tensor | None = None
         # Rows whose episode begins, and number of steps that each row's action has been held for.
         self._is_init, self._held = torch.ones(0, dtype=torch.bool), torch.zeros(0, dtype=torch.int64)
         self.reset()
@@ -101,7 +102,7 @@ class PolicyRunner:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
-            self._seen = self._movers = self._route = self._distribution = None
+            self._seen = self._movers = self._route = self._distribution = self._tracked = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -123,6 +124,11 @@ class PolicyRunner:
     def seen_map(self) -> tuple[SeenMap, Tensor] | None:
         """Maps that the runner keeps for the policy, and the last routes on them, ``[N, 5]``; ``None`` if none."""
         return None if self._seen is None or self._route is None else (self._seen, self._route)
+
+    @property
+    def tracked(self) -> Tensor | None:
+        """Values of :class:`~rover_rl.envs.sensors.movers.Movers` that the policy has read last; ``None`` if none."""
+        return self._tracked
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
@@ -170,6 +176,8 @@ class PolicyRunner:
         rows, inputs = len(observation), observation.copy()
         if self._movers is not None:
             inputs[MOVERS] = self._movers(observation, due, self._is_init)
+        if _reads(self.policy, MOVERS):
+            self._tracked = inputs[MOVERS]
         if self._seen is not None:
             self._route = inputs[ROUTE] = self._seen(inputs, due, self._is_init, self._bounds(observation))
         if _reads(self.policy, SCAN_POSE) and observation.get(SCAN_POSE, None) is None:

@@ -24,6 +24,7 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.envs.make import RewardedEnv, make_env
+from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.base import RoverState
@@ -299,6 +300,20 @@ class Session:
         angle = angle + quaternion_to_euler(rovers.rover_state.orientation[row : row + 1])[0, 2]
         corners = position + distance[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
         return cells, torch.cat((position[None], corners)).cpu()
+
+    def tracked(self) -> Tensor:
+        """Returns the movers that the policy tracks around the followed rover, ``[movers, 5]``.
+
+        They are x and y (m), velocity along x and y (m/s), and radius (m), in the frame of the world.
+        """
+        if self._runner.tracked is None:
+            return torch.zeros(0, 5)
+        rover = self.rovers.rover_state[self.row : self.row + 1]
+        yaw = quaternion_to_euler(rover.orientation)[0, 2]
+        movers = movers_of(self._runner.tracked[self.row])
+        place, velocity, radius = movers[movers[:, -1] > 0].split((2, 2, 1), -1)
+        turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos())).reshape(2, 2)
+        return torch.cat((rover.position[:, :2] + place @ turn, velocity @ turn, radius), -1).cpu()
 
     def inside(self) -> dict[str, float]:
         """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""
