@@ -59,7 +59,7 @@ def open_viewer() -> Iterator[Callable[..., Viewer]]:
 
     opened: list[Viewer] = []
 
-    def start(policy: object = "scripted", world: str = "moon", num_envs: int = 1, **options: object) -> Viewer:
+    def start(policy: object = "scripted", world: str = "maze", num_envs: int = 1, **options: object) -> Viewer:
         env = make_env(world=world, num_envs=num_envs, seed=0, backend="warp")
         opened.append(Viewer(env, policy, port=0, **options))
         return opened[-1]
