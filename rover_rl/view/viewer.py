@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -167,24 +167,25 @@ class Viewer(Page):
         explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
         explore.on_update(lambda _: setattr(session, "exploring", explore.value))
         names = [*self._given, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
-        chosen = gui.add_dropdown("Policy", list(dict.fromkeys((policy, *names))), initial_value=policy)
-        chosen.on_update(lambda _: self._drive(lambda: self.set_policy(chosen.value)))
-        world, backend = session.rovers.worlds[0].name, session.config.backend
+        self._add_choice("Policy", policy, names, self.set_policy)
+        backend, robot = session.config.backend, session.config.robot
         if session.can_change:
-            worlds = gui.add_dropdown("World", list(dict.fromkeys((world, *world_names()))), initial_value=world)
-            worlds.on_update(lambda _: self._drive(lambda: self._change(world=worlds.value)))
+            world = session.rovers.worlds[0].name
+            self._add_choice("World", world, world_names(), lambda name: self._change(world=name))
         if session.can_change and isinstance(backend, str):
-            backends = gui.add_dropdown("Simulator", list(dict.fromkeys((backend, *BACKENDS))), initial_value=backend)
-            backends.on_update(lambda _: self._drive(lambda: self._change(backend=backends.value)))
-        robot = session.config.robot
+            self._add_choice("Simulator", backend, BACKENDS, lambda name: self._change(backend=name))
         if session.can_change and isinstance(robot, str):
-            robots = gui.add_dropdown("Robot", list(dict.fromkeys((robot, *ROBOTS))), initial_value=robot)
-            robots.on_update(lambda _: self._drive(lambda: self.set_robot(robots.value)))
+            self._add_choice("Robot", robot, ROBOTS, self.set_robot)
         if session.rovers.num_envs > 1:
             row = gui.add_slider("Rover", 0, session.rovers.num_envs - 1, 1, 0)
             row.on_update(lambda _: self.request(lambda: self._follow(row.value)))
         gui.add_markdown("Click on the ground: goal. Shift-click: rover. A rover can be dragged, too.")
         self.pilot = Pilot(gui)
+
+    def _add_choice(self, label: str, value: str, names: Iterable[str], act: Callable[[str], None]) -> None:
+        """Adds a list of names, at first on ``value``. A person chooses another one, and ``act`` is called with it."""
+        chosen = self.server.gui.add_dropdown(label, list(dict.fromkeys((value, *names))), initial_value=value)
+        chosen.on_update(lambda _: self._drive(lambda: act(chosen.value)))
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
