@@ -11,6 +11,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
 from rover_rl.cli.train import train_defaults
+from rover_rl.envs import imperfect
 
 FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
 """Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""
@@ -20,10 +21,12 @@ ANYROBOT = "anyrobot"
 """Name of the policy for all robots."""
 CROWD = "crowd"
 """Name of the policy for worlds in which something moves."""
+ROBUST = "robust"
+"""Name of the policy for real sensors."""
 
 
 def test_there_is_one_for_each_use_and_one_of_each_algorithm_with_a_card() -> None:
-    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, "moon-ppo", "moon-sac"]
+    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, "moon-ppo", "moon-sac", ROBUST]
     for name in pretrained_names():
         assert (FOLDER / f"{name}.pt").stat().st_size < 1_500_000
         card = (FOLDER / f"{name}.md").read_text()
@@ -43,7 +46,7 @@ def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in pretrained_names() if name not in (ANYROBOT, ANYWHERE, CROWD)])
+@pytest.mark.parametrize("name", [name for name in pretrained_names() if name.startswith("moon-")])
 def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     world = checkpoint.env.world
@@ -81,6 +84,15 @@ def test_the_one_for_moving_worlds_reaches_its_goals_among_what_moves() -> None:
     actor, episodes = load_pretrained(CROWD).make_actor(), draw_episodes("field:10000-10007@0.25", episodes=1)
     result = evaluate(actor, episodes, env=replace(actor.made_for, backend="warp"), rows=8)
     assert result.success_rate >= 0.75
+
+
+@pytest.mark.slow
+def test_the_one_for_real_rovers_reaches_goals_with_late_and_noisy_sensors() -> None:
+    actor, episodes = load_pretrained(ROBUST).make_actor(), draw_episodes("maze:10000-10015", episodes=1)
+    env = imperfect(replace(actor.made_for, backend="warp"), "all")
+    assert env.compensate_delay
+    assert env.limits.apply
+    assert evaluate(actor, episodes, env=env, rows=16).success_rate >= 0.85
 
 
 def test_a_name_that_is_none_is_refused() -> None:
