@@ -5,13 +5,14 @@ import os
 import random
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
-    from rover_rl import RoverEnv, World
+    from rover_rl import EnvConfig, RoverEnv, World
     from tests.sims.ros2.wire import Rover, SimulatedRobot, Wire
 
 # The tests need rover_rl[ros2].
@@ -60,19 +61,20 @@ def rover(wire: Wire) -> Rover:
 @pytest.fixture
 def start_env(wire: Wire) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverEnv]]]:
     """Starts a simulated robot on the wire, in a world at a pose, and the environment that drives it."""
-    from rover_rl import RoverEnv
+    from rover_rl import EnvConfig, RoverEnv
     from rover_rl.sims.ros2 import Ros2Settings
     from tests.sims.ros2.wire import SimulatedRobot
 
     with ExitStack() as stack:
 
         def start(
-            world: World, pose: Any, view: float = 2 * math.pi, **settings: Any
+            world: World, pose: Any, view: float = 2 * math.pi, made_for: EnvConfig | None = None, **settings: Any
         ) -> tuple[SimulatedRobot, RoverEnv]:
             robot = SimulatedRobot(wire, world, pose, view)
             stack.callback(robot.rover.close)
             backend = Ros2Settings(**{"reset": "none", "settle": 0.05, "step_timeout": 20.0, **settings})
-            env = RoverEnv(world_n=world, length=10**9, backend=backend, end_on_goal=True, seed=0)
+            config = made_for or EnvConfig()
+            env = RoverEnv(replace(config, world=world, length=10**9, backend=backend, end_on_goal=True, seed=0))
             stack.callback(env.close)
             return robot, env
 
