@@ -639,6 +639,7 @@ class RoverEnv(EnvBase):
             sensed=state.sensed,
             pose=state.pose,
             target=state.task.target if same else target_info(position[:, :2], yaw, goal),
+            goal=goal,
             steps=state.task.steps,
             keys=self._keys,
             surroundings=self._surroundings,

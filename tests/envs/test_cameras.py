@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
-from rover_rl.algos.policy.images import UNITS
+from rover_rl.algos.policy.images import UNITS, ImageFeatures
 from rover_rl.algos.policy.networks import make_action_critic, make_actor, make_critic, mirrored
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
+from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D, Seen, SegmentationCamera
 from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
 from tests.extras import BACKENDS
+from tests.sims.movers.test_seen import cast
 
 WALL = box((3.0, 0.0, 1.0), (0.2, 8.0, 2.0))
 FLAT = World("flat", Terrain.flat((20.0, 20.0)), [WALL])
@@ -61,6 +65,64 @@ def test_a_camera_sees_what_moves():
     depth, still = _read(LEVEL, world)[0], _read(LEVEL)[0]
     assert (depth[0, :4, 5:7] < still[0, :4, 5:7] - 0.5).all()
     assert depth[0, :, 0].equal(still[0, :, 0])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_depths_and_kinds_are_those_of_rays_in_meshes(backend):
+    camera = {"size": (24, 32), "pitch": 0.2, "mount": (0.3, 0.1, 0.4)}
+    depth, kinds = DepthCamera(**camera), SegmentationCamera(**camera)
+    across = torch.arange(41) * 0.5
+    heights = 0.2 * across[:, None].sin() * (1.3 * across).cos()
+    world = World(
+        "rough",
+        Terrain(heights, cell=0.5),
+        [box((3.0, -0.8, 0.5), (0.7, 0.9, 1.6)), box((4.5, 1.5, 0.3), (0.5, 0.5, 1.5))],
+        movers=[Mover(Waypoints([(0.0, 2.2, 0.7, 0.0)]), Cylinder(0.2, 1.5))],
+    )
+    env = RoverEnv(world_n=world, num_envs=1, seed=0, backend=backend, sensors=[depth, kinds])
+    td = env.reset(start=torch.tensor([[0.0, 0.0, 0.1]]), goal=torch.tensor([[2.5, 0.1]]))
+    state, part = env.rover_state, env.movers.parts
+    turn = Rotation.from_quat(state.orientation[0].double().numpy())
+    origin = state.position[0].double().numpy() + turn.apply(depth.mount)
+    directions, lengths = depth.rays()
+    directions = turn.apply(np.array(directions) / np.array(lengths)[:, None])
+    post = trimesh.creation.cylinder(0.08, 1.2, sections=96)
+    mover = trimesh.creation.cylinder(0.2, 1.5, sections=96).apply_translation(part.position[0, 0].numpy())
+    solids = {
+        Seen.GROUND: trimesh.Trimesh(*(part.numpy() for part in world.terrain.mesh())),
+        Seen.OBSTACLE: trimesh.util.concatenate(
+            [trimesh.Trimesh(one.vertices.numpy(), one.faces.numpy()) for one in world.obstacles]
+        ),
+        Seen.MOVER: mover,
+        Seen.GOAL: post.apply_translation((2.5, 0.1, 0.6 + world.height_at(env.goal.double()).item())),
+    }
+    env.close()
+    ranges = np.array([cast(solid, origin, directions) for solid in solids.values()])
+    nearest = np.where(ranges.min(0) < kinds.max_range, np.array(list(solids))[ranges.argmin(0)], Seen.NOTHING)
+    assert {*nearest.tolist()} == {*Seen}
+    assert (td["segmentation"][0].numpy() == nearest).mean() >= 0.99
+    # The post is no solid.
+    expected = np.minimum(ranges[:3].min(0) / np.array(lengths), depth.max_range)
+    assert (np.abs(td["depth"][0].numpy() - expected) < 0.02).mean() >= 0.99
+
+
+def test_networks_read_an_image_for_each_kind():
+    sensor = SegmentationCamera(size=(2, 3))
+    value = torch.tensor([[0.0, 1, 2, 3, 4, 1]])
+    planes = sensor.encode(value).unflatten(-1, (len(Seen), 2, 3))
+    assert planes.sum(1).eq(1).all()
+    assert planes.argmax(1).flatten(1).equal(value.long())
+    assert sensor.mirror(value).tolist() == [[2, 1, 0, 1, 4, 3]]
+    features = ImageFeatures(ObservationEncoder(("target", "segmentation"), sensors=[sensor]))
+    assert features(torch.zeros(1, 5 + 30)).shape == (1, 5 + UNITS)
+
+
+def test_kinds_are_lost():
+    kinds = _read(SegmentationCamera(size=(16, 16), dropout=0.5))[0]
+    seen = _read(SegmentationCamera(size=(16, 16)))[0]
+    assert set(seen.unique().tolist()) >= {Seen.GROUND, Seen.OBSTACLE}
+    assert (kinds == seen).logical_or(kinds == Seen.NOTHING).all()
+    assert (kinds == Seen.NOTHING)[seen > 0].float().mean() == pytest.approx(0.5, abs=0.1)
 
 
 def test_pixels_are_lost_too_close_and_noisy():
@@ -119,6 +181,7 @@ def test_heights_are_noisy_and_have_holes():
     [
         (lambda: DepthCamera(size=(0, 8)), "rows must be"),
         (lambda: DepthCamera(field_of_view=4.0), "field_of_view must be between 0 and pi"),
+        (lambda: SegmentationCamera(noise=0.1), "a segmentation has no noise, but lost pixels"),
         (lambda: DepthCamera(min_range=9.0), "min_range must be from 0 to below max_range=8.0, got 9.0"),
         (lambda: DepthCamera(dropout=1.5), "dropout between 0 and 1, got 0.0 and 1.5"),
         (lambda: Lidar3D(field_of_view=7.0), "field_of_view must be positive and at most 2 pi"),

@@ -43,8 +43,10 @@ def sensor_picture(sensor: Sensor, value: Tensor) -> np.ndarray:
     Dark is low or near, bright is high or far. Pixels of small images are enlarged.
     """
     assert sensor.image is not None
-    low, high = (sensor.encode(bound) for bound in sensor.bounds.tensors(value.device))
-    shares = ((sensor.encode(value) - low) / (high - low)).unflatten(-1, sensor.image).cpu().numpy()
+    low, high = sensor.bounds.tensors(value.device)
+    if sensor.features == len(value):
+        low, high, value = sensor.encode(low), sensor.encode(high), sensor.encode(value)
+    shares = ((value - low) / (high - low)).unflatten(-1, sensor.image).cpu().numpy()
     zoom = max(1, PICTURE // max(sensor.image))
     colors = (255 * colormaps["viridis"](shares)[..., :3]).astype(np.uint8)
     return colors.repeat(zoom, 0).repeat(zoom, 1)

@@ -49,10 +49,14 @@ class Surroundings:
         Raises:
             ValueError: for a live rover.
         """
+        return self.cast_apart(origins, directions)[1]
+
+    def cast_apart(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
         if self.live is not None:
             raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
         ranges, parts = self._caster.cast(origins, directions), self._movers.parts
-        return ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
+        return ranges, ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the height of the ground (m) at points ``xy [N, ..., 2]`` (m) of each row's world: ``[N, ...]``."""
@@ -104,6 +108,7 @@ class SensorInput:
         pose: pose that the sensors report, ``[N]``.
         target: distance (m) and relative angle (rad) of the goals as seen from the pose that is known, which may be
             late, ``[N, 2]``.
+        goal: places of the goals in the world frame, ``[N, 2]``, m.
         steps: number of steps of each row's episode, int64 ``[N, 1]``.
         keys: random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
@@ -119,6 +124,7 @@ class SensorInput:
     sensed: Perception
     pose: SensedPose
     target: Tensor
+    goal: Tensor
     steps: Tensor
     keys: Tensor
     surroundings: Surroundings
@@ -140,11 +146,15 @@ class SensorInput:
                 and up, m.
             directions: K directions in this frame, of any length but 0.
         """
+        return self.surroundings.cast(*self.rays(mount, directions))
+
+    def rays(self, mount: Sequence[float], directions: Sequence[Sequence[float]]) -> tuple[Tensor, Tensor]:
+        """Returns origins and directions of rays in the world frame, ``[N, K, 3]`` each: see :meth:`scan`."""
         rover = self.truth.rover
         position, orientation = rover.position[:, None], rover.orientation[:, None]
         rays = rotate(orientation, position.new_tensor(directions))
         origins = position + rotate(orientation, position.new_tensor(mount))
-        return self.surroundings.cast(origins.expand_as(rays), rays)
+        return origins.expand_as(rays), rays
 
     def uniform(self, sensor: Sensor, count: int) -> Tensor:
         """Returns random numbers in [0, 1) of a sensor, float32 ``[N, count]``.

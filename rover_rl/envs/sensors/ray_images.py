@@ -1,10 +1,11 @@
-"""Depth camera and 3D lidar, without a renderer: a ray for each pixel."""
+"""Cameras and 3D lidar, without a renderer: a ray for each pixel."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cache
 from typing import TypeAlias
 
@@ -13,11 +14,15 @@ from torch import Tensor
 
 from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.sensors.suite import SEGMENTATION
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.base import DepthCarrier
+from rover_rl.sims.rendering.scenery import POST_LENGTH, POST_RADIUS
 
 MAX_RANGE = 1000.0
 """Largest range, m."""
+ABOVE = 0.005
+"""Height above the ground from which on a point is that of an obstacle, m."""
 Vectors: TypeAlias = list[list[float]]
 
 
@@ -128,38 +133,24 @@ class RayImage(Sensor):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthCamera(RayImage):
-    """Depth image of a pinhole camera with square pixels, ``[N, rows * columns]``, m, along the optical axis.
-
-    The noise is that of stereo and structured light, whose standard deviation grows with the square of the depth
-    (K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications",
-    Sensors 12, 2012).
+class Camera(RayImage):
+    """Image of a pinhole camera with square pixels: base of cameras.
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
+        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`.
         field_of_view: horizontal field of view, rad.
         pitch: angle by which the camera looks down, rad.
-        noise: standard deviation of the depth at 1 m, m.
-        topic: topic of the ``sensor_msgs/Image`` of a live rover. ``None``: that of the connection. The camera must see
-            what this one does: the same field of view from the same place.
 
     Raises:
         ValueError: if a setting is out of range.
-
-    Example:
-        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[DepthCamera(size=(16, 24))])
-        >>> env.reset()["depth"].unflatten(-1, (16, 24)).shape
-        torch.Size([2, 16, 24])
     """
 
-    name: str = "depth"
     size: tuple[int, int] = (64, 64)
     mount: tuple[float, float, float] = (0.25, 0.0, 0.3)
     max_range: float = 8.0
     field_of_view: float = math.radians(87)
     pitch: float = math.radians(15)
-    topic: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,6 +171,35 @@ class DepthCamera(RayImage):
         turned = torch.stack((cos * ahead + sin * up, left, cos * up - sin * ahead), -1)
         return turned.tolist(), directions.norm(dim=-1).tolist()
 
+
+@dataclass(frozen=True, kw_only=True)
+class DepthCamera(Camera):
+    """Depth image of a pinhole camera with square pixels, ``[N, rows * columns]``, m, along the optical axis.
+
+    The noise is that of stereo and structured light, whose standard deviation grows with the square of the depth
+    (K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications",
+    Sensors 12, 2012).
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
+        field_of_view, pitch: as for :class:`Camera`.
+        noise: standard deviation of the depth at 1 m, m.
+        topic: topic of the ``sensor_msgs/Image`` of a live rover. ``None``: that of the connection. The camera must see
+            what this one does: the same field of view from the same place.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[DepthCamera(size=(16, 24))])
+        >>> env.reset()["depth"].unflatten(-1, (16, 24)).shape
+        torch.Size([2, 16, 24])
+    """
+
+    name: str = "depth"
+    topic: str | None = None
+
     def received(self, inputs: SensorInput) -> Tensor:
         """Returns the latest depth image on the topic."""
         live = inputs.surroundings.live
@@ -188,6 +208,90 @@ class DepthCamera(RayImage):
     def spread(self, distance: Tensor) -> Tensor:
         """Returns ``noise`` times the square of the depth."""
         return self.noise * distance.square()
+
+
+class Seen(IntEnum):
+    """What a pixel of a :class:`SegmentationCamera` shows."""
+
+    NOTHING = 0
+    """Sky, or nothing within the range."""
+    GROUND = 1
+    OBSTACLE = 2
+    MOVER = 3
+    """A mover, or another rover of the group."""
+    GOAL = 4
+    """The post of the goal, which only this camera sees: 8 cm in radius and 1.2 m high, as in films."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationCamera(Camera):
+    """What each pixel of a pinhole camera shows, ``[N, rows * columns]``: the numbers of :class:`Seen`, as floats.
+
+    Networks read an image of zeros and ones for each kind. A live rover has no such camera.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`. A pixel that is lost, or whose ray
+            ends too close or too far, shows nothing.
+        noise: 0, as kinds have none.
+        field_of_view, pitch: as for :class:`Camera`.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[SegmentationCamera(size=(16, 24))])
+        >>> (env.reset()["segmentation"] == Seen.GROUND).any()
+        tensor(True)
+    """
+
+    name: str = SEGMENTATION
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.noise:
+            raise ValueError(f"a segmentation has no noise, but lost pixels (dropout), got noise={self.noise}")
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the numbers."""
+        count = self.size[0] * self.size[1]
+        return Bounds((float(min(Seen)),) * count, (float(max(Seen)),) * count)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the kinds."""
+        origins, rays = inputs.rays(self.mount, _turned(self)[0])
+        still, ranges = inputs.surroundings.cast_apart(origins, rays)
+        rays = rays / rays.norm(dim=-1, keepdim=True)
+        ends = origins + rays * ranges.masked_fill(ranges.isinf(), 0.0)[..., None]
+        above = ends[..., 2] - inputs.surroundings.height_at(ends[..., :2])
+        kinds = torch.where(above > ABOVE, float(Seen.OBSTACLE), float(Seen.GROUND))
+        kinds = kinds.masked_fill(ranges < still, Seen.MOVER)
+        post = self._post(inputs, origins, rays)
+        kinds = kinds.masked_fill(post < ranges, Seen.GOAL)
+        ranges = torch.minimum(ranges, post)
+        lost = (ranges < self.min_range) | (ranges >= self.max_range)
+        if self.dropout:
+            lost = lost | (inputs.uniform(self, lost.shape[-1]) < self.dropout)
+        return kinds.masked_fill(lost, Seen.NOTHING)
+
+    def _post(self, inputs: SensorInput, origins: Tensor, rays: Tensor) -> Tensor:
+        """Returns the ranges ``[N, K]`` at which rays of length 1 meet the side of the post; ``inf`` for no return.
+
+        A ray o + t d meets the circle with the radius r around the goal g where |o - g + t d| = r in the plane.
+        """
+        offset, plane = origins[..., :2] - inputs.goal[:, None], rays[..., :2]
+        a, b = plane.square().sum(-1), (offset * plane).sum(-1)
+        under_root = b.square() - a * (offset.square().sum(-1) - POST_RADIUS**2)
+        ranges = (-b - under_root.clamp(min=0.0).sqrt()) / a
+        height = (origins + rays * ranges[..., None])[..., 2] - inputs.surroundings.height_at(inputs.goal)[:, None]
+        meets = (under_root > 0) & (ranges > 0) & (height >= 0) & (height <= POST_LENGTH)
+        return ranges.masked_fill(~meets, math.inf)
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns an image for each kind, ``[..., 5 * rows * columns]``: 1 where it is shown, else 0."""
+        kinds = torch.arange(len(Seen), device=value.device, dtype=value.dtype)
+        return (value[..., None, :] == kinds[:, None]).to(value.dtype).flatten(-2)
 
 
 @dataclass(frozen=True, kw_only=True)
