@@ -99,9 +99,9 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], world: str, path: P
     """Draws a panel for each sweep, with a line for each policy."""
     figure = Figure(figsize=(3.2 * len(found), 3.0), layout="constrained")
     for number, (ax, (axis, rates)) in enumerate(zip(figure.subplots(1, len(found)), found.items(), strict=True)):
-        for (name, line), color in zip(rates.items(), COLORS, strict=False):
-            ax.plot(SWEEPS[axis][1], [100 * rate for rate in line], "o-", color=color, label=name)
-        ax.set(xlabel=axis, ylim=(0, 102))
+        for order, ((name, line), color) in enumerate(zip(rates.items(), COLORS, strict=False)):
+            ax.plot(SWEEPS[axis][1], [100 * rate for rate in line], "o-", color=color, label=name, zorder=9 - order)
+        ax.set(xlabel=axis, ylim=(0, 104))
         style_axes(ax)
         if number == 0:
             ax.set_ylabel(f"goals reached, %\n{world}")
