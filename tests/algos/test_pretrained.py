@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from dataclasses import replace
@@ -12,6 +13,7 @@ from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
 from rover_rl.cli.train import train_defaults
 from rover_rl.envs import imperfect
+from rover_rl.sims.robots import get_robot
 
 FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
 """Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""
@@ -21,12 +23,14 @@ ANYROBOT = "anyrobot"
 """Name of the policy for all robots."""
 CROWD = "crowd"
 """Name of the policy for worlds in which something moves."""
+FRONT = "front-lidar"
+"""Name of the policy for a lidar that sees half a turn."""
 ROBUST = "robust"
 """Name of the policy for real sensors."""
 
 
 def test_there_is_one_for_each_use_and_one_of_each_algorithm_with_a_card() -> None:
-    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, "moon-ppo", "moon-sac", ROBUST]
+    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, FRONT, "moon-ppo", "moon-sac", ROBUST]
     for name in pretrained_names():
         assert (FOLDER / f"{name}.pt").stat().st_size < 1_500_000
         card = (FOLDER / f"{name}.md").read_text()
@@ -93,6 +97,14 @@ def test_the_one_for_real_rovers_reaches_goals_with_late_and_noisy_sensors() -> 
     assert env.compensate_delay
     assert env.limits.apply
     assert evaluate(actor, episodes, env=env, rows=16).success_rate >= 0.85
+
+
+@pytest.mark.slow
+def test_the_one_for_a_front_lidar_reaches_its_goals_with_it() -> None:
+    actor, episodes = load_pretrained(FRONT).make_actor(), draw_episodes("maze:10000-10015", episodes=1)
+    env = replace(actor.made_for, backend="warp")
+    assert get_robot(env.robot).lidar_view == pytest.approx(math.pi, abs=0.01)
+    assert evaluate(actor, episodes, env=env, rows=16).success_rate >= 0.9
 
 
 def test_a_name_that_is_none_is_refused() -> None:
