@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from io import BytesIO
+from typing import Any
 
 import imageio.v3 as imageio
 import pytest
@@ -15,6 +16,8 @@ from rover_rl.view.live import LivePage
 from tests.view.conftest import settle, training_in, until
 
 pytestmark = pytest.mark.slow
+TINY: Any = {"width": 40, "height": 40}
+"""Size of a page that software draws soon, which leaves time for another one."""
 
 
 def test_a_person_watches_and_pauses(open_viewer, open_page):
@@ -83,10 +86,13 @@ def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
 
 def test_two_pages_and_one_that_comes_back(open_viewer, open_page):
     viewer = open_viewer()
-    first, second = open_page(viewer.address), open_page(viewer.address)
+    first = open_page(viewer.address)
+    first.set_viewport_size(TINY)
+    second = open_page(viewer.address)
     first.close()
     second.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.playing)
+    second.set_viewport_size(TINY)
     open_page(viewer.address).get_by_role("button", name="Run").wait_for()
 
 
