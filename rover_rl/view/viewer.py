@@ -107,7 +107,7 @@ class Viewer(Page):
         self._trained = self.session.rovers.robot, self.session.rovers.scanner.angles.cpu()
         super().__init__(host, port)
         self.error, self.frames, self._policy = "", 0, name
-        self._requests: queue.Queue[Callable[[], Any]] = queue.Queue()
+        self._requests: queue.Queue[tuple[Callable[[], Any], ...]] = queue.Queue()
         self._training: TrainingPanel | None = None
         self._watching, self._due, self._last, self._read = False, 0.0, 0.0, 0.0
         self.stage = Stage(self.server)
@@ -123,9 +123,11 @@ class Viewer(Page):
             self.session.close()
 
     def request(self, *acts: Callable[[], Any]) -> None:
-        """Lets the thread of the simulation call functions between two steps. An error in one pauses the simulation."""
-        for act in acts:
-            self._requests.put(act)
+        """Lets the thread of the simulation call functions between two steps.
+
+        An error in one pauses the simulation, and those after it are not called.
+        """
+        self._requests.put(acts)
 
     def _drive(self, *acts: Callable[[], Any]) -> None:
         """Does what the person wants with the rovers of the page, in place of watching those of a training."""
@@ -259,7 +261,8 @@ class Viewer(Page):
             live = None
             try:
                 while not self._requests.empty():
-                    self._requests.get()()
+                    for act in self._requests.get():
+                        act()
                     self.error = ""
                 live = self._read_training()
                 if live is not None:

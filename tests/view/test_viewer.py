@@ -296,6 +296,8 @@ def test_the_newest_policy_of_a_run_drives(run, open_viewer):
     assert not viewer.error
     Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
     until(lambda: viewer.error)
+    # It stays.
+    time.sleep(0.2)
     assert "checkpoint" in viewer.error
 
 
