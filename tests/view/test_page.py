@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.view.live import LivePage
 from tests.view.conftest import settle, training_in, until
 
@@ -70,7 +71,9 @@ def test_keys_take_over_and_the_rover_stops_when_they_are_released_or_the_page_i
     until(lambda: abs(viewer.session.rovers.rover_state.linear_velocity.item()) < 0.1)
 
 
-def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
+def test_a_person_gives_back_and_changes_to_the_policy_of_a_run(open_viewer, open_page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    load_pretrained("anywhere").save(tmp_path / "runs" / "mine" / "checkpoint.pt")
     viewer = open_viewer()
     page = open_page(viewer.address)
     page.get_by_role("button", name="Take over").click()
@@ -78,7 +81,8 @@ def test_a_person_gives_back_and_changes_the_policy(open_viewer, open_page):
     page.get_by_role("button", name="Give back to the policy").click()
     until(lambda: not viewer.pilot.active)
     page.get_by_role("textbox", name="Policy").or_(page.locator("input[value='scripted']")).first.click()
-    page.get_by_role("option", name="pretrained:anywhere").click()
+    page.get_by_role("option", name="pretrained:moon-sac").wait_for()
+    page.get_by_role("option", name="runs/mine").click()
     # This one was trained with other lidar readings.
     until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
     assert not viewer.error
