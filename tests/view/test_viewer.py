@@ -214,7 +214,7 @@ print([code_of("view"), code_of("worlds"), code_of("view", "--help")])
 def test_without_the_extra_there_is_a_sentence_and_nothing_imports_viser(tmp_path):
     (tmp_path / "viser.py").write_text("raise ImportError('no viser')\n")
     command = [sys.executable, "-c", WITHOUT_VISER, str(tmp_path)]
-    run = subprocess.run(command, capture_output=True, text=True)
+    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert run.stdout.endswith("[2, 0, 0]\n"), run.stderr
     assert run.stderr == 'rover-rl: the viewer needs viser, an extra: pip install "rover_rl[view]"\n'
 
