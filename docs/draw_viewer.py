@@ -49,7 +49,8 @@ def viewer_of(policy: str, seconds: float, row: int = 0, **options: Any) -> Iter
         viewer.request(viewer.session.reset, lambda: viewer._follow(row))
         done = threading.Event()
         steps = [viewer._step_once, lambda: viewer._show(1.0)] * round(seconds / viewer.session.rovers.control_dt)
-        viewer.request(*steps, done.set)
+        viewer.request(*steps)
+        viewer.request(done.set)
         done.wait()
         yield viewer
     finally:

@@ -35,6 +35,7 @@ MAX_HITS = 20_000  # number of lidar hits that are shown at most. Of more rovers
 FEW = 128  # number of copies up to which distant ones are drawn as finely as near ones
 OTHERS = 0.4  # size of the goals of rovers that are not followed
 CIRCLE = np.stack([(np.cos(angle), np.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 17)])
+"""Outline of a tracked mover, as a polygon around a circle of radius 1 that ends where it begins."""
 MAX_PATH = 4_000  # number of points of the driven path that are kept
 MAP = "map of the policy"
 LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers", MAP)

@@ -20,9 +20,10 @@ import viser
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from rover_rl.algos.config import RunConfig
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import CHECKPOINT
-from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, make_baseline, make_policy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
@@ -50,15 +51,12 @@ TRAINING_EVERY = 2.0  # time after which the files of a training are read again,
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
 MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches up on at most, s
 RANDOM = "random"  # name of the policy that acts at random
-RUNS = "runs"  # folder whose runs the page offers
 BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
 
 
 def named_policy(name: str) -> Policy | None:
     """Returns a policy by name: ``random``, a baseline, ``pretrained:NAME``, the folder of a run or a checkpoint."""
-    if name == RANDOM:
-        return None
-    return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
+    return None if name == RANDOM else make_policy(name)
 
 
 class Viewer(Page):
@@ -171,7 +169,7 @@ class Viewer(Page):
         gui.add_button("Reset").on_click(lambda _: self._drive(session.reset, self._moved))
         explore = gui.add_checkbox("Explore", False, hint="Actions are drawn from the policy's distribution")
         explore.on_update(lambda _: setattr(session, "exploring", explore.value))
-        runs = sorted(str(file.parent) for file in Path(RUNS).glob(f"*/{CHECKPOINT}"))
+        runs = sorted(str(file.parent) for file in Path(RunConfig.runs).glob(f"*/{CHECKPOINT}"))
         names = [*self._given, *runs, *(PRETRAINED + name for name in pretrained_names()), *BASELINES, RANDOM]
         self._add_choice("Policy", policy, names, self.set_policy)
         backend, robot = session.config.backend, session.config.robot

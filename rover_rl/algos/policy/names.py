@@ -47,3 +47,8 @@ def load_policy(name: str) -> Checkpoint:
     from rover_rl.algos.pretrained import load_pretrained
 
     return load_pretrained(name.removeprefix(PRETRAINED)) if name.startswith(PRETRAINED) else Checkpoint.load(name)
+
+
+def make_policy(name: str) -> Policy:
+    """Creates a baseline policy, or that of a trained one by name: see :func:`load_policy`."""
+    return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
