@@ -15,13 +15,15 @@ if TYPE_CHECKING:
 
 MOVERS = "movers"
 """Name of what moves, as the lidar scans tell, which an environment has if asked for."""
+PAST_SCANS = "past_scans"
+"""Name of what the lidar saw before, which an environment has if asked for."""
 ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
 HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D = "heights", "depth", "segmentation", "lidar3d"
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
-OPTIONAL = {MOVERS, ROUTE, ROBOT, HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D, SCAN_POSE}
+OPTIONAL = {MOVERS, PAST_SCANS, ROUTE, ROBOT, HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D, SCAN_POSE}
 """Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
@@ -31,6 +33,7 @@ BUILT_IN = {
     "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
     SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
     MOVERS: "rover_rl.envs.sensors.movers:Movers",
+    PAST_SCANS: "rover_rl.envs.sensors.past_scans:PastScans",
     ROUTE: "rover_rl.envs.sensors.route:Route",
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
     HEIGHTS: "rover_rl.envs.sensors.heights:HeightScan",

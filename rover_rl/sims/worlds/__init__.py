@@ -15,6 +15,7 @@ from rover_rl.sims.worlds.generators import (
     crossing,
     field,
     forest,
+    gates,
     hills,
     inspect,
     maze,
@@ -36,7 +37,7 @@ from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[..., World]] = {
     generate.__name__: generate
-    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field, yard)
+    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field, yard, gates)
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 

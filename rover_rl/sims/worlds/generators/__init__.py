@@ -1,6 +1,6 @@
 """Generators of worlds: functions from a seed and a difficulty to a layout."""
 
-from rover_rl.sims.worlds.generators.crowds import corridor, crossing, field, plaza, with_walkers, yard
+from rover_rl.sims.worlds.generators.crowds import corridor, crossing, field, gates, plaza, with_walkers, yard
 from rover_rl.sims.worlds.generators.forest import forest
 from rover_rl.sims.worlds.generators.hills import hills
 from rover_rl.sims.worlds.generators.inspect_site import inspect
@@ -14,6 +14,7 @@ __all__ = [
     "crossing",
     "field",
     "forest",
+    "gates",
     "hills",
     "inspect",
     "maze",

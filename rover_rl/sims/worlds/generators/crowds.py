@@ -1,8 +1,9 @@
-"""Worlds in which people and obstacles move: plaza, corridor, crossing, field and yard; and walkers in any world.
+"""Worlds in which people and obstacles move: plaza, corridor, crossing, field, yard, gates; and walkers in any world.
 
 The walking speed of people is 1.34 +- 0.26 m/s (U. Weidmann, "Transporttechnik der Fussgaenger", ETH Zurich, 1993).
 Here, it rises with the difficulty to that. The numbers and speeds of the field span those of the DynaBARN worlds, 5 to
-24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s
+24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s.
+At difficulty 1, the gates are as long and as fast as its sliding walls
 (Z. Xu et al., "Benchmarking reinforcement learning techniques for autonomous navigation", ICRA 2023).
 """
 
@@ -37,6 +38,10 @@ FIELD, FIELD_MOVERS, FIELD_SPEEDS = 20.0, (5, 14, 24), ((0.4, 0.9), (0.5, 1.45),
 """Side of the field, m, number of obstacles that move in it, and their least and greatest speed, m/s."""
 YARD_MOVERS, YARD_SPEEDS, YARD_RADIUS = (5, 15, 24), ((0.5, 0.95), (1.0, 1.45), (1.5, 1.95)), 0.5
 """Number of cylinders in a yard, their least and greatest speed, m/s, and their radius, m."""
+GATES, GATE_LENGTHS, GATE_SPEEDS = (1, 2, 2), ((1.5, 2.5), (2.5, 3.5), (3.5, 4.4)), ((0.4, 0.7), (0.7, 1.1), (1.0, 1.5))
+"""Number of gates in a passage, and their least and greatest length, m, and speed, m/s."""
+PASSAGE, GATE_THICKNESS, GATE_YAW = (13.0, 4.5), 0.1, 0.15
+"""Length and width of the passage, thickness of a gate, m, and its largest angle to the passage, rad."""
 CORNERS = (3, 6)
 """Least and greatest number of corners of a cylinder's path."""
 WALL, HEIGHT = 0.2, 2.0
@@ -243,6 +248,46 @@ def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Worl
         obstacles=enclosing_walls(side),
         spawn_range=task,
         goal_range=task,
+        movers=movers,
+    )
+
+
+def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
+    """Creates a passage along x that gates cross: long walls, which come out of one side and go into the other.
+
+    A gate lies along the passage and begins again at once: a rover has to be past it before it is back. Episodes start
+    at the western end, and goals are at the eastern one.
+
+    Args:
+        seed: seed of the gates.
+        difficulty: difficulty in [0, 1]: 1, 2 (at 0.5) or 2 gates of 1.5 to 4.4 m, which slide at 0.4 to 1.5 m/s. At 1,
+            a rover needs about 2 m/s.
+        scale: factor of the lengths, for larger robots.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    rng = np.random.default_rng(seed)
+    lengths, speeds = (
+        [scale * scaled(difficulty, *ends) for ends in zip(*values, strict=True)]
+        for values in (GATE_LENGTHS, GATE_SPEEDS)
+    )
+    length, width = (round(scale * side, 1) for side in PASSAGE)
+    half, side, end = length / 2, width / 2 - 0.6 * scale, 3 * scale
+    movers = []
+    for number in range(round(scaled(difficulty, *GATES))):
+        x, yaw = rng.uniform(-0.5, 0.5) * scale, rng.uniform(-GATE_YAW, GATE_YAW)
+        start = width / 2 * rng.choice((-1.0, 1.0))
+        period = round(width / rng.uniform(*speeds), 2)
+        path = Waypoints([(0.0, x, start, yaw), (period, x, -start, yaw)], "loop", random_start=True)
+        movers.append(Mover(path, Box(round(rng.uniform(*lengths), 2), GATE_THICKNESS, 1.0), f"gate {number}"))
+    middle = (width + WALL) / 2
+    return World(
+        name="gates",
+        terrain=Terrain.flat((length, width + 2)),
+        obstacles=boxes([(0, y, HEIGHT / 2) for y in (-middle, middle)], (length, WALL, HEIGHT)),
+        spawn_range=((-half + scale, -half + end), (-side, side)),
+        goal_range=((half - end, half - scale), (-side, side)),
         movers=movers,
     )
 

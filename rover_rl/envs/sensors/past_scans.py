@@ -1,0 +1,121 @@
+"""Past scans: what the lidar saw before, as seen from where the rover is now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rover_rl.checks import MAX_COUNT, check_at_least
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.scans import reading_directions
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.suite import PAST_SCANS
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.robots.fleet import Fleet
+
+
+@dataclass(frozen=True, kw_only=True)
+class PastScans(Sensor):
+    """Earlier lidar scans, as they would look from the pose now, ``[N, count * points]``, m, the latest first.
+
+    What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved:
+    people, and long walls, which the tracker of :class:`~rover_rl.envs.sensors.movers.Movers` leaves out. At the
+    start of an episode, all are the first scan.
+
+    Args:
+        name: key of the entry.
+        period: number of steps from one scan that is kept to the next.
+        count: number of scans.
+        apart: number of kept scans from one to the next.
+        points: number of directions, from ahead counterclockwise. A direction without a reading has ``max_range``: with
+            half as many directions as the lidar has readings, there are no gaps on a wall that has come nearer.
+        max_range: largest range, m.
+
+    Raises:
+        ValueError: if a setting is out of range.
+
+    Example:
+        >>> env = RoverEnv(world_n="gates", num_envs=2, seed=0, sensors=[PastScans(count=3)])
+        >>> env.rollout(5)["past_scans"].unflatten(-1, (3, 16)).shape
+        torch.Size([2, 5, 3, 16])
+    """
+
+    name: str = PAST_SCANS
+    count: int = 3
+    apart: int = 3
+    points: int = 16
+    max_range: float = LidarConfig.max_range
+    clips = False
+    delayed = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_at_least(1, MAX_COUNT, count=self.count, apart=self.apart, points=self.points)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the ranges, m."""
+        size = self.count * self.points
+        return Bounds((0.0,) * size, (self.max_range,) * size)
+
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns a reader with scans of its own."""
+        return _KeptScans(self, rig)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Raises an error: the scans are the memory of a :meth:`reader`."""
+        raise NotImplementedError("past scans are a memory: read them by reader(rig)")
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the logarithm of the ranges, as for the lidar."""
+        return value.log1p() / 1.3 - 1
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Mirrors the scans: direction b becomes -b."""
+        return value.unflatten(-1, (self.count, self.points)).flip(-1).roll(1, -1).flatten(-2)
+
+
+class _KeptScans:
+    """The last scans of each row, and what they look like from where the lidar is now."""
+
+    def __init__(self, sensor: PastScans, rig: Rig) -> None:
+        self._sensor, self._no_return = sensor, rig.lidar.max_range - 1e-3
+        self._fleet = Fleet.of(rig.fleet or rig.robot, rig.rows, rig.device)
+        self._mounts = self._fleet.table(lambda robot: robot.lidar_position[:2])
+        self._directions = reading_directions(rig.lidar).to(rig.device)
+        size = 1 + sensor.count * sensor.apart
+        self._ends = torch.zeros(rig.rows, size, rig.lidar.points, 2, device=rig.device)
+        # Place of each row's last scan.
+        self._latest = torch.zeros(rig.rows, dtype=torch.int32, device=rig.device)
+        self._ranges = torch.zeros(rig.rows, sensor.count, sensor.points, device=rig.device)
+
+    def __call__(self, inputs: SensorInput) -> Tensor:
+        """Adds the scans of the rows that are due, and returns the values of the sensor."""
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.envs.sensors.past_scans_kernels import keep, show
+        from rover_rl.sims.native.warp import launch_options, wp
+
+        sensor, entries, rows = self._sensor, inputs.observation, len(self._ranges)
+        due = inputs.due(sensor.period)
+        renewed = due & (inputs.steps == 0).squeeze(-1)
+        self._latest = torch.where(due, (self._latest + 1) % self._ends.shape[1], self._latest)
+        pose, imu = entries["pose"], entries["imu"]
+        options = launch_options(due.device)
+        beams = entries["lidar"].contiguous(), self._no_return, self._directions
+        taken = self._frames(*(taken_at(entries) or (pose, imu)))
+        wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
+        ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
+        inputs_of_show = [due, self._frames(pose, imu), self._latest, sensor.apart, self._ends, ranges]
+        wp.launch(show, (rows, sensor.count), inputs_of_show, **options)
+        self._ranges = ranges
+        return ranges.flatten(1)
+
+    def _frames(self, pose: Tensor, imu: Tensor) -> Tensor:
+        """Returns x and y of the lidar (m) and its heading (rad), ``[N, 3]``."""
+        cos, sin = imu[:, 2].cos(), imu[:, 2].sin()
+        x, y = self._mounts[self._fleet.index].unbind(-1)
+        return torch.stack((pose[:, 0] + cos * x - sin * y, pose[:, 1] + sin * x + cos * y, imu[:, 2]), -1)
