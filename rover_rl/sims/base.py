@@ -47,7 +47,7 @@ class RoverState(TensorClass):
         contact_force: horizontal normal forces on the rover by the side that they come from, front, left, back and
             right in the base frame: those of obstacles, then those of movers, ``[N, 8]``, N. Sums over the contacts,
             and means over the physics steps of the last control step. Zero after a reset. ``None`` unless asked for.
-        wheel_torque: torque that the motor of each wheel exerts on it, in the order of :attr:`Drive.wheels`,
+        wheel_torque: torque that the motor of each wheel exerts on it, in the order of ``Drive.wheels``,
             ``[N, W]``, N m, the mean over the physics steps of the last control step. Positive torques drive forward.
             Zero after a reset, for a wheel without a motor, and beyond the wheels of a robot that has fewer than others
             of the batch. ``None`` unless asked for.
