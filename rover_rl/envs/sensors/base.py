@@ -191,7 +191,7 @@ class Sensor(ABC):
         delayed: delay that ``Randomization`` adds to the readings: ``"scan"``, ``"state"``, or ``None`` for an entry
             that is computed from other entries.
         mirror_signs: signs of the left-right mirror image of a value. Empty if it does not change.
-        needs: fields of :class:`~rover_rl.sims.base.RoverState` that it reads and that simulators measure only if
+        needs: fields of :class:`~rover_rl.sims.RoverState` that it reads and that simulators measure only if
             asked: ``"contact_force"``, ``"wheel_torque"``.
 
     Raises:
