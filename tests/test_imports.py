@@ -20,6 +20,7 @@ LAYERS = (
         "sims.connection",
         "sims.drives",
         "sims.native",
+        "sims.reports",
         "sims.robots",
         "sims.rotations",
         "sims.served",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import secrets
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
@@ -31,7 +31,7 @@ from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.row_limits import RowLimits
 from rover_rl.envs.row_robots import RowRobots
 from rover_rl.envs.row_worlds import RowWorlds
-from rover_rl.envs.sensors.base import Observer, Rig, SensorInput, Surroundings
+from rover_rl.envs.sensors.base import Observer, Rig, Sensor, SensorInput, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, clipped_pose
 from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
@@ -43,6 +43,7 @@ from rover_rl.sims.base import (
     Capability,
     DynamicsChanger,
     MoverCarrier,
+    Reporter,
     RobotChanger,
     Scanner,
     StampedSensors,
@@ -394,10 +395,12 @@ class RoverEnv(EnvBase):
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         try:
-            _check_requirements(self.config, self.fleet, self.simulator, self._has_movers)
+            _check_requirements(self.config, self.fleet, self.simulator, self._has_movers, self.sensors)
         except ValueError:
             self.simulator.close()
             raise
+        if fields := {field for sensor in self.sensors.values() for field in sensor.needs}:
+            cast(Reporter, self.simulator).report(fields)
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
@@ -713,7 +716,9 @@ def _require_count(name: str, value: int, most: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
 
 
-def _check_requirements(config: EnvConfig, fleet: Fleet, simulator: Simulator, has_movers: bool) -> None:
+def _check_requirements(
+    config: EnvConfig, fleet: Fleet, simulator: Simulator, has_movers: bool, sensors: Mapping[str, Sensor]
+) -> None:
     """Raises an error for the first thing that an environment needs and its simulator or robot cannot do."""
     needs: dict[Capability, str] = {}
     if config.task.collision_from == "contact":
@@ -726,6 +731,9 @@ def _check_requirements(config: EnvConfig, fleet: Fleet, simulator: Simulator, h
         needs["robots"] = "several robots in one batch need a backend that simulates them"
     if config.agents > 1:
         needs["movers"] = f"agents={config.agents} need a backend in which rovers push one another"
+    for key, sensor in sensors.items():
+        need = f"sensor {key!r} needs a simulated world in which it is measured, and a live rover has none"
+        needs |= dict.fromkeys(sensor.needs, need)
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")

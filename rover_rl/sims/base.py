@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -17,10 +18,13 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
-Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live", "movers", "robots"]
+Report: TypeAlias = Literal["contact_force", "wheel_torque"]
+"""Fields of :class:`RoverState` that a simulator measures only if asked: see :class:`Reporter`."""
+Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live", "movers", "robots"] | Report
 """What not every backend does: it reports contacts, scales the dynamics of each rover, has a lidar of its own (a
 :class:`LidarCarrier`; else, rays are cast), drives a live rover, around which nothing is known but the map, lets movers
-push the rovers (a :class:`MoverCarrier`), or simulates different robots in one batch (a :class:`RobotChanger`)."""
+push the rovers (a :class:`MoverCarrier`), simulates different robots in one batch (a :class:`RobotChanger`), or
+measures contact forces or motor torques if asked (a :class:`Reporter`)."""
 
 
 class RoverState(TensorClass):
@@ -40,6 +44,13 @@ class RoverState(TensorClass):
             move sideways.
         mover_contact: whether the rover touched a mover in the last control step, bool ``[N, 1]``. ``contact`` is true,
             too, then. ``None`` if the simulator has no movers.
+        contact_force: horizontal normal forces on the rover by the side that they come from, front, left, back and
+            right in the base frame: those of obstacles, then those of movers, ``[N, 8]``, N. Sums over the contacts,
+            and means over the physics steps of the last control step. Zero after a reset. ``None`` unless asked for.
+        wheel_torque: torque that the motor of each wheel exerts on it, in the order of ``Drive.wheels``,
+            ``[N, W]``, N m, the mean over the physics steps of the last control step. Positive torques drive forward.
+            Zero after a reset, for a wheel without a motor, and beyond the wheels of a robot that has fewer than others
+            of the batch. ``None`` unless asked for.
     """
 
     position: Tensor
@@ -51,6 +62,8 @@ class RoverState(TensorClass):
     contact: Tensor | None = None
     lateral_velocity: Tensor | None = None
     mover_contact: Tensor | None = None
+    contact_force: Tensor | None = None
+    wheel_torque: Tensor | None = None
 
     @classmethod
     def pack(cls, **fields: Tensor) -> RoverState:
@@ -240,6 +253,17 @@ class DynamicsChanger(Protocol):
         Args:
             mask: rovers to change, bool ``[N]``.
             dynamics: new scale factors of all rovers.
+        """
+        ...
+
+
+class Reporter(Protocol):
+    """Interface of a simulator with the capability ``"contact_force"`` or ``"wheel_torque"``."""
+
+    def report(self, fields: Collection[Report]) -> None:
+        """Adds these fields to the states from now on. Before, they cost nothing.
+
+        It is called once, right after the simulator is built. The caller resets all rovers next.
         """
         ...
 

@@ -19,6 +19,7 @@ from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.sims import RoverState
+from rover_rl.sims.base import Report
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.robots import Robot
@@ -190,6 +191,8 @@ class Sensor(ABC):
         delayed: delay that ``Randomization`` adds to the readings: ``"scan"``, ``"state"``, or ``None`` for an entry
             that is computed from other entries.
         mirror_signs: signs of the left-right mirror image of a value. Empty if it does not change.
+        needs: fields of :class:`~rover_rl.sims.RoverState` that it reads and that simulators measure only if
+            asked: ``"contact_force"``, ``"wheel_torque"``.
 
     Raises:
         ValueError: if the period is less than 1, or the name is no identifier.
@@ -200,6 +203,7 @@ class Sensor(ABC):
     clips: ClassVar[bool] = True
     delayed: ClassVar[Delayed] = "state"
     mirror_signs: ClassVar[tuple[float, ...]] = ()
+    needs: ClassVar[tuple[Report, ...]] = ()
 
     def __post_init__(self) -> None:
         check_at_least(1, MAX_COUNT, period=self.period)

@@ -21,10 +21,10 @@ ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
 HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D = "heights", "depth", "segmentation", "lidar3d"
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
+CONTACT, EFFORT = "contact", "effort"
+"""Names of contact forces and motor torques, which an environment has if asked for."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
-OPTIONAL = {MOVERS, PAST_SCANS, ROUTE, ROBOT, HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D, SCAN_POSE}
-"""Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
     "pose": "rover_rl.envs.sensors.standard:Pose",
@@ -40,8 +40,12 @@ BUILT_IN = {
     DEPTH: "rover_rl.envs.sensors.ray_images:DepthCamera",
     SEGMENTATION: "rover_rl.envs.sensors.ray_images:SegmentationCamera",
     LIDAR3D: "rover_rl.envs.sensors.ray_images:Lidar3D",
+    CONTACT: "rover_rl.envs.sensors.forces:ContactSensor",
+    EFFORT: "rover_rl.envs.sensors.forces:WheelEffort",
 }
 """Class of each sensor of the package, by the key of its entry, in the order of the observation."""
+OPTIONAL = {*BUILT_IN} - {"lidar", "pose", "imu", "target", "velocities"}
+"""Sensors of the package that an environment has only if asked for."""
 _REGISTRY = Registry("sensor", BUILT_IN)
 _TAKEN = {*BUILT_IN, "action", "reward", "done", "terminated", "truncated", "outcome", "privileged"} - OPTIONAL
 """Keys that sensors of one's own cannot have."""

@@ -7,7 +7,7 @@ the links of the rover of its row alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -78,6 +78,10 @@ class MoverBodies:
         for row, part in self._pairs.get(client, ()):
             if not touched[row]:
                 touched[row] = is_touching(*self._rovers[row], self._bodies[row, part])
+
+    def near(self, client: int) -> Iterator[tuple[int, int]]:
+        """Yields the rows and bodies of the parts near the rovers of a client."""
+        return ((row, self._bodies[row, part]) for row, part in self._pairs.get(client, ()))
 
     def _add(self, row: int, part: int) -> int:
         """Adds the body of a part of a row. Returns its id."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from rover_rl.sims.base import Report
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
+from rover_rl.sims.bullet.meters import Meters
 from rover_rl.sims.bullet.movers import MoverBodies
 from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
@@ -76,6 +78,7 @@ class RoverPhysics:
         # Radius of a sphere around the base frame that contains the rover, m.
         self.reach = float(np.linalg.norm(np.abs(corners).max(0)))
         self._movers: MoverBodies | None = None
+        self._meters: Meters | None = None
         self._find_joints(robot)
         self._torque = robot.drive.torque
         self._forces = [[self._torque] * len(self._wheels) for _ in range(count)]
@@ -105,6 +108,11 @@ class RoverPhysics:
     def meet(self, parts: Sequence[Part]) -> None:
         """Lets parts of movers push the rovers."""
         self._movers = MoverBodies(self._rovers, parts, self._settings) if parts else None
+
+    def report(self, reports: Mapping[Report, np.ndarray]) -> None:
+        """Measures the fields ``[count, k]`` in each control step from now on."""
+        wheels, inertial = self._wheels, self._inertial_orientation
+        self._meters = Meters(reports, self._rovers, wheels, inertial, self._settings.substeps)
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
         """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
@@ -176,8 +184,14 @@ class RoverPhysics:
                         touched[row] = is_touching(*self._rovers[row], self._obstacles[number][obstacle])
                 if bodies is not None:
                     bodies.feel(client, pushed)
+                if self._meters is not None:
+                    near_bodies = [(row, self._obstacles[number][obstacle], False) for row, obstacle in pairs]
+                    near_bodies += [(*pair, True) for pair in (() if bodies is None else bodies.near(client))]
+                    self._meters.read(client, near_bodies)
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
+        if self._meters is not None:
+            self._meters.finish(held)
         return touched | pushed, pushed
 
     def read(self, rows: Sequence[int]) -> Reading:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import groupby
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
+from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
@@ -21,6 +21,7 @@ from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
+from rover_rl.sims.reports import empty_reports, of_rows
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import World
@@ -35,7 +36,9 @@ class BulletSimulator:
         settings: settings of the physics. ``None`` uses the defaults.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
+    capabilities: frozenset[Capability] = frozenset(
+        {"contacts", "dynamics", "lidar", "movers", "contact_force", "wheel_torque"}
+    )
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: BulletSettings | None = None) -> None:
         self.num_envs = len(worlds)
@@ -58,6 +61,7 @@ class BulletSimulator:
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
         self._contact, self._mover_contact = np.zeros((2, count, 1), dtype=bool)
+        self._reports: dict[Report, np.ndarray] = {}
         self._movers: MoverField | None = None
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
@@ -72,6 +76,8 @@ class BulletSimulator:
             group.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
             self._read(group, local)
             self._contact[rows] = self._mover_contact[rows] = False
+            for values in self._reports.values():
+                values[rows] = 0.0
         self._drive.reset(mask)
         return self.state()
 
@@ -82,6 +88,12 @@ class BulletSimulator:
             local = np.flatnonzero(mask.numpy()[group.rows])
             for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
                 group.physics.set_dynamics(row, *scales)
+
+    def report(self, fields: Collection[Report]) -> None:
+        """Measures forces and torques. See :meth:`Reporter.report`."""
+        self._reports = empty_reports(fields, self.num_envs, len(self._robot.drive.wheels))
+        for group in self._groups:
+            group.physics.report(of_rows(self._reports, group.block))
 
     def meet(self, movers: MoverField) -> None:
         """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
@@ -113,7 +125,8 @@ class BulletSimulator:
         known = [self._body, self._contact]
         if self._movers is not None and self._movers.parts is not None:
             known.append(self._mover_contact)
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known))
+        reports = {name: torch.from_numpy(values.copy()) for name, values in self._reports.items()}
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known), **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""

@@ -72,7 +72,9 @@ class SimulatedDrives:
         """Returns the twists that joints report: see :meth:`Drive.odometry`."""
         return self._drive.odometry(joints)
 
-    def state(self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None) -> RoverState:
+    def state(
+        self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None, **reports: Tensor
+    ) -> RoverState:
         """Returns the state of the rovers.
 
         Args:
@@ -80,6 +82,7 @@ class SimulatedDrives:
                 (rad), ``[N, 7 + M + S]``.
             contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
             mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
+            reports: fields that the simulator was asked for, ``[N, k]`` each.
         """
         joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
         twist = self.odometry(joints)
@@ -94,4 +97,5 @@ class SimulatedDrives:
             dt=self._dt,
             stamp=self._stamp,
             **{name: value for name, value in optional.items() if value is not None},
+            **reports,
         )

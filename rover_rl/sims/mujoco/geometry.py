@@ -84,7 +84,10 @@ def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
 
 
 def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes."""
+    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes.
+
+    ``options`` are further attributes of the geoms, and their ``body``.
+    """
     for index, obstacle in enumerate(world.obstacles):
         frame = _box_frame(obstacle)
         if frame is None:
@@ -109,10 +112,10 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.nd
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
 
 
-def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, **options: Any) -> None:
+def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, body: Any = None, **options: Any) -> None:
     # All geoms keep a contype other than 0: MuJoCo leaves the others out of the bounding volume hierarchy of a body,
     # and rays then miss geoms that are in it.
-    spec.worldbody.add_geom(type=kind, **options)
+    (body or spec.worldbody).add_geom(type=kind, **options)
 
 
 def _box_frame(obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 
+from rover_rl.sims.base import Report
 from rover_rl.sims.drives import Drive
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
 from rover_rl.sims.mujoco.parts import add_parts
@@ -48,14 +49,21 @@ STEERING_RATE = 2.0
 STEERING_INERTIA = 1.5e-4
 """Least moment of inertia about a steering joint, kg m^2 per kg of the robot. With less, a joint at this rate would
 give way to the friction of its wheel. Gears of real joints have that much."""
+MAX_FELT = 16
+"""Largest number of contacts with obstacles whose force is measured, and of those with movers."""
 LINK_SHARE = 1e-3
 """Mass and inertia of the link between a wheel and its steering or roller joint, relative to those of the wheel."""
 
 
 def make_model(
-    world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings, parts: Sequence[Part] = ()
+    world: World,
+    robot: Robot,
+    inertial_model: InertialModel,
+    settings: MujocoSettings,
+    parts: Sequence[Part] = (),
+    reports: Collection[Report] = (),
 ) -> mujoco.MjModel:
-    """Creates the model of one rover in a world, with ``parts`` of movers.
+    """Creates the model of one rover in a world, with ``parts`` of movers, which measures the fields ``reports``.
 
     The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its
     steering or roller joint, and the angle of a shaft for each motor. The joints are ``"wheel 0"``, ``"roller 0"`` and
@@ -70,9 +78,17 @@ def make_model(
     # The properties of static geoms apply to all contacts, as they have a higher priority than the rover's.
     static = {"condim": 3, "priority": 1, "conaffinity": 0}
     add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
-    add_obstacles(spec, world, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
+    # A contact sensor tells obstacles from the ground by their body. It changes the order of the contacts, and with it
+    # the last bits of a drive.
+    body = spec.worldbody.add_body(name="obstacles") if "contact_force" in reports else None
+    add_obstacles(spec, world, body=body, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
     _add_rover(spec, robot, inertial_model, settings)
     _add_contact_sensors(spec, with_movers=bool(parts))
+    if "contact_force" in reports:
+        _add_force_sensors(spec, ["obstacles", "movers"] if parts else ["obstacles"])
+    if "wheel_torque" in reports:
+        for wheel in range(len(robot.drive.wheels)):
+            _add_torque_sensor(spec, wheel)
     if parts:
         add_parts(spec, parts, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
     model = spec.compile()
@@ -215,6 +231,29 @@ def _add_contact_sensors(spec: mujoco.MjSpec, with_movers: bool) -> None:
         sensors.append(("mover contacts", {"reftype": mujoco.mjtObj.mjOBJ_XBODY, "refname": "movers"}))
     for name, with_what in sensors:
         spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=parameters, **base, **with_what)
+
+
+def _add_force_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
+    """Adds sensors of the strongest contacts of the rover with each body: its force and its normal, three numbers each.
+
+    The force is in the frame of the contact, whose first axis is the normal.
+    """
+    fields, strongest = (mujoco.mjtConDataField.mjCONDATA_FORCE, mujoco.mjtConDataField.mjCONDATA_NORMAL), 2
+    parameters = (sum(1 << field.value for field in fields), strongest, MAX_FELT)
+    base = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": "base", "reftype": mujoco.mjtObj.mjOBJ_XBODY}
+    for body in bodies:
+        kind = mujoco.mjtSensor.mjSENS_CONTACT
+        spec.add_sensor(name=f"force of {body}", type=kind, intprm=parameters, refname=body, **base)
+
+
+def _add_torque_sensor(spec: mujoco.MjSpec, wheel: int) -> None:
+    """Adds a sensor of the torque between a wheel and what carries it, in the frame of the wheel.
+
+    No torque but that of the motor passes through the joint about the axle.
+    """
+    name = f"torque {wheel}"
+    spec.body(f"wheel {wheel}").add_site(name=name)
+    spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
 
 
 def _impedance(value: float) -> tuple[float, ...]:

@@ -6,10 +6,11 @@ Rovers far from all movers do not need the coordinates of their parts, and are s
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rover_rl.sims.base import Report
 from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco.model import scaled_model
 from rover_rl.sims.mujoco.physics import RoverPhysics
@@ -32,6 +33,7 @@ class RoversAmongMovers(RoverPhysics):
         settings: settings of the physics.
         slots: parts of the model, from :func:`~rover_rl.sims.mujoco.parts.slots_of`.
         parts: parts of the movers of the world.
+        reports: arrays for the fields that the model measures, ``[count, k]`` each.
     """
 
     def __init__(
@@ -42,8 +44,9 @@ class RoversAmongMovers(RoverPhysics):
         settings: MujocoSettings,
         slots: Sequence[Part],
         parts: Sequence[Part],
+        reports: Mapping[Report, np.ndarray],
     ) -> None:
-        super().__init__(model, robot, count, settings)
+        super().__init__(model, robot, count, settings, reports)
         places = self._coordinates(f"part {index} x" for index in range(len(slots)))
         speeds = self._velocities(f"part {index} x" for index in range(len(slots)))
         # Place of the position and orientation, and of the velocities of each slot in a state.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.mujoco.model import scaled_model
+from rover_rl.sims.base import Report
+from rover_rl.sims.mujoco.model import MAX_FELT, scaled_model
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.native.mujoco import Rollout, mujoco
+from rover_rl.sims.reports import SIDES, by_side
 from rover_rl.sims.robots import Robot
 
 _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)
@@ -34,9 +37,18 @@ class RoverPhysics:
     A rover is one row of MuJoCo's state: time, coordinates and velocities. All rovers share one ``MjData``, into which
     MuJoCo loads a row for each control step, and the solver starts each control step from zero. Nothing else carries
     over, so a rover does not depend on other rovers or on earlier episodes.
+
+    ``reports`` are arrays for the fields that the model measures, ``[count, k]`` each.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot, count: int, settings: MujocoSettings) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        robot: Robot,
+        count: int,
+        settings: MujocoSettings,
+        reports: Mapping[Report, np.ndarray],
+    ) -> None:
         self._settings = settings
         self._model = model
         self._models = [model] * count
@@ -44,8 +56,15 @@ class RoverPhysics:
         self._rollout = Rollout(nthread=0)
         self._states = np.zeros((count, 1 + model.nq + model.nv))
         self._trajectories = np.empty((count, settings.substeps, self._states.shape[1]))
-        # The number of all contacts, of those with the ground and of those with movers, in each physics step.
+        # The number of all contacts, of those with the ground and of those with movers, and then what else is measured,
+        # in each physics step.
         self._contacts = np.empty((count, settings.substeps, model.nsensordata))
+        places = {(sensor := model.sensor(index)).name: sensor.adr[0] for index in range(model.nsensor)}
+        self._counts = sum(name.endswith("contacts") for name in places)
+        self.reports = reports
+        self._forces = [places[name] for name in ("force of obstacles", "force of movers") if name in places]
+        # About the axle of a wheel, which is the y axis of its frame.
+        self._torques = [1 + place for name, place in places.items() if name.startswith("torque")]
         self._states[:, _ORIENTATION.start] = 1.0
         drive, motors = robot.drive, range(len(robot.drive.motors))
         owners = [[f"wheel {k}" for k, own in enumerate(drive.motor_of_wheel) if own == motor] for motor in motors]
@@ -92,9 +111,11 @@ class RoverPhysics:
         """
         self._states[rows[:, None], self._shafts] = speeds
         substeps = self._settings.substeps
+        for values in self.reports.values():
+            values[rows] = 0.0
         if not self._rollers:
             return self._roll(rows, angles, substeps)
-        touched = np.zeros((len(rows), self._contacts.shape[-1] - 1), dtype=bool)
+        touched = np.zeros((len(rows), self._counts - 1), dtype=bool)
         for _ in range(substeps):
             touched |= self._roll(rows, angles, 1)
             # A roller on the ground keeps its direction, in the mean of a step: only its speed counts.
@@ -120,9 +141,32 @@ class RoverPhysics:
             skip_checks=True,
         )
         self._states[rows] = trajectories[:, -1]
-        all_contacts, with_ground, with_movers = contacts[..., :1], contacts[..., 1:2], contacts[..., 2:]
+        if self.reports:
+            self._measure(rows, contacts, trajectories[..., _ORIENTATION])
+        all_contacts, with_ground, with_movers = np.split(contacts[..., : self._counts], (1, 2), -1)
         touching: np.ndarray = np.concatenate((all_contacts > with_ground, with_movers > 0), -1)
         return np.any(touching, axis=1)
+
+    def _measure(self, rows: np.ndarray, sensors: np.ndarray, orientation: np.ndarray) -> None:
+        """Adds the forces and torques of some physics steps to the means over the control step.
+
+        Args:
+            rows: rovers ``[k]``.
+            sensors: readings of the sensors, ``[k, steps, R]``.
+            orientation: orientations (w, x, y, z) of the base frames, ``[k, steps, 4]``.
+        """
+        substeps = self._settings.substeps
+        if self._torques:
+            # The sensor tells the torque on what carries the wheel.
+            self.reports["wheel_torque"][rows] += sensors[..., self._torques].sum(1) / substeps
+        for number, place in enumerate(self._forces):
+            readings = sensors[..., place : place + 6 * MAX_FELT].reshape(*sensors.shape[:2], MAX_FELT, 6)
+            # Along the normal, which points away from the rover.
+            pushes = -readings[..., :1] * readings[..., 3:]
+            turns = Rotation.from_quat(np.roll(orientation, -1, -1).reshape(-1, 4)).as_matrix()
+            turned = pushes @ turns.reshape(*orientation.shape[:2], 3, 3)
+            columns = slice(number * len(SIDES), (number + 1) * len(SIDES))
+            self.reports["contact_force"][rows, columns] += by_side(turned[..., :2]).sum((1, 2)) / substeps
 
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and joints of the given rovers."""

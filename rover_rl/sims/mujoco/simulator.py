@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
+from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
@@ -23,6 +23,7 @@ from rover_rl.sims.mujoco.parts import slots_of
 from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.rendering.cache import RendererCache
+from rover_rl.sims.reports import empty_reports, of_rows
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
@@ -47,7 +48,9 @@ class MujocoSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
+    capabilities: frozenset[Capability] = frozenset(
+        {"contacts", "dynamics", "lidar", "movers", "contact_force", "wheel_torque"}
+    )
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: MujocoSettings | None = None) -> None:
         self.num_envs = count = len(worlds)
@@ -58,6 +61,7 @@ class MujocoSimulator:
         self._worlds = list(worlds)
         self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count)
         self._renderers = RendererCache(robot)
+        self._reports: dict[Report, np.ndarray] = {}
         threads = self.settings.threads or torch.get_num_threads()
         self._threads = self._divide(min(threads, max(1, count // MIN_ROVERS_PER_THREAD)))
         self._pool = ThreadPoolExecutor(len(self._threads) - 1) if len(self._threads) > 1 else None
@@ -73,13 +77,20 @@ class MujocoSimulator:
         shares: list[list[_Share]] = [[] for _ in range(threads)]
         for world, block in groupby(range(self.num_envs), key=self._worlds.__getitem__):
             rows = list(block)
-            model = make_model(world, self._robot, self._inertial_model, self.settings)
+            model = make_model(world, self._robot, self._inertial_model, self.settings, reports=self._reports)
             ends = np.linspace(rows[0], rows[-1] + 1, threads + 1).astype(int).tolist()
             for own, first, last in zip(shares, ends[:-1], ends[1:], strict=True):
                 if last > first:
-                    physics = RoverPhysics(model, self._robot, last - first, self.settings)
-                    own.append(_Share(world, slice(first, last), physics))
+                    share = slice(first, last)
+                    reports = of_rows(self._reports, share)
+                    physics = RoverPhysics(model, self._robot, last - first, self.settings, reports)
+                    own.append(_Share(world, share, physics))
         return shares
+
+    def report(self, fields: Collection[Report]) -> None:
+        """Measures forces and torques. See :meth:`Reporter.report`."""
+        self._reports = empty_reports(fields, self.num_envs, len(self._robot.drive.wheels))
+        self._threads = self._divide(len(self._threads))
 
     def meet(self, movers: MoverField) -> None:
         """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
@@ -90,11 +101,14 @@ class MujocoSimulator:
             if not parts:
                 continue
             slots = slots_of(parts)
-            model = make_model(world, self._robot, self._inertial_model, self.settings, slots)
+            model = make_model(world, self._robot, self._inertial_model, self.settings, slots, self._reports)
             reach = reach_of(model)
             for share in (share for share in shares if share.world is world):
                 share.reach = reach
-                share.pushed = RoversAmongMovers(model, self._robot, len(share.all), self.settings, slots, parts)
+                reports = share.physics.reports
+                share.pushed = RoversAmongMovers(
+                    model, self._robot, len(share.all), self.settings, slots, parts, reports
+                )
 
     def scanner(self, beams: int) -> MujocoScanner:
         """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
@@ -112,6 +126,8 @@ class MujocoSimulator:
             position, rotation = rest_on_ground(share.world, self._robot, poses[rows])
             share.physics.place(local, position.numpy(), matrix_to_quaternion(rotation).numpy())
             self._contact[rows.numpy()] = self._mover_contact[rows.numpy()] = False
+            for values in self._reports.values():
+                values[rows.numpy()] = 0.0
 
         self._update(place, mask.numpy())
         self._drive.reset(mask)
@@ -149,7 +165,8 @@ class MujocoSimulator:
         known = [self._body, self._contact]
         if self._movers is not None and self._movers.parts is not None:
             known.append(self._mover_contact)
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known))
+        reports = {name: torch.from_numpy(values.copy()) for name, values in self._reports.items()}
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known), **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""

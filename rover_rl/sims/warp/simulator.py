@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
+from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space.rest_pose import Stances, rest_on_ground
 from rover_rl.sims.movers.field import MoverField
@@ -59,7 +59,9 @@ class WarpSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers", "robots"})
+    capabilities: frozenset[Capability] = frozenset(
+        {"contacts", "dynamics", "lidar", "movers", "robots", "contact_force", "wheel_torque"}
+    )
 
     def __init__(
         self,
@@ -142,6 +144,11 @@ class WarpSimulator:
             arrays,
         ]
         return self._record(step_dynamics, *inputs)
+
+    def report(self, fields: Collection[Report]) -> None:
+        """Measures forces and torques: see :meth:`Reporter.report`."""
+        self._buffers.report(fields)
+        self._dynamics = self._record_dynamics()
 
     def meet(self, movers: MoverField) -> None:
         """Lets movers push the rovers: see :meth:`MoverCarrier.meet`."""
@@ -226,7 +233,8 @@ class WarpSimulator:
         """Returns a copy of the current state."""
         buffers = self._buffers
         touched = None if self._parts is None else buffers.mover_contact.clone()
-        return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched)
+        reports = {name: values.clone() for name, values in buffers.reports.items()}
+        return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched, **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""

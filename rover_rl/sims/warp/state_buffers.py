@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Dynamics
+from rover_rl.sims.base import Dynamics, Report
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.reports import empty_reports
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import InertialModel, MassTable
 from rover_rl.sims.warp.kernels.types import RoverArrays
@@ -32,6 +33,7 @@ class StateBuffers:
             (rad/s) and angle of each steering joint (rad), ``[N, 7 + M + S]``.
         contact: whether the rovers touched an obstacle or a mover in the last control step, bool ``[N, 1]``.
         mover_contact: whether they touched a mover, bool ``[N, 1]``.
+        reports: fields that have been asked for.
     """
 
     def __init__(self, fleet: Fleet, models: Sequence[InertialModel]) -> None:
@@ -75,6 +77,7 @@ class StateBuffers:
             "contact": self.contact.view(count),
             "mover_contact": self.mover_contact.view(count),
         }
+        self.reports: dict[str, Tensor] = {}
         self.rovers = self.struct()
         self._nominal = self._parameters_of(torch.arange(len(models), device=device))
         self.enter_robots(torch.ones(count, dtype=torch.bool, device=device))
@@ -85,6 +88,14 @@ class StateBuffers:
         for name, tensor in (self._arrays | scan).items():
             setattr(rovers, name, wp.from_torch(tensor, dtype=types[name].type.dtype))
         return rovers
+
+    def report(self, fields: Collection[Report]) -> None:
+        """Adds arrays for fields that are asked for. They are the kernels' from the next launch that is recorded."""
+        count, wheels = self._arrays["wheel_spins"].shape
+        empty = empty_reports(fields, count, wheels)
+        self.reports = {name: torch.from_numpy(values).to(self.scene.device) for name, values in empty.items()}
+        self._arrays |= self.reports
+        self.rovers = self.struct()
 
     def enter_robots(self, mask: Tensor) -> None:
         """Gives the rovers of ``mask`` the robots of the fleet's index, with their own dynamics."""

@@ -37,6 +37,8 @@ LEFT = wp.constant(wp.vec3(0.0, 1.0, 0.0))
 UP = wp.constant(wp.vec3(0.0, 0.0, 1.0))
 AT_REST = wp.constant(wp.vec3(0.0, 0.0, 0.0))
 """Velocity of what does not move."""
+OBSTACLE_KEYS = 1024
+"""Least key of a contact with an obstacle, above those of the points of the chassis."""
 MOVER_KEYS = 1 << 24
 """Least key of a contact with a mover."""
 NO_WHEEL = -1
@@ -538,7 +540,7 @@ def collide_with_obstacles(
                 model,
                 axles,
                 friction,
-                1024 + pairs[k],
+                OBSTACLE_KEYS + pairs[k],
                 touched,
                 rover,
             )
@@ -607,6 +609,22 @@ def collide_with_movers(
                     rover,
                 )
     return count
+
+
+@wp.func
+def add_forces(forces: wp.array2d[float], rover: int, contacts: wp.array[Contact], first: int, count: int, rate: float):
+    """Adds the normal impulses of obstacles and movers, times a rate (1/s), by the side of the rover that they act on.
+
+    Columns: front, left, back and right for obstacles, then for movers. See :func:`rover_rl.sims.reports.by_side`.
+    """
+    for k in range(first, count):
+        if contacts[k].key >= OBSTACLE_KEYS:
+            side = wp.where(contacts[k].key >= MOVER_KEYS, 4, 0)
+            push = rate * contacts[k].impulse[0] * contacts[k].normal
+            forces[rover, side] += wp.max(-push[0], 0.0)
+            forces[rover, side + 1] += wp.max(-push[1], 0.0)
+            forces[rover, side + 2] += wp.max(push[0], 0.0)
+            forces[rover, side + 3] += wp.max(push[1], 0.0)
 
 
 @wp.func

@@ -35,6 +35,7 @@ from rover_rl.sims.warp.kernels.contacts import (
     NO_WHEEL,
     Body,
     Contact,
+    add_forces,
     collide_chassis_with_ground,
     collide_peaks_with_chassis,
     collide_wheels_with_ground,
@@ -267,6 +268,9 @@ def step_dynamics(
     dt = solver.dt
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
+    clear_reports(rovers, row)
+    # Turns a sum of impulses into the mean of their force over the control step, 1/s.
+    mean = 1.0 / (float(solver.substeps) * dt)
 
     for wheel in range(wheels):
         motor = model.motor_of_wheel[wheel]
@@ -346,6 +350,11 @@ def step_dynamics(
             )
         for n in range(EXTRA_CONTACTS):
             impulses[n] = contacts[wheel_contacts + n].impulse
+        if rovers.contact_force.shape[1] > 0:
+            add_forces(rovers.contact_force, row, contacts, wheel_contacts, count, mean)
+        if rovers.wheel_torque.shape[1] > 0:
+            for wheel in range(wheels):
+                rovers.wheel_torque[row, wheel] += mean * motors[wheel]
 
         # 5. Integration, in the world frame.
         velocity = body.rotation * motion.velocity
@@ -368,6 +377,15 @@ def step_dynamics(
     for joint in range(rovers.angles.shape[1]):
         rovers.angles[row, joint] = rovers.target_angles[row, joint]
     write_base_state(model, rovers, row)
+
+
+@wp.func
+def clear_reports(rovers: RoverArrays, row: int):
+    """Sets the forces and torques of a rover to zero, if they are asked for."""
+    for n in range(rovers.contact_force.shape[1]):
+        rovers.contact_force[row, n] = 0.0
+    for n in range(rovers.wheel_torque.shape[1]):
+        rovers.wheel_torque[row, n] = 0.0
 
 
 @wp.func
@@ -434,4 +452,5 @@ def place(models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array2d[f
         rovers.angles[row, joint] = 0.0
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
+    clear_reports(rovers, row)
     write_base_state(models[rovers.robot[row]], rovers, row)

@@ -149,5 +149,9 @@ class RoverArrays:
     contact: wp.array[wp.bool]
     # Whether the rover touched a mover in the last control step.
     mover_contact: wp.array[wp.bool]
+    # Outputs, empty unless asked for: forces on each side, of obstacles and of movers [N, 8], N, and torques of the
+    # wheel motors [N, wheels], N m, means over the control step.
+    contact_force: wp.array2d[float]
+    wheel_torque: wp.array2d[float]
     # Working memory of the scan: bounds of how far each sector sees, [N, SECTORS], m.
     visible: wp.array2d[float]
