@@ -146,7 +146,7 @@ def test_names_that_cannot_be_registered(name, message):
 def test_get_world_returns_the_same_object_for_the_same_name():
     still, moving = (
         ("inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"),
-        ("plaza", "corridor", "crossing", "field", "yard"),
+        ("plaza", "corridor", "crossing", "field", "yard", "gates"),
     )
     assert set(WORLDS) == {*still, *moving}
     assert get_world("maze") is get_world("maze") is get_world("maze:0")

@@ -12,11 +12,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander, Waypoints
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
-from rover_rl.sims.worlds.region import Area
+from rover_rl.sims.worlds.region import Area, Region
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -42,6 +43,8 @@ GATES, GATE_LENGTHS, GATE_SPEEDS = (1, 2, 2), ((1.5, 2.5), (2.5, 3.5), (3.5, 4.4
 """Number of gates in a passage, and their least and greatest length, m, and speed, m/s."""
 PASSAGE, GATE_THICKNESS, GATE_YAW = (13.0, 4.5), 0.1, 0.15
 """Length and width of the passage, thickness of a gate, m, and its largest angle to the passage, rad."""
+END_CELL = 0.1
+"""Side length of the cells of the two ends of the passage, m."""
 CORNERS = (3, 6)
 """Least and greatest number of corners of a cylinder's path."""
 WALL, HEIGHT = 0.2, 2.0
@@ -256,7 +259,7 @@ def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
     """Creates a passage along x that gates cross: long walls, which come out of one side and go into the other.
 
     A gate lies along the passage and begins again at once: a rover has to be past it before it is back. Episodes start
-    at the western end, and goals are at the eastern one.
+    at both ends, and half of the goals are at the other one.
 
     Args:
         seed: seed of the gates.
@@ -273,7 +276,9 @@ def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
         for values in (GATE_LENGTHS, GATE_SPEEDS)
     )
     length, width = (round(scale * side, 1) for side in PASSAGE)
-    half, side, end = length / 2, width / 2 - 0.6 * scale, 3 * scale
+    reach, side, end = length / 2 - scale, width / 2 - 0.6 * scale, 2 * scale
+    places = torch.arange(-reach + END_CELL / 2, reach, END_CELL)
+    ends = (places.abs() > reach - end).expand(round(2 * side / END_CELL), -1)
     movers = []
     for number in range(round(scaled(difficulty, *GATES))):
         x, yaw = rng.uniform(-0.5, 0.5) * scale, rng.uniform(-GATE_YAW, GATE_YAW)
@@ -286,8 +291,7 @@ def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
         name="gates",
         terrain=Terrain.flat((length, width + 2)),
         obstacles=boxes([(0, y, HEIGHT / 2) for y in (-middle, middle)], (length, WALL, HEIGHT)),
-        spawn_range=((-half + scale, -half + end), (-side, side)),
-        goal_range=((half - end, half - scale), (-side, side)),
+        spawn_region=Region(ends, END_CELL, (-reach, -side)),
         movers=movers,
     )
 
