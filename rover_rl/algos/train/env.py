@@ -19,10 +19,11 @@ from rover_rl.envs.config import SCAN_POSE, EnvConfig, SensorLike
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.lidar_mask import LidarMask
 from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.sensors.scan_pose import ScanPose
-from rover_rl.envs.sensors.suite import DEPTH, HEIGHTS, LIDAR3D, MOVERS, ROUTE, SEGMENTATION, own_sensors
+from rover_rl.envs.sensors.suite import DEPTH, HEIGHTS, LIDAR3D, LIDAR_MASK, MOVERS, ROUTE, SEGMENTATION, own_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -102,6 +103,8 @@ def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
         sensors[key] = replace(sensors[key], period=config.collection.action_repeat)
     if SCAN_POSE in read and SCAN_POSE not in sensors:
         sensors[SCAN_POSE] = ScanPose()
+    if LIDAR_MASK in read and LIDAR_MASK not in sensors:
+        sensors[LIDAR_MASK] = LidarMask()
     return tuple(sensors.values())
 
 

@@ -2,5 +2,6 @@
 
 ``base``: ``Sensor``, what a sensor is, and ``SensorInput``, what it reads from. ``standard``: lidar, pose, IMU, target
 and wheel odometry. ``route``: the way to the goal on a map of what the lidar has seen. ``robot``: size and
-limits of the robot. ``scan_pose``: where a late scan was taken. ``suite``: sensors by name.
+limits of the robot. ``scan_pose``: where a late scan was taken. ``lidar_mask``: which readings beams cover. ``suite``:
+sensors by name.
 """

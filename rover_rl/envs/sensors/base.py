@@ -88,6 +88,7 @@ class Rig:
         control_dt: duration of a step, s.
         device: device of the readings.
         fleet: robot of each row. ``None``: ``robot``.
+        randomization: what varies from episode to episode.
     """
 
     rows: int
@@ -96,6 +97,7 @@ class Rig:
     control_dt: float
     device: torch.device
     fleet: Fleet | None = None
+    randomization: Randomization = field(default_factory=Randomization)
 
 
 @dataclass(frozen=True)
