@@ -18,7 +18,8 @@ from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
-from rover_rl.envs.config import SCAN_POSE, GuardConfig
+from rover_rl.envs.config import SCAN_POSE, GuardConfig, Randomization
+from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
@@ -239,19 +240,22 @@ class Drive:
         if trained is not None and trained.limits.apply:
             limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
             given = replace(given, **{name: value for name, value in limits.items() if options.get(name) is None})
+        if _knows_coverage(policy):
+            # As in training. The guard of unseen directions holds the rover nevertheless.
+            given = replace(given, unseen_range=math.inf, max_invalid=given.max_invalid + _dead_share(trained))
         return replace(given, command="none" if self.dry_run else command, reset="none", step_timeout=SENSOR_TIMEOUT)
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
         """Describes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
-        from rover_rl.envs import Randomization
 
         made_for = environment_for(policy.module, None if self.env is None else read_env(self.env))
+        # Scans are added to maps where they were taken, by their stamps.
+        needed = (SCAN_POSE, LIDAR_MASK) if _knows_coverage(policy.module) else (SCAN_POSE,)
         described = replace(
             made_for,
             world=policy.worlds[0],
-            # Scans are added to maps where they were taken, by their stamps.
-            sensors=(*made_for.sensors, *(() if SCAN_POSE in made_for.sensors else (SCAN_POSE,))),
+            sensors=(*made_for.sensors, *(name for name in needed if name not in made_for.sensors)),
             robot=self.robot or made_for.robot,
             robot_options=self.robot_options,
             backend=settings,
@@ -290,6 +294,19 @@ class Drive:
                     f"y from {bottom:g} to {top:g} m; name the --world that the rover is in"
                 )
         return goals
+
+
+def _knows_coverage(policy: Policy | None) -> bool:
+    """Returns whether a policy was trained with lidars that see in part, or reads where they do."""
+    trained: EnvConfig | None = getattr(policy, "made_for", None)
+    hides_beams = trained is not None and trained.randomization.hides_beams
+    return hides_beams or LIDAR_MASK in getattr(policy, "in_keys", ())
+
+
+def _dead_share(trained: EnvConfig | None) -> float:
+    """Returns the share of the beams that may be in the dead sectors of a policy's training."""
+    noise = Randomization() if trained is None else trained.randomization
+    return min(0.8, noise.dead_sectors * noise.dead_sector_width[1] / (noise.lidar_view or (2 * math.pi,))[0])
 
 
 @contextmanager

@@ -64,6 +64,10 @@ MAX_RATE = 1000.0
 _UNCHANGED = (1.0, 1.0)
 _SEVERITY = 22
 """Stream of random numbers."""
+_TURN = 2 * math.pi + 0.01
+"""A full turn, rad, which rounded numbers may exceed."""
+_MOST_SECTORS = 16
+"""Largest number of dead sectors of a lidar."""
 _FACTORS = ("friction", "chassis_mass", "motor_torque", "odometry_scale", "limits")
 _LATENCIES = ("latency", "scan_latency", "state_latency")
 
@@ -401,6 +405,11 @@ class Randomization:
         yaw_bias: Range of the error of the yaw rate that dead reckoning adds up, rad/s.
         limits: Range of the scale factor of the limits of the commands.
         severity: Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization.
+        lidar_view: Range of the angle that the lidar sees, centered on straight ahead, rad. It is never more than that
+            of the robot. None: that of the robot. Beams outside of it have no return.
+        dead_sectors: Largest number of sectors in which the lidar sees nothing, as behind a part of the robot or dirt.
+            Each episode has from 0 to this many, in any direction. At most 16.
+        dead_sector_width: Range of the width of each of these sectors, rad.
 
     Raises:
         ValueError: if a range is not in ascending order, or a value is out of range.
@@ -425,6 +434,9 @@ class Randomization:
     yaw_bias: tuple[float, float] = (0.0, 0.0)
     limits: tuple[float, float] = _UNCHANGED
     severity: tuple[float, float] = _UNCHANGED
+    lidar_view: tuple[float, float] | None = None
+    dead_sectors: int = 0
+    dead_sector_width: tuple[float, float] = (0.1, 0.6)
 
     def __post_init__(self) -> None:
         for name in _FACTORS:
@@ -448,6 +460,21 @@ class Randomization:
             raise ValueError(f"yaw_bias must be a range (low, high), rad/s, got {self.yaw_bias}")
         if not 0 <= self.severity[0] <= self.severity[1] < math.inf:
             raise ValueError(f"severity must be a range of factors (low, high) of at least 0, got {self.severity}")
+        self._check_view()
+
+    def _check_view(self) -> None:
+        low, high = self.lidar_view or (1, 1)
+        if not 0 < low <= high <= _TURN:
+            raise ValueError(
+                f"lidar_view must be a range (low, high) of positive angles of at most 2 pi rad, got {self.lidar_view}"
+            )
+        if not isinstance(self.dead_sectors, int) or not 0 <= self.dead_sectors <= _MOST_SECTORS:
+            raise ValueError(f"dead_sectors must be a whole number from 0 to {_MOST_SECTORS}, got {self.dead_sectors}")
+        low, high = self.dead_sector_width
+        if not 0 <= low <= high <= _TURN:
+            raise ValueError(
+                f"dead_sector_width must be a range (low, high) of angles of 0 to 2 pi rad, got {(low, high)}"
+            )
 
     @classmethod
     def typical(cls) -> Randomization:
@@ -487,6 +514,11 @@ class Randomization:
     def delays_sensors(self) -> bool:
         """Whether what the sensors tell may be older than now, beyond the period of the lidar."""
         return bool(self.scan_latency[1] or self.state_latency[1] or self.lost_scans or self.scan_period)
+
+    @property
+    def hides_beams(self) -> bool:
+        """Whether the lidar sees less than that of the robot. An environment then has the sensor ``lidar_mask``."""
+        return self.lidar_view is not None or self.dead_sectors > 0
 
 
 @dataclass(frozen=True)
@@ -682,7 +714,8 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
 
     The lidar readings (number and range), robot, action bounds and heading gains must be equal, and the environment
     must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ. A
-    policy that was made for several robots may drive any robot, whose limits bound its actions.
+    policy that was made for several robots may drive any robot, whose limits bound its actions. One whose
+    ``Randomization`` has a ``lidar_view`` may drive its robot with a lidar of any view in that range.
 
     Args:
         made_for: description of the environment that the policy was trained in.
@@ -702,13 +735,25 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
     several = names_several(made_for.robot)
     if not several:
-        yield "the robot", *_robots(made_for.robot, env.robot)
+        yield "the robot", *_robots(made_for.robot, _with_view_of(made_for, env.robot))
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     # A robot whose limits are tighter bounds what the policy does.
     expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual
     gains = _values(made_for.heading_gains), _values(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
+
+
+def _with_view_of(made_for: EnvConfig, given: RobotLike) -> RobotLike:
+    """Returns the robot that a policy was made for in place of one that differs by a view that it was trained with."""
+    views = made_for.randomization.lidar_view
+    if views is None or names_several(given):
+        return given
+    from rover_rl.sims.robots import get_robot
+
+    expected, robot = get_robot(made_for.robot), get_robot(given)
+    same = replace(robot, name=expected.name, lidar_view=expected.lidar_view) == expected
+    return made_for.robot if same and views[0] - 1e-3 <= robot.lidar_view <= views[1] + 1e-3 else given
 
 
 def name_of_part(part: Any) -> str:

@@ -59,7 +59,7 @@ def _value(component: Transform, before: TensorDictBase, after: TensorDictBase) 
 def _step(env: EnvConfig, goal: bool) -> tuple[TensorDictBase, TensorDictBase]:
     """Makes up the observations before and after some steps, the same ones at each call."""
     generator = torch.Generator().manual_seed(0)
-    sensors = environment_sensors(env.lidar, env.own_sensors, env.late_scans)
+    sensors = environment_sensors(env.lidar, env.own_sensors, env.late_scans, env.randomization.hides_beams)
     bounds = {key: sensor.bounds for key, sensor in sensors.items()}
     spec = observation_spec(bounds, (_STEPS,), None, privileged=env.privileged)
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_angles, reading_directions
+from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -84,7 +85,7 @@ class MoverTracker:
 
         Args:
             state: tracks before, ``[N, TRACKS * STATE]``; zeros without any.
-            lidar: lidar readings, ``[N, points]``, m.
+            lidar: lidar readings, ``[N, points]``, m; negative where no beam covers one, so that it is unknown.
             pose: x, y and z of the rovers, ``[N, 3]``, m.
             imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
             rows: numbers of the rows among those of different robots; ``None``: all of them.
@@ -128,7 +129,7 @@ def _by_track(state: Tensor) -> Tensor:
 
 def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:
     """Returns the next state of a policy that remembers ``tracks``, and what moves."""
-    lidar = tensordict["lidar"]
+    lidar = known_readings(tensordict)
     pose, imu = taken_at(tensordict) or (tensordict["pose"], tensordict["imu"])
     state = tensordict.get("tracks", None)
     if state is None:

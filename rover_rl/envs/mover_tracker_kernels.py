@@ -2,7 +2,8 @@
 
 A scan is a ring of readings, counterclockwise. Neighboring readings on one object are a cluster. It counts as the front
 of a disc, whose edges lie halfway between the outermost beams on it and those beside it. An edge is real if the beam
-beside it goes on beyond it. Else something nearer hides the rest.
+beside it goes on beyond it. Else something nearer hides the rest. A negative reading is one that no beam covers, which
+may be of something nearer.
 """
 
 from __future__ import annotations
@@ -125,6 +126,8 @@ def goes_on(a: int, b: int, c: int, scan: Scan):
     """Returns whether three readings lie on a straight wall."""
     if wp.max(scan.ranges[a], wp.max(scan.ranges[b], scan.ranges[c])) >= scan.most:
         return False
+    if wp.min(scan.ranges[a], wp.min(scan.ranges[b], scan.ranges[c])) < 0.0:
+        return False
     step = scan.points[b] - scan.points[a]
     ahead = scan.points[c] - scan.points[b]
     known = wp.length(step)
@@ -139,7 +142,7 @@ def linked(k: int, scan: Scan):
     """Returns whether reading ``k`` and the next one are on one object."""
     after = around(k + 1, scan.count)
     near = wp.min(scan.ranges[k], scan.ranges[after])
-    if wp.max(scan.ranges[k], scan.ranges[after]) >= scan.most:
+    if wp.max(scan.ranges[k], scan.ranges[after]) >= scan.most or near < 0.0:
         return False
     if wp.length(scan.points[after] - scan.points[k]) < GAP + WIDENING * scan.spacing * near:
         return True
@@ -298,7 +301,7 @@ def find_clusters(scan: Scan, clusters: wp.array[Cluster]):
             deep = value
             bottom = n
         if n == scan.count - 1 or not linked(k, scan):
-            if value < scan.most:
+            if value >= 0.0 and value < scan.most:
                 clusters[count] = cluster_of(count, around(start + first, scan.count), n + 1 - first, scan)
                 count += 1
             first = n + 1
@@ -699,7 +702,7 @@ def follow(
 
     Args:
         due: rows whose scan is added. The tracks of the others stay as they are.
-        ranges: readings, ``[N, P]``, m.
+        ranges: readings, ``[N, P]``, m; negative where no beam covers one.
         poses: x, y and z of the rovers, m.
         imus: pitch, roll and yaw of the rovers, rad.
         mounts: positions of the lidars in the base frames of the robots, m.

@@ -197,7 +197,8 @@ class RoverEnv(EnvBase):
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
-        self.sensors = environment_sensors(config.lidar, config.own_sensors, config.late_scans)
+        noise = config.randomization
+        self.sensors = environment_sensors(config.lidar, config.own_sensors, config.late_scans, noise.hides_beams)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,
@@ -436,7 +437,8 @@ class RoverEnv(EnvBase):
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        rig = Rig(self.num_envs, self.robot, self.config.lidar, self.control_dt, self._tensor_device, self.fleet)
+        mount = self.robot, self.config.lidar, self.control_dt, self._tensor_device, self.fleet
+        rig = Rig(self.num_envs, *mount, self.randomization)
         self._observer = Observer(self.sensors, rig)
         self._action_clip = action.tensors(self._tensor_device)
 

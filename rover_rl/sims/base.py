@@ -139,6 +139,15 @@ class StampedSensors(Protocol):
 
 
 @runtime_checkable
+class ScanCarrier(Protocol):
+    """A live backend that tells which directions its lidar covers."""
+
+    def covered(self) -> Tensor:
+        """Returns which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
+        ...
+
+
+@runtime_checkable
 class DepthCarrier(Protocol):
     """A live backend with depth cameras."""
 

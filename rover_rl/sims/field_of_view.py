@@ -14,12 +14,12 @@ _TOLERANCE = 1e-6
 """Tolerance of angles at the borders of a view, rad."""
 
 
-def seen(angles: Tensor, view: float) -> Tensor:
+def seen(angles: Tensor, view: float | Tensor) -> Tensor:
     """Returns whether directions are in a view that is centered on straight ahead, bool of the shape of ``angles``.
 
     Args:
         angles: directions, counter-clockwise from straight ahead, rad.
-        view: total angle of the view, rad.
+        view: total angle of the view, or of several views, with which ``angles`` are broadcast, rad.
     """
     return (torch.remainder(angles + math.pi, 2 * math.pi) - math.pi).abs() <= view / 2 + _TOLERANCE
 

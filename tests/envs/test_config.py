@@ -42,7 +42,13 @@ configs = st.builds(
     reward=st.sampled_from(["contract", "task", ("contract", "my_package:tilt")]),
     contract_reward=st.builds(RewardConfig, st.floats(-1e3, 1e3), clearance_penalty=st.floats(-1.0, 0.0)),
     heading_gains=st.builds(HeadingGains, st.floats(0.0, 9.0)),
-    randomization=st.builds(Randomization, friction=factors, range_noise=st.floats(0.0, 1.0)),
+    randomization=st.builds(
+        Randomization,
+        friction=factors,
+        range_noise=st.floats(0.0, 1.0),
+        lidar_view=st.none() | st.just((2.0, 3.0)),
+        dead_sectors=st.integers(0, 3),
+    ),
     outcome_from=st.sampled_from(["truth", "sensors"]),
     backend=st.sampled_from(["bullet", "warp", "my_package:Slow", BulletSettings(substeps=20)]),
     num_envs=st.none() | st.integers(1, 100),
@@ -242,6 +248,17 @@ def test_a_policy_made_for_another_environment_is_refused_in_one_sentence(change
     made_for = EnvConfig(world="maze")
     with pytest.raises(ValueError, match=message):
         require_match(made_for, replace(made_for, **change))
+
+
+def test_a_policy_that_was_trained_with_views_drives_its_robot_with_any_of_them() -> None:
+    made_for = EnvConfig(randomization=Randomization(lidar_view=(2.0, 4.0)))
+    for view in (2.0, 3.5):
+        require_match(made_for, EnvConfig(robot=f"rover_zero,lidar_view={view}"))
+    for robot in ("rover_zero,lidar_view=1.9", "rover_zero,lidar_view=4.1", "rover_zero,lidar_view=3,lidar_range=5"):
+        with pytest.raises(ValueError, match="made for the robot rover_zero, and the environment has rover_zero,"):
+            require_match(made_for, EnvConfig(robot=robot))
+    with pytest.raises(ValueError, match="made for the robot rover_zero"):
+        require_match(EnvConfig(), EnvConfig(robot="rover_zero,lidar_view=3"))
 
 
 def test_other_worlds_rewards_and_simulators_match() -> None:

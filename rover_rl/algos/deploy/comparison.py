@@ -16,7 +16,7 @@ from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.envs.sensors.scan_pose import scan_pose_now
-from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
+from rover_rl.envs.sensors.suite import LIDAR_MASK, ROBOT, policy_sensors
 
 CHECKED = 1000  # number of observations on which an exported policy is compared with the original
 CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
@@ -93,6 +93,8 @@ def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
         # The rover has moved on since the scan.
         observations[SCAN_POSE] = scan_pose_now(observations["imu"])
         observations[SCAN_POSE][:, [0, 5]] += torch.stack((-0.1 * time.cos().abs(), 0.1 * time.sin()), -1)
+    if LIDAR_MASK in observations:
+        observations[LIDAR_MASK] = (observations[LIDAR_MASK] > 0.3).float()
     observations[BOUNDS] = torch.tensor((-_YARD, -_YARD, _YARD, _YARD)).repeat(count, 1)
     return observations
 

@@ -27,7 +27,7 @@ from rover_rl.algos.evaluation.metrics import RESTARTED, STOPPED, TIME_LIMIT, TO
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs import RoverEnv, StepEvent
-from rover_rl.envs.config import require_match
+from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 
@@ -85,7 +85,8 @@ def drive_to(
         goal: x, y, m.
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
-        allow_unseen: whether to accept a lidar with a smaller field of view than in training.
+        allow_unseen: whether to accept a lidar with a smaller field of view than in training: than the robot's, or
+            than the least that the training drew.
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of
@@ -100,10 +101,13 @@ def drive_to(
     if not isinstance(rover, Ros2Simulator):
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
     runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy, env=env)
-    if made_for := getattr(runner.policy, "made_for", None):
+    made_for: EnvConfig | None = getattr(runner.policy, "made_for", None)
+    if made_for:
         require_match(made_for, env.config)
     rover.require_robot()
     trained_view = env.robot.lidar_view
+    if made_for and made_for.randomization.lidar_view:
+        trained_view = min(trained_view, made_for.randomization.lidar_view[0])
     if not allow_unseen and rover.field_of_view < trained_view - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(rover.field_of_view):.0f} degrees, and the policy was trained with "

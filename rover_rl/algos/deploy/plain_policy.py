@@ -17,7 +17,7 @@ from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.suite import MOVERS, ROBOT, ROUTE
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROBOT, ROUTE
 from rover_rl.sims.robots import get_robot
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
@@ -42,7 +42,8 @@ class PlainPolicy(nn.Module):
     are the names of arguments and results.
 
     Raises:
-        ValueError: for a policy that reads ``movers``, whose tracks the exported map does not keep.
+        ValueError: for a policy that reads ``movers``, whose tracks the exported map does not keep, and for one that
+            reads ``route`` but not ``lidar_mask``, if its training hid beams.
     """
 
     _robot: Tensor
@@ -55,6 +56,12 @@ class PlainPolicy(nn.Module):
         if MOVERS in settings.observation:
             raise ValueError(
                 "a policy that reads movers cannot be exported: its tracks are no part of the exported map"
+            )
+        hides_beams = checkpoint.env.randomization.hides_beams
+        if hides_beams and ROUTE in settings.observation and LIDAR_MASK not in settings.observation:
+            raise ValueError(
+                f"a policy that reads {ROUTE} and was trained with hidden beams can be exported only if it reads "
+                f"{LIDAR_MASK}, too: the exported map would take them for free"
             )
         self._observation = tuple(settings.observation)
         memory = settings.memory != "none"
@@ -81,8 +88,8 @@ class PlainPolicy(nn.Module):
         """Returns the action ``[N, 2]``, with a state also the next state ``[N, s]``, for the inputs ``[N, n]``."""
         entries, states = dict(zip(self.inputs, inputs, strict=True)), []
         if self._map is not None:
-            read = (entries[key] for key in (*ROUTE_KEYS, BOUNDS))
-            entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read, entries.get(SCAN_POSE))
+            read = [entries[key] for key in (*ROUTE_KEYS, BOUNDS)] + [entries.get(k) for k in (SCAN_POSE, LIDAR_MASK)]
+            entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read)
             states.append(state)
         if ROBOT in self._observation:
             entries[ROBOT] = self._robot.expand(len(inputs[0]), -1)

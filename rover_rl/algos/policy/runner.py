@@ -23,9 +23,10 @@ from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
+from rover_rl.envs.sensors.lidar_mask import LidarViews
 from rover_rl.envs.sensors.movers import SeenMovers
 from rover_rl.envs.sensors.scan_pose import scan_pose_now
-from rover_rl.envs.sensors.suite import MOVERS, ROUTE
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
 
@@ -70,6 +71,7 @@ class PolicyRunner:
     reads ``route`` or ``movers``, in an environment without these sensors, it keeps the maps of what the rovers have
     seen, and the tracks of what moves, and adds what they tell to the observation. For one that reads ``scan_pose``, in
     an environment whose scans are never late, it adds that the scan is as new as the pose. For one that reads
+    ``lidar_mask``, in an environment without this sensor, it adds that of the robot's lidar. For one that reads
     ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
 
     Args:
@@ -91,6 +93,7 @@ class PolicyRunner:
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
         self._movers: SeenMovers | None = None
+        self._views: LidarViews | None = None
         self._route: Tensor | None = None
         self._distribution: tuple[Tensor, Tensor] | None = None
         self._tracked: Tensor | None = None
@@ -102,7 +105,7 @@ class PolicyRunner:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
-            self._seen = self._movers = self._route = self._distribution = self._tracked = None
+            self._seen = self._movers = self._views = self._route = self._distribution = self._tracked = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -156,6 +159,8 @@ class PolicyRunner:
         if reads_route(self.policy) and observation.get(ROUTE, None) is None:
             rows, lidar, robot, device, interval = self._rig(observation)
             self._seen = SeenMap(rows, lidar, robot, device, interval=interval)
+        if _reads(self.policy, LIDAR_MASK) and observation.get(LIDAR_MASK, None) is None:
+            self._views = LidarViews(*self._rig(observation)[:4])
         self._action, self._state = self._decide(observation, self._is_init)
         self._held = torch.ones(len(observation), dtype=torch.int64, device=self._action.device)
         self._is_init = torch.zeros_like(self._held, dtype=torch.bool)
@@ -174,6 +179,8 @@ class PolicyRunner:
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
+        if self._views is not None:
+            inputs[LIDAR_MASK] = self._views()
         if self._movers is not None:
             inputs[MOVERS] = self._movers(observation, due, self._is_init)
         if _reads(self.policy, MOVERS):

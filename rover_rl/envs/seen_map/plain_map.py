@@ -80,6 +80,7 @@ class PlainSeenMap(nn.Module):
         target: Tensor,
         bounds: Tensor,
         scan_pose: Tensor | None = None,
+        lidar_mask: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Adds a scan and plans the route.
 
@@ -92,6 +93,7 @@ class PlainSeenMap(nn.Module):
             target: distance (m) and relative angle (rad) of the goal, ``[1, 2]``.
             bounds: lower x and y and upper x and y of the area that the routes stay in, ``[1, 4]``, m.
             scan_pose: where the scan was taken, ``[1, 6]``. ``None``: where the rover is.
+            lidar_mask: which readings beams cover, ``[1, P]``. ``None``: all in the robot's view.
 
         Returns:
             The route, ``[1, 5]``, as ``SeenMap`` returns it, and the next state.
@@ -103,7 +105,7 @@ class PlainSeenMap(nn.Module):
         lidar, pose, target = in_units(self._unit, lidar, pose, target)
         bounds = bounds / self._unit
         before = state[:, : sum(STATE)]
-        scan, rover = self._reader(before, lidar, pose, imu, taken=taken)
+        scan, rover = self._reader(before, lidar, pose, imu, taken=taken, mask=lidar_mask)
         codes, heights = _moved(state[0, sum(STATE) :].reshape(2, *_WINDOW), scan.center[0] - before[0, :2])
         codes = torch.where(scan.cleared, 0.0, codes)
         ground = scan.ground[0]

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.envs.sensors.lidar_mask import WHOLE
 from rover_rl.sims.base import beam_angles
 from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.free_space.fitting import passage_scale
@@ -147,16 +148,20 @@ class ScanReader(nn.Module):
         imu: Tensor,
         reading: Tensor | None = None,
         taken: tuple[Tensor, Tensor] | None = None,
+        mask: Tensor | None = None,
     ) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
         The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, the
-        :func:`reading_of` different robots, ``[N, NUMBERS + P]``, and ``pose`` and ``imu`` at which the scan was
-        taken; ``None``: the ones now.
+        :func:`reading_of` different robots, ``[N, NUMBERS + P]``, ``pose`` and ``imu`` at which the scan was taken,
+        ``None``: the ones now, and the entry ``lidar_mask``, ``None``: beams cover what is in view.
         """
         numbers, directions, is_seen = self._reading, self._directions, self._seen
         if reading is not None:
             numbers, is_seen = reading[:, :NUMBERS], reading[:, NUMBERS:] > 0
+        if mask is not None:
+            is_seen = mask > WHOLE if is_seen is None else (mask > WHOLE) & is_seen
+        if is_seen is not None and is_seen is not self._seen:
             directions = self._turn * is_seen[..., None]
         mount, no_return, patience = numbers.split((3, 1, 1), -1)
         _, was_rough, place, waits, corner = state.split(STATE, -1)

@@ -39,7 +39,7 @@ from rover_rl.envs.seen_map.scans import (
 )
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
-from rover_rl.envs.sensors.suite import MOVERS
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import footprint
@@ -75,6 +75,9 @@ class SeenMap:
 
     These lengths are for Rover Zero. For a robot that needs generated worlds with wider passages, all but the 24 and 3
     degrees grow by their scale: see :func:`~rover_rl.sims.free_space.fitting.passage_scale`.
+
+    Directions that the lidar does not cover stay as they were: those outside of the robot's ``lidar_view``, and those
+    that the observation's ``lidar_mask`` names, if it has one.
 
     What moves marks no cells, if the observation has ``movers``: see :class:`~rover_rl.envs.sensors.movers.Movers`. A
     cell is closed for one plan if a mover at constant velocity is there within 0.75 s of the time at which the rover
@@ -151,7 +154,7 @@ class SeenMap:
 
         Args:
             observation: observation, ``[N]`` each, with ``lidar``, ``pose``, ``imu`` and ``target``, and with
-                ``scan_pose`` if scans can be late.
+                ``scan_pose`` if scans can be late, and ``lidar_mask`` if beams can be hidden.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
             bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
@@ -174,11 +177,9 @@ class SeenMap:
         unit = self._units[index] if several else self._unit
         ranges, place, goal = in_units(unit, lidar, pose, target)
         readings = self._readings[index] if several else None
-        taken = taken_at(observation)
-        if taken is None:
-            scan, state = self._reader(self._state, ranges, place, imu, readings)
-        else:
-            scan, state = self._reader(self._state, ranges, place, imu, readings, (taken[0] / unit, taken[1]))
+        taken, mask = taken_at(observation), observation.get(LIDAR_MASK, None)
+        then = None if taken is None else (taken[0] / unit, taken[1])
+        scan, state = self._reader(self._state, ranges, place, imu, readings, then, mask)
         movers, ways = observation.get(MOVERS, None), list[Tensor]()
         if movers is not None:
             points = self._points_of(lidar, observation.get(SCAN_POSE, None))

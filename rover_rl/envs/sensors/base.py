@@ -89,6 +89,7 @@ class Rig:
         control_dt: duration of a step, s.
         device: device of the readings.
         fleet: robot of each row. ``None``: ``robot``.
+        randomization: what varies from episode to episode.
     """
 
     rows: int
@@ -97,6 +98,7 @@ class Rig:
     control_dt: float
     device: torch.device
     fleet: Fleet | None = None
+    randomization: Randomization = field(default_factory=Randomization)
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,7 @@ class Sensor(ABC):
         clips: whether the value can leave the bounds, and is clipped to them.
         delayed: delay that ``Randomization`` adds to the readings: ``"scan"``, ``"state"``, or ``None`` for an entry
             that is computed from other entries.
+        takes_long: whether training reads it once for a decision, and not in each step.
         mirror_signs: signs of the left-right mirror image of a value. Empty if it does not change.
         needs: fields of :class:`~rover_rl.sims.RoverState` that it reads and that simulators measure only if
             asked: ``"contact_force"``, ``"wheel_torque"``.
@@ -202,6 +205,7 @@ class Sensor(ABC):
     period: int = 1
     clips: ClassVar[bool] = True
     delayed: ClassVar[Delayed] = "state"
+    takes_long: ClassVar[bool] = False
     mirror_signs: ClassVar[tuple[float, ...]] = ()
     needs: ClassVar[tuple[Report, ...]] = ()
 

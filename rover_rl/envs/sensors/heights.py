@@ -48,6 +48,7 @@ class HeightScan(Sensor):
     max_height: float = 1.0
     noise: float = 0.0
     holes: float = 0.0
+    takes_long = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -13,8 +13,9 @@ from torch import Tensor
 from rover_rl.envs.config import SCAN_POSE, LidarConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, in_base_frame
 from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput, mirrored_signs
+from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.envs.sensors.suite import MOVERS
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -67,13 +68,13 @@ class SeenMovers:
 
         Args:
             observation: observation, ``[N]`` each, with ``lidar``, ``pose`` and ``imu``, and with ``scan_pose`` if
-                scans can be late.
+                scans can be late, and ``lidar_mask`` if beams can be hidden.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all.
             renewed: rows whose episode begins, bool ``[N]``. They know of no movers.
         """
         if renewed is not None:
             self._state = self._state.masked_fill(renewed[:, None], 0.0)
-        entries = {key: observation.get(key, None) for key in ("lidar", "pose", "imu", SCAN_POSE)}
+        entries = {key: observation.get(key, None) for key in ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)}
         read = {key: value for key, value in entries.items() if value is not None}
         if rows is None or self._state.device.type != "cpu":
             state, values = self._follow(self._state, read, due=rows)
@@ -91,7 +92,7 @@ class SeenMovers:
     ) -> tuple[Tensor, Tensor]:
         """Returns the next tracks, and the values of the sensor, in the rows of an ``index``."""
         pose, imu = taken_at(observation) or (observation["pose"], observation["imu"])
-        state, tracks = self._tracker(state, observation["lidar"], pose, imu, index, due)
+        state, tracks = self._tracker(state, known_readings(observation), pose, imu, index, due)
         tracks = in_base_frame(tracks, observation)
         ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
         gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
@@ -121,6 +122,7 @@ class Movers(Sensor):
     name: str = MOVERS
     clips = False
     delayed = None
+    takes_long = True
     bounds = Bounds(
         (-30.0, -30.0, -20.0, -20.0, 0.0) * COUNT + (0.0,) * len(INSTANTS) * BEARINGS,
         (30.0, 30.0, 20.0, 20.0, 5.0) * COUNT + (FARTHEST,) * len(INSTANTS) * BEARINGS,

@@ -51,6 +51,7 @@ class PastScans(Sensor):
     max_range: float = LidarConfig.max_range
     clips = False
     delayed = None
+    takes_long = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -55,6 +55,7 @@ class RayImage(Sensor):
     noise: float = 0.0
     dropout: float = 0.0
     delayed = "scan"
+    takes_long = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -40,6 +40,7 @@ class Route(Sensor):
     threads: int = 1
     clips = False
     delayed = None
+    takes_long = True
     mirror_signs = (1.0, -1.0, 1.0, -1.0, 1.0)
     bounds = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 

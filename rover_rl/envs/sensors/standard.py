@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -12,12 +13,15 @@ from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.rng import between, random_bits, to_normal
+from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
+from rover_rl.sims.base import beam_angles
+from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.region import overlap
 
 _LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE, _ODOMETRY_SCALE = 4, 5, 6, 10, 25
+_VIEW, _SECTORS, _SECTOR_WIDTHS, _SECTOR_PLACES = 27, 28, 29, 30
 """Streams of random numbers."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
@@ -49,10 +53,16 @@ class Lidar(Sensor):
         return inputs.sensed.readings
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
-        """Changes the ranges at random, and loses some of them. A scan keeps its noise."""
-        if not (noise.range_noise or noise.dropout):
-            return {}
-        ranges, severity = truth.ranges, noise.severity_of(keys)
+        """Changes the ranges at random, loses some of them, and hides some beams. A scan keeps its noise."""
+        ranges = truth.ranges
+        if noise.range_noise or noise.dropout:
+            ranges = self._noisy(noise, ranges, keys, step)
+        if noise.hides_beams:
+            ranges = ranges.masked_fill(hidden_beams(noise, keys, ranges.shape[-1]), math.inf)
+        return {} if ranges is truth.ranges else {"ranges": ranges}
+
+    def _noisy(self, noise: Randomization, ranges: Tensor, keys: Tensor, step: Tensor) -> Tensor:
+        severity = noise.severity_of(keys)
         bits = random_bits(keys, _LIDAR_NOISE, step - step % self.period, ranges.shape[-1])
         if noise.range_noise:
             # A range stays positive, a 0 (beam that starts inside a solid) stays 0, and inf (no return) stays inf.
@@ -63,7 +73,7 @@ class Lidar(Sensor):
             share = noise.dropout * severity * 0x10000
             lost = (bits >> 48 & 0xFFFF) < (share.round() if isinstance(share, Tensor) else round(share))
             ranges = ranges.masked_fill(lost, math.inf)
-        return {"ranges": ranges}
+        return ranges
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the logarithm of the readings, since centimeters matter only at short range."""
@@ -72,6 +82,30 @@ class Lidar(Sensor):
     def mirror(self, value: Tensor) -> Tensor:
         """Reverses the order of the readings, which is exact to one beam of the raw scan."""
         return value.flip(-1)
+
+
+def hidden_beams(noise: Randomization, keys: Tensor, beams: int) -> Tensor:
+    """Returns the beams that see nothing in episodes with random ``keys [N, 1]``, bool ``[N, beams]``.
+
+    They are outside of the view of the episode, or in one of its dead sectors: see :class:`Randomization`.
+    """
+    angles = _angles(beams, keys.device)
+    hidden = torch.zeros(len(keys), beams, dtype=torch.bool, device=keys.device)
+    if noise.lidar_view is not None:
+        hidden = ~seen(angles, between(random_bits(keys, _VIEW, 0, 1), noise.lidar_view))
+    if most := noise.dead_sectors:
+        count = whole_between(random_bits(keys, _SECTORS, 0, 1), (0, most))
+        width = between(random_bits(keys, _SECTOR_WIDTHS, 0, most), noise.dead_sector_width)
+        # No direction is in a sector of a negative width.
+        width = width.masked_fill(torch.arange(most, device=keys.device) >= count, -1.0)
+        middle = 2 * math.pi * to_unit(random_bits(keys, _SECTOR_PLACES, 0, most))
+        hidden = hidden | seen(angles - middle[..., None], width[..., None]).any(1)
+    return hidden
+
+
+@cache
+def _angles(beams: int, device: torch.device) -> Tensor:
+    return beam_angles(beams).float().to(device)
 
 
 class LidarPooling:
@@ -99,8 +133,11 @@ class LidarPooling:
         """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
         # NaN must be replaced before the minimum, which it would win. Clipping the fewer pooled readings is faster.
         ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
-        grouped = ranges.unflatten(-1, (self.points, -1)) if self._gather is None else ranges[..., self._gather]
-        return grouped.amin(-1).clamp(0.0, self.max_range)
+        return self.grouped(ranges).amin(-1).clamp(0.0, self.max_range)
+
+    def grouped(self, values: Tensor) -> Tensor:
+        """Returns values of the beams, ``[N, beams]``, by segment, ``[N, points, longest]``; short ones repeat one."""
+        return values.unflatten(-1, (self.points, -1)) if self._gather is None else values[..., self._gather]
 
 
 def _segments(beams: int, points: int) -> Tensor:

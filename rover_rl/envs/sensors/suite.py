@@ -23,6 +23,8 @@ HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D = "heights", "depth", "segmentation", "lid
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
 CONTACT, EFFORT = "contact", "effort"
 """Names of contact forces and motor torques, which an environment has if asked for."""
+LIDAR_MASK = "lidar_mask"
+"""Name of what tells which readings beams cover, which an environment has if it hides beams, or if asked for."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
 BUILT_IN = {
@@ -32,6 +34,7 @@ BUILT_IN = {
     "target": "rover_rl.envs.sensors.standard:Target",
     "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
     SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
+    LIDAR_MASK: "rover_rl.envs.sensors.lidar_mask:LidarMask",
     MOVERS: "rover_rl.envs.sensors.movers:Movers",
     PAST_SCANS: "rover_rl.envs.sensors.past_scans:PastScans",
     ROUTE: "rover_rl.envs.sensors.route:Route",
@@ -95,19 +98,22 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
 def policy_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[str, Sensor]:
     """Returns the sensors that a policy can read, by key, with those of one's ``own``: see :func:`own_sensors`."""
-    settings = {"lidar": {"points": lidar.points, "max_range": lidar.max_range, "period": lidar.period}}
-    return {name: _REGISTRY.find(name)(**settings.get(name, {})) for name in BUILT_IN} | own_sensors(own)
+    scans = {"points": lidar.points, "period": lidar.period}
+    settings: dict[str, dict[str, Any]] = {"lidar": {**scans, "max_range": lidar.max_range}, LIDAR_MASK: scans}
+    built_in = {name: _REGISTRY.find(name)(**settings.get(name, {})) for name in BUILT_IN}
+    return built_in | {name: sensor for name, sensor in own_sensors(own).items() if name not in settings}
 
 
 def environment_sensors(
-    lidar: LidarConfig, own: Sequence[SensorLike] = (), late_scans: bool = False
+    lidar: LidarConfig, own: Sequence[SensorLike] = (), late_scans: bool = False, hides_beams: bool = False
 ) -> dict[str, Sensor]:
     """Returns the sensors that an environment reads, by key: those of :data:`OPTIONAL` only if they are in ``own``.
 
     With ``late_scans``, the pose of the scan is one, and the lidar is read in each step: what arrives tells its period.
+    With ``hides_beams``, the mask of the lidar is one.
     """
     sensors, asked = policy_sensors(replace(lidar, period=1) if late_scans else lidar, own), {*own_sensors(own)}
-    asked |= {SCAN_POSE} if late_scans else set()
+    asked |= ({SCAN_POSE} if late_scans else set()) | ({LIDAR_MASK} if hides_beams else set())
     return {name: sensor for name, sensor in sensors.items() if name not in OPTIONAL or name in asked}
 
 

@@ -42,8 +42,8 @@ class Ros2Settings:
             faces backward; most others face forward: 0.
         max_invalid: maximum share of invalid readings (NaN, outside of the scan's own limits, or missing) in a usable
             scan, from 0 to 1.
-        unseen_range: range of directions that no valid beam covers, m. It is neither free space nor a collision. The
-            rover never drives towards these directions.
+        unseen_range: range of directions that no valid beam covers, m. It is neither free space nor a collision. With
+            ``inf``, they have no return, as in training with hidden beams. The rover never drives towards them.
         max_speed: maximum forward speed, m/s; ``None``: the robot's.
         max_yaw_rate: maximum yaw rate, rad/s; ``None``: the robot's.
         max_acceleration: maximum change of the forward speed, m/s^2; ``None``: the robot's. Stop commands are exempt.
@@ -93,11 +93,13 @@ class Ros2Settings:
     control_dt: float = CONTROL_DT
 
     def __post_init__(self) -> None:
-        positive = ("unseen_range", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt")
+        positive = ("reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt")
         limits = [name for name in _LIMITS if getattr(self, name) is not None]
         for name in (*positive, *limits):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
+        if not self.unseen_range > 0:
+            raise ValueError(f"unseen_range must be positive, got {self.unseen_range}")
         if not 0 <= self.min_reversal < math.inf:
             raise ValueError(f"min_reversal must not be negative, got {self.min_reversal}")
         if not math.isfinite(self.lidar_yaw):

@@ -217,6 +217,10 @@ class Ros2Simulator:
         scan = self._aligned_scan
         return scan.ranges.masked_fill(~scan.seen & (self._scan is not None), self.settings.unseen_range)[None]
 
+    def covered(self) -> Tensor:
+        """Returns which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
+        return self._aligned_scan.seen[None]
+
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Sends a command within the limits, and waits for the next scan: see :meth:`Simulator.step`.
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rover_rl import RewardConfig, TaskConfig
+from rover_rl import Randomization, RewardConfig, TaskConfig
 from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.deploy import comparison
 from rover_rl.algos.deploy import export as exporting
@@ -191,10 +191,17 @@ def test_the_command_exports(tmp_path, monkeypatch, capsys):
 
 
 @needs_onnx
-def test_a_policy_that_reads_movers_is_refused(tmp_path):
-    config = training_config("ppo", hidden=(8,), observation=("lidar", "target", "movers"))
+@pytest.mark.parametrize(
+    ("entry", "settings", "message"),
+    [
+        ("movers", {}, "a policy that reads movers cannot be exported"),
+        ("route", {"randomization": Randomization(dead_sectors=1)}, "can be exported only if it reads lidar_mask"),
+    ],
+)
+def test_a_policy_whose_map_lacks_what_it_read_is_refused(tmp_path, entry, settings, message):
+    config = training_config("ppo", hidden=(8,), observation=("lidar", "target", entry), **settings)
     checkpoint = Checkpoint(config=config, steps=0, actor=actor_of(config).state_dict())
-    with pytest.raises(ValueError, match="a policy that reads movers cannot be exported"):
+    with pytest.raises(ValueError, match=message):
         export(checkpoint, tmp_path / "movers.onnx")
 
 

@@ -187,6 +187,18 @@ def test_routes_are_the_same_where_nothing_moves() -> None:
     env.close()
 
 
+def test_what_goes_where_no_beam_covers_is_hidden_not_gone() -> None:
+    moving, ahead = [], reading_directions(LIDAR)[:, 0] > 0
+    for reading in (12.0, -1.0):
+        track = Tracked()
+        for step in range(24):
+            # It passes ahead. In the last 0.8 s, nothing ahead is seen.
+            lidar = scan_of((3.0, 0.1 * step - 1.5, 0.3))
+            tracks = track(lidar.masked_fill(ahead, reading) if step >= 16 else lidar)
+        moving.append(int(tracks.moves.sum()))
+    assert moving == [0, 1]
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
 def test_the_center_of_a_disc_is_found_in_any_direction(angle: float) -> None:
     track = Tracked()

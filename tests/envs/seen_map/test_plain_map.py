@@ -40,7 +40,8 @@ def compare(
     lengths, occupied, same_cells, same_routes = [], [], 0.0, 0
     for observation in observations:
         expected = kernels(observation, bounds=area)
-        route, state = plain(state, *(observation[key] for key in ROUTE_KEYS), area)
+        mask = observation.get("lidar_mask", None)
+        route, state = plain(state, *(observation[key] for key in ROUTE_KEYS), area, lidar_mask=mask)
         levels = plain.levels(state)
         same_routes += int(torch.allclose(route, expected, atol=1e-4))
         same_cells += float((levels == kernels.levels()[0][0]).float().mean())
@@ -52,8 +53,10 @@ def compare(
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**31), st.booleans(), st.sampled_from((0.0, 0.04, 0.2)), st.sampled_from((2 * math.pi, 4.7)))
-def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: float, view: float) -> None:
+@given(
+    st.integers(0, 2**31), st.booleans(), st.sampled_from((0.0, 0.04, 0.2)), st.sampled_from((2 * math.pi, 4.7, None))
+)
+def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: float, view: float | None) -> None:
     generator = torch.Generator().manual_seed(seed)
     ends = (torch.rand(16, 4, generator=generator) * 12 - 6).tolist()
     walls = tuple((x, y, x + a / 3, y + b / 3) for x, y, a, b in ends)
@@ -66,7 +69,10 @@ def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: fl
         yaw += draw[4] - 0.5
         x, y = position.tolist()
         observations.append(observed((x, y), goal, walls, yaw, tilt * (2 * draw[5] - 1), z=draw[6]))
-    compare(observations, (-4.0, -5.0, 6.5, 7.0) if bounded else NO_BOUNDS, robot=replace(ROBOT, lidar_view=view))
+        if view is None:
+            observations[-1]["lidar_mask"] = (torch.rand(1, LIDAR.points, generator=generator) > 0.3).float()
+    robot = replace(ROBOT, lidar_view=view or ROBOT.lidar_view)
+    compare(observations, (-4.0, -5.0, 6.5, 7.0) if bounded else NO_BOUNDS, robot=robot)
 
 
 def test_a_dead_end_is_left_and_a_closed_room_has_no_route() -> None:

@@ -17,6 +17,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.scans import reading_angles
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.sims.robots import Robot, get_robot
 
@@ -96,6 +97,13 @@ def test_what_the_lidar_does_not_see_is_neither_free_nor_occupied() -> None:
         assert is_occupied(seen, -2.0, 0.0) == first
         for _ in range(6):
             seen(observed((0.0, 0.0), (3.0, 4.0)))
+        assert is_occupied(seen, -2.0, 0.0) == then
+    # Nor is what the mask of the lidar names, whatever the robot.
+    seen, ahead = one_map(), (reading_angles(LIDAR).cos() > -1e-6).float()[None]
+    seen(observed((0.0, 0.0), (3.0, 4.0), behind))
+    for mask, then in ((ahead, True), (torch.ones_like(ahead), False)):
+        for _ in range(6):
+            seen(observed((0.0, 0.0), (3.0, 4.0)).set("lidar_mask", mask))
         assert is_occupied(seen, -2.0, 0.0) == then
     # Seen once and then turned away from, the wall stays.
     seen = one_map(front)

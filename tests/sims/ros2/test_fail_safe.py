@@ -13,7 +13,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl import RoverEnv, Terrain, World, box
+from rover_rl import EnvConfig, Randomization, RoverEnv, Terrain, World, box
 from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.evaluation.metrics import RESTARTED, TIME_LIMIT, count_reversals
@@ -44,6 +44,13 @@ def start(start_env) -> Callable[..., tuple[SimulatedRobot, RoverEnv]]:
 
 def straight(speed: float) -> Callable[[TensorDictBase], TensorDictBase]:
     return lambda now: now.set("action", torch.tensor([[speed, 0.0]]))
+
+
+def blind_to_the_left(scan: LaserScan) -> LaserScan:
+    """Loses the last six of 65 readings from -90 to 90 degrees."""
+    ranges = scan.ranges.copy()
+    ranges[-6:] = math.nan
+    return replace(scan, ranges=ranges)
 
 
 def all_nan(scan: LaserScan) -> LaserScan:
@@ -77,11 +84,23 @@ def test_a_rover_with_a_forward_lidar_does_not_back_up_nor_drive_a_policy_with_a
     with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
         drive_to(env, straight(1.0), (6.0, 0.0))
     assert max(robot.driven) < 0.01
-    moments: list[Moment] = []
-    ending = drive_to(env, straight(-1.0), (-6.0, 0.0), seconds=2.0, allow_unseen=True, watch=moments.append)
+    # One that was trained with less drives it.
+    backward, moments = straight(-1.0), list[Moment]()
+    backward.made_for = EnvConfig(randomization=Randomization(lidar_view=(3.0, 6.0)))
+    ending = drive_to(env, backward, (-6.0, 0.0), seconds=2.0, watch=moments.append)
     assert ending == TIME_LIMIT
     assert all(moment.held and moment.command[0] == 0.0 for moment in moments)
     assert min(robot.driven) > -0.01
+
+
+def test_the_mask_follows_the_scan_of_a_live_rover(wire, start):
+    wire.tamper["/scan"] = blind_to_the_left
+    _, env = start(view=math.pi, made_for=EnvConfig(sensors=("lidar_mask",)), unseen_range=math.inf)
+    observation = env.reset()
+    mask, lidar = observation["lidar_mask"][0], observation["lidar"][0]
+    # A reading is of four beams, from straight ahead to the left.
+    assert mask.tolist() == [1.0] * 6 + [0.75] + [0.0] * 17 + [1.0] * 8
+    assert (lidar[mask == 0] == 12.0).all()
 
 
 def test_a_policy_with_a_forward_lidar_does_not_hit_a_wall(start):

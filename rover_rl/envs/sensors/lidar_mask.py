@@ -1,0 +1,107 @@
+"""Mask of the lidar: which of its readings beams cover, so that what is free can be told from what is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.standard import LidarPooling, hidden_beams
+from rover_rl.envs.sensors.suite import LIDAR_MASK
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.base import ScanCarrier, beam_angles
+from rover_rl.sims.field_of_view import seen
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.fleet import Fleet
+
+WHOLE = 0.9999
+"""Share of the beams from which on a reading is covered. The mean of many ones may be a little less than 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarMask(Sensor):
+    """Share of the beams of each lidar reading that see, ``[N, points]``: 1 if all of them do, 0 if none does.
+
+    Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view`` and
+    ``dead_sectors``). On a live rover, a beam sees if a valid reading of the scan covers it: neither directions outside
+    of the scan's ``angle_min`` and ``angle_max`` do, nor NaN, nor ranges outside of its limits.
+
+    A reading with a mask of 0 is the maximum. The map of what has been seen and the tracks of what moves take readings
+    with a mask below 1 for unknown, not for free, if the observation has this entry. An environment has it if
+    ``Randomization`` hides beams, or if it is asked for. Number of readings and period are those of its lidar.
+
+    Example:
+        >>> env = RoverEnv(num_envs=2, seed=0, robot="jackal", sensors=["lidar_mask"])
+        >>> env.reset()["lidar_mask"][0, 10:14]
+        tensor([1.0000, 1.0000, 0.2500, 0.0000])
+    """
+
+    name: str = LIDAR_MASK
+    points: int = LidarConfig.points
+    clips = False
+    delayed = "scan"
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the shares."""
+        return Bounds((0.0,) * self.points, (1.0,) * self.points)
+
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns a reader of the views of the rows."""
+        views, noise = LidarViews(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device), rig.randomization
+
+        def read(inputs: SensorInput) -> Tensor:
+            hidden, live = [], inputs.surroundings.live
+            if noise.hides_beams:
+                hidden.append(hidden_beams(noise, inputs.keys, rig.lidar.beams))
+            if isinstance(live, ScanCarrier):
+                hidden.append(~live.covered())
+            return views(*hidden)
+
+        return read
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Raises an error: the views are those of a :meth:`reader`."""
+        raise NotImplementedError("the views of the lidars are those of a rig: read them by reader(rig)")
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Reverses the order of the shares, as that of the readings."""
+        return value.flip(-1)
+
+
+class LidarViews:
+    """Views of the lidars of a batch of rovers.
+
+    Args:
+        rows: number N of rovers.
+        lidar: settings of the lidar.
+        robot: robot that carries it, or the robots of the rows.
+        device: device of the shares.
+    """
+
+    def __init__(self, rows: int, lidar: LidarConfig, robot: Robot | Fleet, device: torch.device) -> None:
+        self._fleet, angles = Fleet.of(robot, rows, device), beam_angles(lidar.beams)
+        self._seen = self._fleet.table(lambda robot: seen(angles, robot.lidar_view).tolist(), torch.bool)
+        self._pooling = LidarPooling(lidar.beams, lidar.points, lidar.max_range, device)
+
+    def __call__(self, *hidden: Tensor) -> Tensor:
+        """Returns values of :class:`LidarMask`, ``[N, points]``.
+
+        Args:
+            hidden: beams that see nothing, although they are in view, bool ``[N, beams]`` each.
+        """
+        covered = self._seen[self._fleet.index]
+        for each in hidden:
+            covered = covered & ~each
+        return self._pooling.grouped(covered.float()).mean(-1)
+
+
+def known_readings(observation: Mapping[str, Tensor] | TensorDictBase) -> Tensor:
+    """Returns the lidar readings of an observation, ``[N, points]``, m; -1 where its mask says that one is unknown."""
+    mask = observation.get(LIDAR_MASK, None)
+    return observation["lidar"] if mask is None else torch.where(mask < WHOLE, -1.0, observation["lidar"])

@@ -1,0 +1,101 @@
+"""Lidars that see in part: views and dead sectors of an episode, and the mask of what beams cover."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+
+from rover_rl import LidarConfig, Randomization, RoverEnv
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.envs.sensors.lidar_mask import LidarMask
+from rover_rl.envs.sensors.standard import hidden_beams
+
+PARTIAL = Randomization(lidar_view=(math.pi, 2 * math.pi), dead_sectors=2, dead_sector_width=(0.2, 0.5))
+LIDAR = LidarConfig(points=64, beams=64)
+
+
+def episodes(rows: int, seed: int = 3, randomization: Randomization = PARTIAL) -> tuple[RoverEnv, list[TensorDict]]:
+    """First observations of two episodes, and one after a step, for which the first row alone is reset."""
+    env = RoverEnv(world="maze", num_envs=rows, seed=seed, backend="warp", lidar=LIDAR, randomization=randomization)
+    seen = [env.reset(), env.reset()]
+    td = env.step(seen[-1].clone().set("action", torch.zeros(rows, 2)))["next"]
+    begins = torch.arange(rows)[:, None] == 0
+    return env, [*seen, env.reset(td.set("_reset", begins))]
+
+
+def test_hidden_readings_have_no_return_and_the_mask_says_so() -> None:
+    env, partial = episodes(6)
+    _, full = episodes(6, randomization=Randomization())
+    assert "lidar_mask" not in full[0].keys()  # noqa: SIM118
+    for seen, all_of_it in zip(partial, full, strict=True):
+        hidden = seen["lidar_mask"] == 0
+        assert hidden.any(-1).all()
+        assert (seen["lidar"][hidden] == 12.0).all()
+        assert torch.equal(seen["lidar"][~hidden], all_of_it["lidar"][~hidden])
+        assert (seen["lidar_mask"][~hidden] == 1).all(), "a reading of one beam is covered, or it is not"
+    # What happens in a hidden direction happens all the same.
+    assert (env.scan[partial[-1]["lidar_mask"] == 0] < 12.0).any()
+
+
+def test_each_episode_draws_what_is_hidden_whatever_the_company() -> None:
+    masks = [seen["lidar_mask"] for seen in episodes(6)[1]]
+    assert not torch.equal(masks[0], masks[1])
+    assert torch.equal(masks[1][1:], masks[2][1:]), "rows that are not reset keep it"
+    assert not torch.equal(masks[1][0], masks[2][0])
+    for seen, alone in zip(masks[:2], episodes(1, seed=5)[1], strict=False):
+        assert torch.equal(seen[2:3], alone["lidar_mask"])
+
+
+def test_views_and_sectors_are_drawn_from_their_ranges() -> None:
+    keys = torch.randint(-(2**62), 2**62, (2000, 1), generator=torch.Generator().manual_seed(0))
+    hidden = hidden_beams(Randomization(lidar_view=(2.0, 4.0)), keys, 360)
+    angles = (~hidden).sum(-1) * math.radians(1)
+    assert 1.97 < angles.min() < 2.03
+    assert 3.97 < angles.max() < 4.03
+    assert angles.mean().item() == pytest.approx(3.0, abs=0.03)
+    assert torch.equal(hidden[:, 1:], hidden[:, 1:].flip(-1)), "a view is centered on straight ahead"
+    hidden = hidden_beams(Randomization(dead_sectors=2, dead_sector_width=(0.2, 0.2)), keys, 360)
+    edges = (hidden & ~hidden.roll(1, -1)).sum(-1)
+    # A third of the episodes has none, and of those with two, some overlap.
+    shares = [(edges == count).float().mean().item() for count in range(3)]
+    assert shares == pytest.approx([1 / 3, 1 / 3, 1 / 3], abs=0.05)
+    assert (hidden.sum(-1)[edges == 1] >= 11).all()
+    assert hidden.float().mean(0).std() < 0.02, "they are in any direction"
+
+
+def test_the_mask_is_that_of_the_view_of_the_robot_and_its_mirror_image_is_mirrored() -> None:
+    env = RoverEnv(num_envs=1, seed=0, robot="jackal", backend="warp", sensors=["lidar_mask"])
+    td = env.reset()
+    # 135 degrees to each side: 12 readings of 11.25 degrees, of which the last one on the right begins a beam later.
+    expected = torch.tensor([[1.0] * 12 + [0.25] + [0.0] * 7 + [1.0] * 12])
+    assert torch.equal(td["lidar_mask"], expected)
+    sensor = env.sensors["lidar_mask"]
+    assert torch.equal(sensor.mirror(td["lidar_mask"]), expected.flip(-1))
+    assert sensor.encode(td["lidar_mask"]).unique().tolist() == [-1.0, -0.5, 1.0]
+    # Where the environment has no such sensor, the runner tells a policy that reads it.
+    told = []
+    module = TensorDictModule(lambda mask: told.append(mask) or torch.zeros(1, 2), ["lidar_mask"], ["action"])
+    PolicyRunner(module, env=env)(td.exclude("lidar_mask"))
+    assert torch.equal(told[0], expected)
+    assert LidarMask(points=16).features == 16
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"lidar_view": (3.0, 2.0)}, r"^lidar_view must be a range .* of at most 2 pi rad, got \(3.0, 2.0\)$"),
+        ({"lidar_view": (0.0, 2.0)}, "^lidar_view must be a range"),
+        ({"lidar_view": (1.0, 7.0)}, "^lidar_view must be a range"),
+        ({"dead_sectors": -1}, "^dead_sectors must be a whole number from 0 to 16, got -1$"),
+        ({"dead_sectors": 1.5}, "^dead_sectors must be a whole number from 0 to 16, got 1.5$"),
+        ({"dead_sector_width": (-0.1, 0.2)}, r"^dead_sector_width must be a range .* got \(-0.1, 0.2\)$"),
+        ({"dead_sector_width": (0.3, 0.2)}, r"^dead_sector_width must be a range .* got \(0.3, 0.2\)$"),
+    ],
+)
+def test_what_cannot_be_hidden_is_refused_in_one_sentence(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Randomization(**settings)  # type: ignore[arg-type]
