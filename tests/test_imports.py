@@ -18,6 +18,7 @@ LAYERS = (
     (
         "sims.base",
         "sims.connection",
+        "sims.elevation_map",
         "sims.drives",
         "sims.native",
         "sims.reports",

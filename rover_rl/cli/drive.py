@@ -101,6 +101,10 @@ class Drive:
     """Topic of the IMU."""
     camera_topic: str = Connection.camera_topic
     """Topic of the depth image, for policies that read one."""
+    elevation_topic: str = Connection.elevation_topic
+    """Topic of the elevation map or point cloud of the ground, for policies that read heights."""
+    points_topic: str = Connection.points_topic
+    """Topic of the point cloud of a 3D lidar, for policies that read one."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False
@@ -262,12 +266,18 @@ class Drive:
             randomization=Randomization(),
             guard=self.guard,
             compensate_delay=self.compensate_delay or made_for.compensate_delay,
-            connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, self.camera_topic, self.wait),
+            connection=self._connection,
             length=UNLIMITED,
             end_on_goal=True,
             seed=self.seed,
         )
         return environment_for(policy.module, described)
+
+    @property
+    def _connection(self) -> Connection:
+        """The options that are named as the topics of the connection, and the time to wait for the first scan."""
+        topics = {field.name: getattr(self, field.name) for field in fields(Connection) if hasattr(self, field.name)}
+        return Connection(**topics, timeout=self.wait)
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones."""

@@ -13,7 +13,7 @@ from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
-from rover_rl.envs.sensors.suite import DEPTH, own_sensors
+from rover_rl.envs.sensors.suite import DEPTH, HEIGHTS, LIDAR3D, own_sensors
 from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
@@ -25,7 +25,7 @@ MAX_BEAMS = 16_383
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, clock and depth images.
+    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
     """
@@ -54,6 +54,11 @@ class RobotCommand:
     rover-rl train --randomize harsh does (docs/randomization.md)."""
     camera: bool = False
     """Publish a depth image too, that of the sensor depth. A robot whose --env has depth cameras publishes theirs."""
+    elevation_map: bool = False
+    """Publish the ground around the rover too, as the sensor heights reads it. A robot whose --env has height scans
+    publishes theirs."""
+    points: bool = False
+    """Publish a point cloud too, that of the sensor lidar3d. A robot whose --env has 3D lidars publishes theirs."""
     lidar_view: float | None = None
     """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
@@ -62,6 +67,10 @@ class RobotCommand:
     """Topic that the sensor_msgs/Imu is published to. Default: /imu/data."""
     camera_topic: str | None = None
     """Topic that the sensor_msgs/Image of the depth camera is published to. Default: /camera/image_raw."""
+    elevation_topic: str | None = None
+    """Topic that the grid_map_msgs/GridMap is published to. Default: /elevation_map."""
+    points_topic: str | None = None
+    """Topic that the sensor_msgs/PointCloud2 is published to. Default: /points."""
     cmd_vel_topic: str | None = None
     """Topic that commands are received from, geometry_msgs/Twist. Default: /cmd_vel."""
     odometry_topic: str = Ros2Settings.odometry_topic
@@ -119,11 +128,14 @@ class RobotCommand:
         config = EnvConfig(world="maze") if self.env is None else read_env(self.env)
         topics = {"scan_topic": self.scan_topic, "imu_topic": self.imu_topic, "cmd_vel_topic": self.cmd_vel_topic}
         topics["camera_topic"] = self.camera_topic
+        topics |= {"elevation_topic": self.elevation_topic, "points_topic": self.points_topic}
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         connection = replace(config.connection, **given)
-        if self.camera and DEPTH not in own_sensors(config.sensors):
-            changes["sensors"] = (*config.sensors, DEPTH)
+        asked = {DEPTH: self.camera, LIDAR3D: self.points, HEIGHTS: self.elevation_map}
+        there = own_sensors(config.sensors)
+        added = [name for name, is_asked in asked.items() if is_asked and name not in there]
+        changes["sensors"] = (*config.sensors, *added)
         described = replace(config, connection=connection, robot_options=self.robot_options, **changes)
         return imperfect(described, "harsh") if self.harsh else described

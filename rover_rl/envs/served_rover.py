@@ -9,19 +9,25 @@ Example:
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import torch
 
 from rover_rl.checks import MAX_COUNT
-from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, TaskConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.ray_images import DepthCamera
+from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.served import Report
+
+MAP_CELL = 0.1
+"""Side of a cell of an elevation map, m."""
 
 
 class ServedRover:
@@ -32,7 +38,8 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has the depth cameras.
+            ``randomization.scan_period`` says. Of the sensors, it has the depth cameras and 3D lidars, and for
+            height scans elevation maps without errors.
 
     Attributes:
         env: the environment.
@@ -46,7 +53,11 @@ class ServedRover:
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
         self._cameras = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
-        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE, *self._cameras)))
+        self._lidars = [sensor for sensor in sensors if isinstance(sensor, Lidar3D)]
+        self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
+        self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
+        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._cameras, *self._lidars)
+        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
@@ -62,11 +73,27 @@ class ServedRover:
         report = self._report(observation["outcome", "steps"])
         is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
         depth = {camera.topic: observation[camera.name].unflatten(-1, camera.size)[0] for camera in self._cameras}
-        return report._replace(depth=depth) if is_new else report._replace(depth=depth, ranges=None)
+        points = {
+            lidar.topic: _points(lidar, rays, observation[lidar.name][0])
+            for lidar, rays in zip(self._lidars, self._rays, strict=True)
+        }
+        ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
+        report = report._replace(depth=depth, points=points, ground=ground)
+        return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
         """Releases the simulator."""
         self.env.close()
+
+    def _map(self, scan: HeightScan, position: torch.Tensor) -> ElevationMap:
+        """Returns the elevation map around a position that a height scan reads, whatever the heading."""
+        reach = math.hypot(scan.ahead + scan.spacing * scan.size[0] / 2, scan.spacing * scan.size[1] / 2)
+        count = math.ceil(reach / MAP_CELL) + 1
+        # Cells stay where they are when the map moves.
+        x, y = (position[:2] / MAP_CELL).round().mul(MAP_CELL).tolist()
+        along = MAP_CELL * torch.arange(count, -count - 1, -1, dtype=torch.float64)
+        points = torch.stack(torch.meshgrid(x + along, y + along, indexing="ij"), -1)
+        return ElevationMap(self.env.worlds[0].height_at(points).float(), (x, y), MAP_CELL, scan.layer)
 
     def _report(self, steps: torch.Tensor) -> Report:
         env, delays = self.env, self.env.delays
@@ -87,3 +114,9 @@ class ServedRover:
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
         ranges = delays.late("told scan", env.sensed_scan, steps, delays.scan)
         return Report(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
+
+
+def _points(lidar: Lidar3D, rays: torch.Tensor, ranges: torch.Tensor) -> torch.Tensor:
+    """Returns the points of a 3D lidar in its frame, ``[planes, beams, 3]``, m; NaN for no return and lost ones."""
+    seen = (ranges > 0) & (ranges < lidar.max_range)
+    return (rays * ranges.masked_fill(~seen, math.nan)[:, None]).unflatten(0, lidar.size)

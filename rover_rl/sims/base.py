@@ -161,6 +161,31 @@ class DepthCarrier(Protocol):
 
 
 @runtime_checkable
+class PointCarrier(Protocol):
+    """A live backend with point clouds and elevation maps. Topics may be ``None``: that of the connection."""
+
+    def point_cloud(self, topic: str | None) -> Tensor | None:
+        """Returns the latest points of a 3D lidar in its own frame, ``[P, 3]``, m; ``None`` before the first ones."""
+        ...
+
+    def ground_at(
+        self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
+    ) -> Tensor:
+        """Returns heights of the ground in the world frame, ``[rows, columns]``, m; NaN where none is known.
+
+        Args:
+            grid: points of a grid in the world frame, ``[rows, columns, 2]``, m. Rows follow one another backward, and
+                columns to the right.
+            yaw: direction that is ahead, ``[]``, rad.
+            cell: distance between two neighbors, m.
+            topic: topic of an elevation map, or of a point cloud.
+            layer: layer of the elevation map.
+            mount: position of the lidar whose frame the point cloud is in, in the frame of the robot, m.
+        """
+        ...
+
+
+@runtime_checkable
 class Simulator(Protocol):
     """Interface of a backend: a batch of simulated rovers, or one real rover.
 

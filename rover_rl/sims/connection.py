@@ -17,6 +17,9 @@ class Connection:
         cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
         camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, which is received if a sensor asks for it.
         timeout: Time to wait for the first scan, s.
+        elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
+            received if a sensor asks for it.
+        points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
     """
 
     scan_topic: str = "/scan"
@@ -24,3 +27,5 @@ class Connection:
     cmd_vel_topic: str = "/cmd_vel"
     camera_topic: str = "/camera/image_raw"
     timeout: float = 30.0
+    elevation_topic: str = "/elevation_map"
+    points_topic: str = "/points"

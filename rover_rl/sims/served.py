@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 from torch import Tensor
 
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.elevation_map import ElevationMap
 
 
 class Report(NamedTuple):
@@ -20,6 +21,8 @@ class Report(NamedTuple):
         ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
         scan_stamp: time of the scan, s.
         depth: depth image of each camera, ``[rows, columns]``, m, by its topic; ``None``: that of the connection.
+        points: points of each 3D lidar in its frame, ``[planes, beams, 3]``, m, by its topic; NaN for no return.
+        ground: elevation map of each height scan, by its topic.
     """
 
     time: float
@@ -27,6 +30,8 @@ class Report(NamedTuple):
     ranges: Tensor | None
     scan_stamp: float
     depth: Mapping[str | None, Tensor] = MappingProxyType({})
+    points: Mapping[str | None, Tensor] = MappingProxyType({})
+    ground: Mapping[str | None, ElevationMap] = MappingProxyType({})
 
 
 class Served(Protocol):

@@ -187,3 +187,6 @@ def test_a_live_rover_has_heights_and_no_rays() -> None:
     assert RoverEnv(world=FLAT, backend=LiveBackend(), sensors=[Ground()]).reset()["ground"][0, 0] == 0
     with pytest.raises(ValueError, match="a sensor casts rays, .*: a live rover has none"):
         RoverEnv(world=FLAT, backend=LiveBackend(), sensors=[RangeFinder()]).reset()
+    for name, message in {"heights": "needs the ground of a simulated world", "lidar3d": "casts rays"}.items():
+        with pytest.raises(ValueError, match=f"sensor {name!r} {message}.*a live rover has none"):
+            RoverEnv(world=FLAT, backend=LiveBackend(), sensors=[name]).reset()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,6 +12,7 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
+from rover_rl.sims.base import PointCarrier
 
 MAX_SPACING = 10.0
 """Largest distance between two points, m."""
@@ -21,7 +23,9 @@ class HeightScan(Sensor):
     """Heights of the ground on a grid around the robot, relative to the robot, ``[N, rows * columns]``, m.
 
     The grid turns with the heading and stays level. The first row is the farthest ahead, and the first column the one
-    farthest to the left, as in an image that is seen from above. Obstacles are not part of the ground.
+    farthest to the left, as in an image that is seen from above. Obstacles are not part of the ground. Heights of a
+    live rover come from an elevation map (``grid_map_msgs/GridMap``) or a point cloud (``sensor_msgs/PointCloud2``),
+    and points without a height read 0.
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
@@ -31,6 +35,9 @@ class HeightScan(Sensor):
         max_height: largest absolute height, to which heights are clipped, m.
         noise: standard deviation of the heights, m.
         holes: fraction of the points without a height, which read 0.
+        topic: topic of the elevation map or point cloud of a live rover. ``None``: that of the connection.
+        layer: layer of the elevation map.
+        mount: position of the lidar in the frame of the robot, m, for a point cloud in the frame of the lidar.
 
     Raises:
         ValueError: if a setting is out of range.
@@ -48,6 +55,9 @@ class HeightScan(Sensor):
     max_height: float = 1.0
     noise: float = 0.0
     holes: float = 0.0
+    topic: str | None = None
+    layer: str = "elevation"
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.5)
     takes_long = True
 
     def __post_init__(self) -> None:
@@ -70,25 +80,33 @@ class HeightScan(Sensor):
         return self.size
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the heights, some of them changed or lost at random.
+        """Returns the heights, some of them changed or lost at random. Those of a live rover are its own.
 
         Raises:
             ValueError: for a live rover, around which the ground is not known.
         """
-        if inputs.surroundings.live is not None:
-            raise ValueError(f"sensor {self.name!r} needs the ground of a simulated world: a live rover has none")
         truth = inputs.truth
         position, yaw = truth.rover.position, truth.euler[:, 2:]
         forward, left = _grid(self.size, self.spacing, self.ahead, position.device)
         x = position[:, :1] + forward * yaw.cos() - left * yaw.sin()
         y = position[:, 1:2] + forward * yaw.sin() + left * yaw.cos()
-        heights = inputs.surroundings.height_at(torch.stack((x, y), -1)) - position[:, 2:]
+        points = torch.stack((x, y), -1)
+        if inputs.surroundings.live is not None:
+            return (self._received(inputs.surroundings.live, points[0], yaw[0, 0]) - position[:, 2:]).nan_to_num(0.0)
+        heights = inputs.surroundings.height_at(points) - position[:, 2:]
         count = heights.shape[-1]
         if self.noise:
             heights = heights + self.noise * inputs.normal(self, count)
         if self.holes:
             heights = heights.masked_fill(inputs.uniform(self, count) < self.holes, 0.0)
         return heights
+
+    def _received(self, live: Any, points: Tensor, yaw: Tensor) -> Tensor:
+        """Returns the heights in the world around a live rover at points ``[rows * columns, 2]``, m; NaN: unknown."""
+        if not isinstance(live, PointCarrier):
+            raise ValueError(f"sensor {self.name!r} needs the ground of a simulated world: a live rover has none")
+        grid = points.unflatten(0, self.size)
+        return live.ground_at(grid, yaw, self.spacing, self.topic, self.layer, self.mount).flatten()
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the heights in units of 0.5 m: a step of a few centimeters matters."""

@@ -16,7 +16,7 @@ from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.sensors.suite import SEGMENTATION
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.base import DepthCarrier
+from rover_rl.sims.base import DepthCarrier, PointCarrier
 from rover_rl.sims.rendering.scenery import POST_LENGTH, POST_RADIUS
 
 MAX_RANGE = 1000.0
@@ -308,6 +308,8 @@ class Lidar3D(RayImage):
             planes and of the beams of each.
         field_of_view: horizontal field of view, rad.
         elevation: angles of the lowest and the highest plane above the horizon, rad.
+        topic: topic of the ``sensor_msgs/PointCloud2`` of a live rover, in the frame of the lidar, whose x points where
+            the lidar looks. ``None``: that of the connection.
 
     Raises:
         ValueError: if a setting is out of range.
@@ -324,6 +326,7 @@ class Lidar3D(RayImage):
     max_range: float = 12.0
     field_of_view: float = 2 * math.pi
     elevation: tuple[float, float] = (math.radians(-25), math.radians(15))
+    topic: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -343,6 +346,35 @@ class Lidar3D(RayImage):
         up, left = torch.meshgrid(up, left, indexing="ij")
         directions = torch.stack((up.cos() * left.cos(), up.cos() * left.sin(), up.sin()), -1)
         return directions.reshape(-1, 3).tolist(), [1.0] * (planes * beams)
+
+    def received(self, inputs: SensorInput) -> Tensor:
+        """Returns the latest point cloud on the topic as an image. Before the first one, all pixels are lost."""
+        live = inputs.surroundings.live
+        if not isinstance(live, PointCarrier):
+            return super().received(inputs)
+        points = live.point_cloud(self.topic)
+        return torch.zeros(self.size) if points is None else self.range_image(points)
+
+    def range_image(self, points: Tensor) -> Tensor:
+        """Returns the image ``[planes, beams]``, m, of points in the frame of the lidar, ``[P, 3]``, m.
+
+        Each point falls in the pixel with the nearest direction, and the nearest point of a pixel counts. Points
+        outside of the image, and those at the origin, which mean no return, are left out.
+        """
+        (planes, beams), (low, high) = self.size, self.elevation
+        ahead, left, up = points.unbind(-1)
+        ranges = points.norm(dim=-1)
+        column = ((0.5 - torch.atan2(left, ahead) / self.field_of_view) * beams).floor().long()
+        if self.field_of_view == 2 * math.pi:
+            column = column % beams
+        # One plane has all of the elevation, or of a square pixel.
+        height = (high - low) / max(1, planes - 1) or self.field_of_view / beams
+        top = high if planes > 1 else (low + high) / 2
+        row = ((top - torch.atan2(up, torch.hypot(ahead, left))) / height).round().long()
+        inside = (row >= 0) & (row < planes) & (column >= 0) & (column < beams) & (ranges > 0)
+        image = ranges.new_full((planes * beams,), self.max_range)
+        image = image.scatter_reduce(0, (row * beams + column)[inside], ranges[inside], "amin")
+        return image.masked_fill(image < self.min_range, 0.0).unflatten(0, self.size)
 
 
 @cache

@@ -19,6 +19,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 try:
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
     from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.idl import IdlStruct, make_idl_struct, types
@@ -37,6 +38,8 @@ from rosbags.typesys.store import Typestore
 from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
 from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher, ThrottledLogger
 
+MAX_PUBLISHERS = 10_000
+"""Largest number of publishers in a domain among which those of a topic are looked up."""
 MAX_DOMAIN_ID = 232
 """Highest domain ID. Higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)."""
 ACTIVE_TIME = 1.0
@@ -110,6 +113,12 @@ class DdsTransport:
             readers = [reader for reader in self._readers if reader.topic == topic]
         return max((reader.publishers() for reader in readers), default=0)
 
+    def types(self, topic: str) -> set[str]:
+        """See :meth:`Transport.types`."""
+        reader = BuiltinDataReader(self._require_open().entity, BuiltinTopicDcpsPublication)
+        found = (sample for sample in reader.read(MAX_PUBLISHERS) if sample.topic_name == _dds_name(topic))
+        return {sample.type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for sample in found}
+
     def close(self) -> None:
         """See :meth:`Transport.close`."""
         if self._participant is None:
@@ -131,7 +140,7 @@ class DdsTransport:
 
     def _topic(self, name: str, kind: Any) -> Topic[Any]:
         if name not in self._topics:
-            topic = Topic(self._require_open().entity, "rt/" + name.removeprefix("/"), _sample_type(kind))
+            topic = Topic(self._require_open().entity, _dds_name(name), _sample_type(kind))
             self._topics[name] = (kind.ros_type, topic)
         known, topic = self._topics[name]
         if known != kind.ros_type:
@@ -152,6 +161,10 @@ class DdsTransport:
                 readers = list(self._readers)
             for reader in readers:
                 reader.take()
+
+
+def _dds_name(topic: str) -> str:
+    return "rt/" + topic.removeprefix("/")
 
 
 class _Reader:
@@ -287,18 +300,19 @@ class _SerializedSample(IdlStruct):
     Cyclone's own serialization takes ten times as long, and produces objects of its own classes.
     """
 
-    # Not annotated, as annotations declare fields of the DDS type. Subclasses set the class, samples their data.
-    kind = Message
-    data = b""
+    # Not annotated, as annotations declare fields of the DDS type, and named as no field of a ROS message can be, whose
+    # default they would become. Subclasses set the class, samples their data.
+    _kind = Message
+    _data = b""
 
     def serialize(self, *_: Any, **__: Any) -> bytes:
-        return self.data
+        return self._data
 
     @classmethod
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Any:
         """Returns the message, or the error of a malformed one."""
         try:
-            return decode(cls.kind, data)
+            return decode(cls._kind, data)
         except ValueError as error:
             return error
 
@@ -307,15 +321,15 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
     kind: Any = type(message)
     sample_type = _sample_type(kind)
     sample = sample_type.__new__(sample_type)
-    sample.data = encode(message)
+    sample._data = encode(message)
     writer.write(sample)
 
 
 # Indexing these classes creates types, which type checkers do not support.
 _SEQUENCE: Any = types.sequence
 _ARRAY: Any = types.array
-_BASE_TYPES: dict[str, Any] = {"string": str, "char": types.uint8} | {
-    name: getattr(types, name) for name in ("int32", "uint32", "uint8", "float32", "float64")
+_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": types.uint8} | {
+    name: getattr(types, name) for name in ("int32", "uint32", "uint16", "uint8", "float32", "float64")
 }
 
 
@@ -323,7 +337,7 @@ _BASE_TYPES: dict[str, Any] = {"string": str, "char": types.uint8} | {
 def _sample_type(kind: type[Message]) -> type[_SerializedSample]:
     """Returns the DDS type of a message; ``sensor_msgs/msg/Imu`` becomes ``sensor_msgs::msg::dds_::Imu_``."""
     sample_type: Any = _struct(kind.ros_type, kind.types, _SerializedSample)
-    sample_type.kind = kind
+    sample_type._kind = kind
     return sample_type
 
 

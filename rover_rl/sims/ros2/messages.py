@@ -20,13 +20,32 @@ import numpy as np
 try:
     from rosbags.interfaces import Nodetype
     from rosbags.serde import SerdeError
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     from rosbags.typesys.store import Typestore
 except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 requires the package rosbags: pip install "rover_rl[ros2]"') from error
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
-"""Definitions of ``common_interfaces``, unchanged since Humble."""
+"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map, as in its branches for ROS 2."""
+GRID_MAP_DEFINITIONS = {
+    "grid_map_msgs/msg/GridMapInfo": """
+float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+""",
+    "grid_map_msgs/msg/GridMap": """
+std_msgs/Header header
+GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+""",
+}
+for _name, _definition in GRID_MAP_DEFINITIONS.items():
+    TYPES.register(get_types_from_msg(_definition, _name))
 
 
 class Message:
@@ -65,9 +84,9 @@ def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
     if node == Nodetype.NAME:
         return types.types[content]
     if node == Nodetype.BASE:
-        return {"string": str, "float32": float, "float64": float}.get(content[0], int)
+        return {"string": str, "bool": bool, "float32": float, "float64": float}.get(content[0], int)
     (element, name), length = content
-    return list if element == Nodetype.NAME else partial(np.zeros, length, name[0])
+    return list if element == Nodetype.NAME or name[0] == "string" else partial(np.zeros, length, name[0])
 
 
 Time = message_class("builtin_interfaces/msg/Time", base=_Time)
@@ -87,6 +106,13 @@ Imu = message_class("sensor_msgs/msg/Imu")
 LaserScan = message_class("sensor_msgs/msg/LaserScan")
 Image = message_class("sensor_msgs/msg/Image")
 Clock = message_class("rosgraph_msgs/msg/Clock")
+PointField = message_class("sensor_msgs/msg/PointField")
+PointCloud2 = message_class("sensor_msgs/msg/PointCloud2")
+MultiArrayDimension = message_class("std_msgs/msg/MultiArrayDimension")
+MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
+Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
+GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
+GridMap = message_class("grid_map_msgs/msg/GridMap")
 
 
 def encode(message: Message) -> bytes:

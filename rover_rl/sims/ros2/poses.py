@@ -111,6 +111,12 @@ class PoseEstimator:
         offset = pose.imu_yaw_offset
         return pose.position, _rotate_yaw(imu_orientation, offset) if offset else imu_orientation
 
+    def frame_in_world(self) -> tuple[Tensor, Tensor]:
+        """Returns position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses."""
+        if self._source != "wheels":
+            return torch.zeros(3), IDENTITY_ORIENTATION
+        return self._frame.to_world(torch.zeros(3)), _rotate_yaw(IDENTITY_ORIENTATION, self._frame.yaw)
+
     def start_episode(
         self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float
     ) -> None:

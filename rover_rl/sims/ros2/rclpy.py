@@ -58,6 +58,10 @@ class RclpyTransport:
         """Returns the number of publishers of ``topic``, whether they send or not."""
         return self._node.count_publishers(topic)
 
+    def types(self, topic: str) -> set[str]:
+        """See :meth:`Transport.types`."""
+        return {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
+
     def close(self) -> None:
         """See :meth:`Transport.close`."""
         if self._closed:

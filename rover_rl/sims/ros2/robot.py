@@ -17,7 +17,9 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.elevation_maps import elevation_map_message
 from rover_rl.sims.ros2.images import depth_message
+from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
@@ -33,7 +35,7 @@ NOT_MEASURED = -1.0
 
 
 class RobotNode:
-    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and depth images; receives commands.
+    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
 
     Args:
         rover: the rover, in ``world``.
@@ -77,8 +79,8 @@ class RobotNode:
                 ("/clock", ros.Clock),
             )
         }
-        self._transport, self._camera_topic = transport, connection.camera_topic
-        self._publish_depth: dict[str | None, Callable[[Any], None]] = {}
+        self._transport, self._connection = transport, connection
+        self._publish_on: dict[str, Callable[[Any], None]] = {}
         transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
@@ -125,11 +127,13 @@ class RobotNode:
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
+        connection = self._connection
         for topic, depth in report.depth.items():
-            if topic not in self._publish_depth:
-                name = topic or self._camera_topic
-                self._publish_depth[topic] = self._transport.publisher(name, ros.Image, reliable=True)
-            self._publish_depth[topic](depth_message(depth, scan_time, "camera_link"))
+            self._send(topic or connection.camera_topic, depth_message(depth, scan_time, "camera_link"))
+        for topic, points in report.points.items():
+            self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
+        for topic, ground in report.ground.items():
+            self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, "world"))
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),
@@ -138,6 +142,12 @@ class RobotNode:
             *([] if report.ranges is None else [self._scan(report.ranges, scan_time)]),
         ):
             self._publish[type(message)](message)
+
+    def _send(self, topic: str, message: Any) -> None:
+        """Publishes a message on a topic of a sensor that not every rover has."""
+        if topic not in self._publish_on:
+            self._publish_on[topic] = self._transport.publisher(topic, type(message), reliable=True)
+        self._publish_on[topic](message)
 
     def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
         speed, yaw_rate, dt = state.linear_velocity.item(), state.angular_velocity.item(), state.dt.item()

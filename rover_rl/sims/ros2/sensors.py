@@ -106,6 +106,7 @@ class Sensors:
             comes from wheel odometry.
         messages: latest valid value of each kind.
         rejected_scans: number of scans that were ignored.
+        pose_frame: name of the frame that poses are in; empty if it is not known.
     """
 
     def __init__(
@@ -113,6 +114,7 @@ class Sensors:
     ) -> None:
         self.messages = LatestMessages()
         self.rejected_scans = 0
+        self.pose_frame = ""
         self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
         self._pose_estimator = pose_estimator
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
@@ -163,13 +165,19 @@ class Sensors:
 
         The first call subscribes to the topic.
         """
-        topic = topic or self._camera_topic
-        kind = f"camera {topic}"
-        if kind not in self.topics:
-            self._readers[kind], self.topics[kind] = {kind: read_depth}, topic
-            self._transport.subscribe(topic, Image, partial(self.receive, kind))
-        image: Tensor | None = self.messages.value(kind, None)
+        image: Tensor | None = self.latest_on(topic or self._camera_topic, "camera", Image, read_depth)
         return image
+
+    def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
+        """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
+
+        The first call subscribes to the topic. ``what`` tells apart what is read from the same topic.
+        """
+        kind = f"{what} {topic}"
+        if kind not in self.topics:
+            self._readers[kind], self.topics[kind] = {kind: read}, topic
+            self._transport.subscribe(topic, message, partial(self.receive, kind))
+        return self.messages.value(kind, None)
 
     def receive(self, kind: str, msg: Any) -> bool:
         """Processes a message: see :meth:`Ros2Simulator.receive`."""
@@ -187,6 +195,7 @@ class Sensors:
             self._check_scan_rate(values["scan"].stamp)
         if "pose" in values:
             values["pose"] = self._pose_estimator.align_imu(values["pose"], self.imu_orientation)
+            self.pose_frame = read_frame(msg)
         for name, value in values.items():
             self.messages.put(name, value)
         if "pose" in values or "imu" in values:
@@ -201,6 +210,10 @@ class Sensors:
         poses = [*self._poses]
         known = (each[1:] for each in reversed(poses) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self._pose_estimator.estimate(self.pose, self.imu_orientation)
+
+    def pose_frame_in_world(self) -> tuple[Tensor, Tensor]:
+        """Returns position ``[3]`` and orientation ``[4]`` in the world of the frame that poses are in."""
+        return self._pose_estimator.frame_in_world()
 
     def receive_clock(self, msg: Any) -> None:
         """Stores the time of a simulation, of a ``rosgraph_msgs/Clock``."""
@@ -247,6 +260,11 @@ def read_stamp(msg: Any) -> float:
     """Reads the stamp of a message, s; 0 if it has none."""
     stamp = getattr(getattr(msg, "header", None), "stamp", None)
     return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
+
+
+def read_frame(msg: Any) -> str:
+    """Reads the name of the frame of a message; empty if it has none."""
+    return str(getattr(getattr(msg, "header", None), "frame_id", "")).strip("/")
 
 
 def read_twist(msg: Any) -> Tensor:

@@ -17,6 +17,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.ground import LivePoints
 from rover_rl.sims.ros2.images import resized
 from rover_rl.sims.ros2.messages import Clock
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
@@ -112,6 +113,7 @@ class Ros2Simulator:
         self._placer = Placer(settings, self._world.name, self._transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
         self._sensors = Sensors(self._transport, settings, connection, self._pose_estimator)
+        self._points = LivePoints(self._sensors, self._transport, settings, connection)
         self.wait_for_robot(connection.timeout)
 
     @property
@@ -296,6 +298,16 @@ class Ros2Simulator:
         """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
         image = self._sensors.depth_image(topic)
         return torch.zeros(size) if image is None else resized(image, size)
+
+    def point_cloud(self, topic: str | None) -> Tensor | None:
+        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""
+        return self._points.cloud(topic)
+
+    def ground_at(
+        self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
+    ) -> Tensor:
+        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.PointCarrier.ground_at`."""
+        return self._points.ground_at(grid, yaw, cell, topic, layer, mount)
 
     def follow_clock(self) -> None:
         """Begins to read ``/clock``, which simulators publish."""

@@ -59,6 +59,10 @@ class Transport(Protocol):
         """Returns the number of publishers that send usable messages on ``topic``, which must be subscribed to."""
         ...
 
+    def types(self, topic: str) -> set[str]:
+        """Returns the ROS 2 names of the types that the known publishers of ``topic`` send."""
+        ...
+
     def close(self) -> None:
         """Releases all resources. Idempotent. No subscription's ``receive`` is called afterwards."""
         ...

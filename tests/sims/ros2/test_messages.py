@@ -21,6 +21,8 @@ SENT = [
     messages.PoseStamped(HEADER),
     messages.TwistStamped(HEADER),
     messages.Clock(Time(7)),
+    messages.PointCloud2(HEADER, fields=[messages.PointField("x")], is_bigendian=True, data=np.ones(8, np.uint8)),
+    messages.GridMap(HEADER, layers=["elevation"], data=[messages.Float32MultiArray(data=np.ones(2, np.float32))]),
 ]
 
 

@@ -61,6 +61,9 @@ class Node:
             publish=lambda message: self.sent.append((topic, message)), get_subscription_count=lambda: 2
         )
 
+    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
+        return [SimpleNamespace(topic_type=self.topics[topic][0].ros_type)] if topic in self.topics else []
+
     def destroy_node(self) -> None: ...
 
 
@@ -110,6 +113,8 @@ def test_published_messages_are_instances_of_ros_classes(ros):
     assert (scan.header.stamp.sec, scan.header.frame_id, list(scan.ranges)) == (1, "lidar", [1, 1, 1])
     assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
     assert transport.subscribers("/cmd_vel") == 2
+    assert transport.types("/scan") == {"sensor_msgs/msg/LaserScan"}
+    assert transport.types("/points") == set()
     qos = {topic: qos for topic, (_, qos) in node.topics.items()}
     assert (qos["/cmd_vel"].reliability, qos["/cmd_vel"].depth) == ("reliable", 1)
     assert (qos["/scan"].reliability, qos["/scan"].durability) == ("best effort", "volatile")

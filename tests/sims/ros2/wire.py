@@ -51,6 +51,7 @@ class Wire:
         receivers: callbacks of the subscriptions, by topic.
         sent: published messages, by topic.
         robots: number of publishers that :meth:`publishers` reports.
+        kinds: types that are published, by topic.
         tamper: function that modifies the messages of a topic, by topic.
         rovers: functions that step the rovers, which then publish.
         closed: whether the transport is closed.
@@ -60,6 +61,7 @@ class Wire:
         self.receivers: dict[str, list[Callable[[Any], None]]] = {}
         self.sent: dict[str, list[Any]] = {}
         self.robots = 1
+        self.kinds: dict[str, set[str]] = {}
         self.tamper: dict[str, Callable[[Any], Any]] = {}
         self.rovers: list[Callable[[], object]] = []
         self.closed = False
@@ -67,7 +69,9 @@ class Wire:
     def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
         self.receivers.setdefault(topic, []).append(receive)
 
-    def publisher(self, topic: str, kind: type, *, reliable: bool = False):
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False):
+        self.kinds.setdefault(topic, set()).add(kind.ros_type)
+
         def publish(message: Any) -> None:
             assert isinstance(message, kind)
             message = self.tamper.get(topic, lambda unchanged: unchanged)(message)
@@ -82,6 +86,9 @@ class Wire:
 
     def publishers(self, topic: str) -> int:
         return self.robots
+
+    def types(self, topic: str) -> set[str]:
+        return self.kinds.get(topic, set())
 
     def close(self) -> None:
         self.closed = True
