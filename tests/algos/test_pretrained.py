@@ -27,12 +27,14 @@ DEPTH = "moon-depth"
 """Name of the policy with a depth camera."""
 FRONT = "front-lidar"
 """Name of the policy for a lidar that sees half a turn."""
+HEIGHTS = "hills-heights"
+"""Name of the policy with a height scan."""
 ROBUST = "robust"
 """Name of the policy for real sensors."""
 
 
 def test_there_is_one_for_each_use_and_one_of_each_algorithm_with_a_card() -> None:
-    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, FRONT, DEPTH, "moon-ppo", "moon-sac", ROBUST]
+    assert pretrained_names() == [ANYROBOT, ANYWHERE, CROWD, FRONT, HEIGHTS, DEPTH, "moon-ppo", "moon-sac", ROBUST]
     for name in pretrained_names():
         assert (FOLDER / f"{name}.pt").stat().st_size < 1_500_000
         card = (FOLDER / f"{name}.md").read_text()
@@ -107,6 +109,13 @@ def test_the_one_for_a_front_lidar_reaches_its_goals_with_it() -> None:
     env = replace(actor.made_for, backend="warp")
     assert get_robot(env.robot).lidar_view == pytest.approx(math.pi, abs=0.01)
     assert evaluate(actor, episodes, env=env, rows=16).success_rate >= 0.9
+
+
+@pytest.mark.slow
+def test_the_one_with_a_height_scan_reaches_its_goals_in_hills_that_it_has_not_seen() -> None:
+    actor, episodes = load_pretrained(HEIGHTS).make_actor(), draw_episodes("hills:10000-10007", episodes=1)
+    assert "heights" in actor.in_keys
+    assert evaluate(actor, episodes, env=replace(actor.made_for, backend="warp"), rows=8).success_rate >= 0.85
 
 
 @pytest.mark.slow
