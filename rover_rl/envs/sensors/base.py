@@ -64,7 +64,7 @@ class Surroundings:
         table, entered = self._terrains
         for slot, world in entered().items():
             table[slot] = world.terrain
-        return table.of(self._worlds.slots).height_at(xy.double()).to(xy.dtype)
+        return table.of(self._worlds.slots).measured_at(xy)
 
     @cached_property
     def _caster(self) -> RayCaster:

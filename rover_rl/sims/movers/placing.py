@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.placing_kernels import Grounds, Placed, Solid, place_parts
+from rover_rl.sims.movers.placing_kernels import Placed, Solid, place_parts
 from rover_rl.sims.native.warp import stream_of, wp
+from rover_rl.sims.worlds.ground_kernels import grounds_of
 from rover_rl.sims.worlds.movers.motions.base import Courses
 from rover_rl.sims.worlds.table import TerrainRows
 
@@ -38,7 +39,7 @@ def place(
         dt: duration of a step, s.
     """
     with wp.ScopedStream(stream_of(yaw.device)):
-        placed, solid, ground = Placed(), Solid(), Grounds()
+        placed, solid = Placed(), Solid()
         placed.position = wp.from_torch(parts.position, dtype=wp.vec3)
         placed.orientation = wp.from_torch(parts.orientation, dtype=wp.quat)
         placed.velocity = wp.from_torch(parts.velocity, dtype=wp.vec3)
@@ -46,9 +47,8 @@ def place(
         solid.mover, solid.swing = wp.from_torch(local["mover"]), wp.from_torch(local["swing"])
         solid.center = wp.from_torch(local["center"], dtype=wp.vec3)
         solid.orientation = wp.from_torch(local["orientation"], dtype=wp.quat)
-        ground.heights, ground.grids = wp.from_torch(terrains.heights), wp.from_torch(terrains.grids)
-        ground.slots = wp.from_torch(terrains.slots)
         movers = [wp.from_torch(course.position.contiguous(), dtype=wp.vec2)]
         movers += [wp.from_torch(values.contiguous()) for values in (course.yaw, swing)]
-        inputs = [*movers, solid, ground, wp.from_torch(rows.squeeze(-1).contiguous()), begins, dt, placed]
+        grounds, moving = grounds_of(terrains), wp.from_torch(rows.squeeze(-1).contiguous())
+        inputs = [*movers, solid, grounds, moving, begins, dt, placed]
         wp.launch(place_parts, yaw.shape, inputs, device=wp.device_from_torch(yaw.device))

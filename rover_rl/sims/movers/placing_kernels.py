@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rover_rl.sims.movers.parts import MAX_SPEED
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.worlds.ground_kernels import Grounds, height_at
 
 PI = wp.constant(3.14159265358979)
 FASTEST = wp.constant(MAX_SPEED)
@@ -29,41 +30,6 @@ class Solid:
     center: wp.array2d[wp.vec3]
     orientation: wp.array2d[wp.quat]
     swing: wp.array2d[float]
-
-
-@wp.struct
-class Grounds:
-    """Terrains of the rows: see :class:`~rover_rl.sims.worlds.table.TerrainRows`."""
-
-    heights: wp.array2d[float]
-    slots: wp.array[wp.int64]
-    # x and y of the first height, spacing, m; numbers of rows and columns.
-    grids: wp.array2d[wp.float64]
-
-
-@wp.func
-def height_at(grounds: Grounds, row: int, x: wp.float64, y: wp.float64) -> float:
-    """Height of the ground (m), on two triangles for each cell of the grid: see :meth:`Terrain.height_at`."""
-    one = wp.float64(1.0)
-    zero = wp.float64(0.0)
-    cell = grounds.grids[row, 2]
-    rows = int(grounds.grids[row, 3])
-    columns = int(grounds.grids[row, 4])
-    u = wp.clamp((x - grounds.grids[row, 0]) / cell, zero, wp.float64(columns - 1))
-    v = wp.clamp((y - grounds.grids[row, 1]) / cell, zero, wp.float64(rows - 1))
-    i = wp.min(int(u), columns - 2)
-    j = wp.min(int(v), rows - 2)
-    u = u - wp.float64(i)
-    v = v - wp.float64(j)
-    slot = int(grounds.slots[row])
-    corner = j * columns + i
-    right = wp.float64(grounds.heights[slot, corner + 1])
-    left = wp.float64(grounds.heights[slot, corner + columns])
-    if u + v > one:
-        far = wp.float64(grounds.heights[slot, corner + columns + 1])
-        return float(far - (one - u) * (far - left) - (one - v) * (far - right))
-    near = wp.float64(grounds.heights[slot, corner])
-    return float(near + u * (right - near) + v * (left - near))
 
 
 @wp.kernel

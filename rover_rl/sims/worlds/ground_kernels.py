@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.worlds.terrain import Terrain
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.table import TerrainRows
 
 
 @wp.struct
@@ -21,6 +26,58 @@ def ground_of(terrain: Terrain) -> Ground:
     ground.heights = wp.from_numpy(terrain.heights.numpy(), dtype=float, device="cpu")
     ground.origin, ground.cell = wp.vec2d(*terrain.origin), terrain.cell
     return ground
+
+
+@wp.struct
+class Grounds:
+    """Terrains of the rows: see :class:`~rover_rl.sims.worlds.table.TerrainRows`."""
+
+    heights: wp.array2d[float]
+    slots: wp.array[wp.int64]
+    # x and y of the first height, spacing, m; numbers of rows and columns.
+    grids: wp.array2d[wp.float64]
+
+
+def grounds_of(terrains: TerrainRows) -> Grounds:
+    """Returns the terrains of rows as a struct of the kernels, in the same memory."""
+    grounds = Grounds()
+    grounds.heights, grounds.grids = wp.from_torch(terrains.heights), wp.from_torch(terrains.grids)
+    grounds.slots = wp.from_torch(terrains.slots)
+    return grounds
+
+
+@wp.func
+def height_at(grounds: Grounds, row: int, x: wp.float64, y: wp.float64) -> float:
+    """Height of the ground (m), on two triangles for each cell of the grid: see :meth:`Terrain.height_at`."""
+    one = wp.float64(1.0)
+    zero = wp.float64(0.0)
+    cell = grounds.grids[row, 2]
+    rows = int(grounds.grids[row, 3])
+    columns = int(grounds.grids[row, 4])
+    u = wp.clamp((x - grounds.grids[row, 0]) / cell, zero, wp.float64(columns - 1))
+    v = wp.clamp((y - grounds.grids[row, 1]) / cell, zero, wp.float64(rows - 1))
+    # The lower limits keep the index of NaN on the grid.
+    i = wp.max(wp.min(int(u), columns - 2), 0)
+    j = wp.max(wp.min(int(v), rows - 2), 0)
+    u = u - wp.float64(i)
+    v = v - wp.float64(j)
+    slot = int(grounds.slots[row])
+    corner = j * columns + i
+    right = wp.float64(grounds.heights[slot, corner + 1])
+    left = wp.float64(grounds.heights[slot, corner + columns])
+    if u + v > one:
+        far = wp.float64(grounds.heights[slot, corner + columns + 1])
+        return float(far - (one - u) * (far - left) - (one - v) * (far - right))
+    near = wp.float64(grounds.heights[slot, corner])
+    return float(near + u * (right - near) + v * (left - near))
+
+
+@wp.kernel
+def measure_heights(grounds: Grounds, points: wp.array2d[wp.vec2], heights: wp.array2d[float]):
+    """Height of the ground (m) at each point of each row (m)."""
+    row, point = wp.tid()
+    at = points[row, point]
+    heights[row, point] = height_at(grounds, row, wp.float64(at[0]), wp.float64(at[1]))
 
 
 @wp.func

@@ -223,3 +223,16 @@ class TerrainRows(NamedTuple):
         corner, slots = j * columns + i, self.slots.reshape(rows)
         corners = (corner, corner + 1, corner + columns, corner + columns + 1)
         return interpolate_triangles(u - i, v - j, *(self.heights[slots, k].to(xy.dtype) for k in corners))[0]
+
+    def measured_at(self, xy: Tensor) -> Tensor:
+        """Returns what :meth:`height_at` does, as float32 and faster: ``[N, ...]``, m."""
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.native.warp import stream_of, wp
+        from rover_rl.sims.worlds.ground_kernels import grounds_of, measure_heights
+
+        points = xy.float().flatten(1, -2).contiguous()
+        heights = points.new_empty(points.shape[:2])
+        with wp.ScopedStream(stream_of(points.device)):
+            inputs = [grounds_of(self), wp.from_torch(points, dtype=wp.vec2), wp.from_torch(heights)]
+            wp.launch(measure_heights, heights.shape, inputs, device=wp.device_from_torch(points.device))
+        return heights.view(xy.shape[:-1])
