@@ -515,9 +515,9 @@ class EnvConfig:
     pose: PoseConfig = field(default_factory=PoseConfig)
     """Pose that the sensors report: true, dead reckoning or with the error of a localization."""
     sensors: tuple[SensorLike, ...] = ()
-    """Sensors that add entries to the observation: depth, lidar3d, heights, route, movers, robot, or module:attribute
-    of a Sensor, or of a function or class that makes one. A name can have settings: "depth(size=(24, 32))". Name the
-    entries in --observation, too."""
+    """Sensors that add entries to the observation: depth, colors, segmentation, lidar3d, heights, route, movers, robot,
+    or module:attribute of a Sensor, or of a function or class that makes one. A name can have settings:
+    "depth(size=(24, 32))". Name the entries in --observation, too."""
     action: ActionConfig = field(default_factory=ActionConfig)
     """Bounds of the action."""
     task: TaskConfig = field(default_factory=TaskConfig)

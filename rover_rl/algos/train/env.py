@@ -22,7 +22,7 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.sensors.scan_pose import ScanPose
-from rover_rl.envs.sensors.suite import DEPTH, HEIGHTS, LIDAR3D, MOVERS, ROUTE, SEGMENTATION, own_sensors
+from rover_rl.envs.sensors.suite import COLORS, DEPTH, HEIGHTS, LIDAR3D, MOVERS, ROUTE, SEGMENTATION, own_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -98,7 +98,7 @@ def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
         sensors[ROUTE] = Route(threads=_threads(config))
     if MOVERS in read:
         sensors[MOVERS] = Movers()
-    for key in {ROUTE, MOVERS, HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D} & sensors.keys() & {*read}:
+    for key in {ROUTE, MOVERS, HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D} & sensors.keys() & {*read}:
         sensors[key] = replace(sensors[key], period=config.collection.action_repeat)
     if SCAN_POSE in read and SCAN_POSE not in sensors:
         sensors[SCAN_POSE] = ScanPose()

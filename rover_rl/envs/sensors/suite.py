@@ -17,11 +17,11 @@ MOVERS = "movers"
 """Name of what moves, as the lidar scans tell, which an environment has if asked for."""
 ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
-HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D = "heights", "depth", "segmentation", "lidar3d"
+HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D = "heights", "depth", "colors", "segmentation", "lidar3d"
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
 ROBOT = "robot"
 """Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
-OPTIONAL = {MOVERS, ROUTE, ROBOT, HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D, SCAN_POSE}
+OPTIONAL = {MOVERS, ROUTE, ROBOT, HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D, SCAN_POSE}
 """Sensors of the package that an environment has only if asked for."""
 BUILT_IN = {
     "lidar": "rover_rl.envs.sensors.standard:Lidar",
@@ -35,6 +35,7 @@ BUILT_IN = {
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
     HEIGHTS: "rover_rl.envs.sensors.heights:HeightScan",
     DEPTH: "rover_rl.envs.sensors.ray_images:DepthCamera",
+    COLORS: "rover_rl.envs.sensors.color_camera:ColorCamera",
     SEGMENTATION: "rover_rl.envs.sensors.ray_images:SegmentationCamera",
     LIDAR3D: "rover_rl.envs.sensors.ray_images:Lidar3D",
 }
