@@ -99,7 +99,10 @@ class Drive:
     imu_topic: str = Connection.imu_topic
     """Topic of the IMU."""
     camera_topic: str = Connection.camera_topic
-    """Topic of the depth image, for policies that read one."""
+    """Topic of the depth image, for policies that read one. One that ends in /compressed or /compressedDepth has
+    compressed images (docs/cameras.md)."""
+    color_topic: str = Connection.color_topic
+    """Topic of the color image, likewise."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False
@@ -258,7 +261,9 @@ class Drive:
             randomization=Randomization(),
             guard=self.guard,
             compensate_delay=self.compensate_delay or made_for.compensate_delay,
-            connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, self.camera_topic, self.wait),
+            connection=Connection(
+                self.scan_topic, self.imu_topic, self.cmd_vel_topic, self.camera_topic, self.color_topic, self.wait
+            ),
             length=UNLIMITED,
             end_on_goal=True,
             seed=self.seed,

@@ -7,7 +7,7 @@ import signal
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
@@ -25,7 +25,7 @@ MAX_BEAMS = 16_383
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, clock and depth images.
+    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
     """
@@ -52,8 +52,9 @@ class RobotCommand:
     harsh: bool = False
     """Delay, drop and distort what is published, delay the commands, and vary friction, mass and motors, as
     rover-rl train --randomize harsh does (docs/randomization.md)."""
-    camera: bool = False
-    """Publish a depth image too, that of the sensor depth. A robot whose --env has depth cameras publishes theirs."""
+    camera: tuple[Literal["depth", "colors"], ...] | None = None
+    """Publish the images of the sensors depth and colors, too; without a name, those of depth. A robot whose --env has
+    such cameras publishes theirs."""
     lidar_view: float | None = None
     """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
@@ -61,7 +62,10 @@ class RobotCommand:
     imu_topic: str | None = None
     """Topic that the sensor_msgs/Imu is published to. Default: /imu/data."""
     camera_topic: str | None = None
-    """Topic that the sensor_msgs/Image of the depth camera is published to. Default: /camera/image_raw."""
+    """Topic that the sensor_msgs/Image of the depth camera is published to. Default: /camera/image_raw. On one that
+    ends in /compressed or /compressedDepth, it is a sensor_msgs/CompressedImage."""
+    color_topic: str | None = None
+    """Topic of the color camera, likewise. Default: /camera/color/image_raw."""
     cmd_vel_topic: str | None = None
     """Topic that commands are received from, geometry_msgs/Twist. Default: /cmd_vel."""
     odometry_topic: str = Ros2Settings.odometry_topic
@@ -118,12 +122,13 @@ class RobotCommand:
         """Returns the description of the environment: the file's, else the default, with the options on top."""
         config = EnvConfig(world="maze") if self.env is None else read_env(self.env)
         topics = {"scan_topic": self.scan_topic, "imu_topic": self.imu_topic, "cmd_vel_topic": self.cmd_vel_topic}
-        topics["camera_topic"] = self.camera_topic
+        topics |= {"camera_topic": self.camera_topic, "color_topic": self.color_topic}
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         connection = replace(config.connection, **given)
-        if self.camera and DEPTH not in own_sensors(config.sensors):
-            changes["sensors"] = (*config.sensors, DEPTH)
+        if self.camera is not None:
+            known = own_sensors(config.sensors)
+            changes["sensors"] = (*config.sensors, *(name for name in self.camera or (DEPTH,) if name not in known))
         described = replace(config, connection=connection, robot_options=self.robot_options, **changes)
         return imperfect(described, "harsh") if self.harsh else described

@@ -17,6 +17,7 @@ import torch
 from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, TaskConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.ray_images import DepthCamera
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.sims.base import RoverState
@@ -32,7 +33,7 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has the depth cameras.
+            ``randomization.scan_period`` says. Of the sensors, it has the depth and color cameras.
 
     Attributes:
         env: the environment.
@@ -45,8 +46,10 @@ class ServedRover:
         plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig()}
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
-        self._cameras = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
-        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE, *self._cameras)))
+        self._depth = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
+        self._colors = [sensor for sensor in sensors if isinstance(sensor, ColorCamera)]
+        cameras = (*self._depth, *self._colors)
+        self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=(SCAN_POSE, *cameras)))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
@@ -61,8 +64,10 @@ class ServedRover:
         observation = self.env.step_commands(torch.tensor([command]))
         report = self._report(observation["outcome", "steps"])
         is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
-        depth = {camera.topic: observation[camera.name].unflatten(-1, camera.size)[0] for camera in self._cameras}
-        return report._replace(depth=depth) if is_new else report._replace(depth=depth, ranges=None)
+        depth = {one.topic: observation[one.name].unflatten(-1, one.size)[0] for one in self._depth}
+        colors = {one.topic: observation[one.name].unflatten(-1, (3, *one.size))[0] for one in self._colors}
+        report = report._replace(images={"depth": depth, "colors": colors})
+        return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
         """Releases the simulator."""

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 from torch import Tensor
 
 from rover_rl.sims.base import RoverState
+
+ImageKind: TypeAlias = Literal["depth", "colors"]
+"""What an image shows: distances along the optical axis, ``[rows, columns]``, m, or red, green and blue from 0 to 1,
+``[3, rows, columns]``."""
 
 
 class Report(NamedTuple):
@@ -19,14 +23,14 @@ class Report(NamedTuple):
         state: pose and velocities as the sensors tell them, ``[1]``, with the stamp of their time.
         ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
         scan_stamp: time of the scan, s.
-        depth: depth image of each camera, ``[rows, columns]``, m, by its topic; ``None``: that of the connection.
+        images: images of each kind by the topic of the camera; ``None``: that of the connection.
     """
 
     time: float
     state: RoverState
     ranges: Tensor | None
     scan_stamp: float
-    depth: Mapping[str | None, Tensor] = MappingProxyType({})
+    images: Mapping[ImageKind, Mapping[str | None, Tensor]] = MappingProxyType({})
 
 
 class Served(Protocol):

@@ -24,8 +24,8 @@ class ColorCamera(Pinhole):
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw: as for :class:`PixelImage`.
-        field_of_view, pitch: as for :class:`Pinhole`.
+        size, mount, yaw: as for :class:`~rover_rl.envs.sensors.ray_images.PixelImage`.
+        field_of_view, pitch: as for :class:`~rover_rl.envs.sensors.ray_images.Pinhole`.
         noise: standard deviation of each channel.
         dropout: fraction of the pixels that are lost. They are black.
         topic: topic of the images of a live rover, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it

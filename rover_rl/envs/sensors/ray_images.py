@@ -223,8 +223,9 @@ class DepthCamera(Camera):
         size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
         field_of_view, pitch: as for :class:`Pinhole`.
         noise: standard deviation of the depth at 1 m, m.
-        topic: topic of the ``sensor_msgs/Image`` of a live rover. ``None``: that of the connection. The camera must see
-            what this one does: the same field of view from the same place.
+        topic: topic of the images of a live rover, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it
+            ends in ``/compressed`` or ``/compressedDepth``. ``None``: that of the connection. The camera must see what
+            this one does: the same field of view from the same place.
 
     Raises:
         ValueError: if a setting is out of range.

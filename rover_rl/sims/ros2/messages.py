@@ -86,6 +86,7 @@ Odometry = message_class("nav_msgs/msg/Odometry")
 Imu = message_class("sensor_msgs/msg/Imu")
 LaserScan = message_class("sensor_msgs/msg/LaserScan")
 Image = message_class("sensor_msgs/msg/Image")
+CompressedImage = message_class("sensor_msgs/msg/CompressedImage")
 Clock = message_class("rosgraph_msgs/msg/Clock")
 
 

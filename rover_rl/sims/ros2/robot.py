@@ -17,11 +17,11 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.images import depth_message
+from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
-from rover_rl.sims.served import Report, Served
+from rover_rl.sims.served import ImageKind, Report, Served
 from rover_rl.sims.worlds import World
 
 COMMAND_LIFETIME = 0.5
@@ -33,7 +33,7 @@ NOT_MEASURED = -1.0
 
 
 class RobotNode:
-    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and depth images; receives commands.
+    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
 
     Args:
         rover: the rover, in ``world``.
@@ -77,8 +77,8 @@ class RobotNode:
                 ("/clock", ros.Clock),
             )
         }
-        self._transport, self._camera_topic = transport, connection.camera_topic
-        self._publish_depth: dict[str | None, Callable[[Any], None]] = {}
+        self._transport, self._connection = transport, connection
+        self._publish_image: dict[str, Callable[[Tensor, Any], None]] = {}
         transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
@@ -125,11 +125,9 @@ class RobotNode:
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
-        for topic, depth in report.depth.items():
-            if topic not in self._publish_depth:
-                name = topic or self._camera_topic
-                self._publish_depth[topic] = self._transport.publisher(name, ros.Image, reliable=True)
-            self._publish_depth[topic](depth_message(depth, scan_time, "camera_link"))
+        for kind, images in report.images.items():
+            for topic, image in images.items():
+                self._image_publisher(kind, topic or self._connection.image_topics[kind])(image, scan_time)
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),
@@ -138,6 +136,14 @@ class RobotNode:
             *([] if report.ranges is None else [self._scan(report.ranges, scan_time)]),
         ):
             self._publish[type(message)](message)
+
+    def _image_publisher(self, kind: ImageKind, topic: str) -> Callable[[Tensor, Any], None]:
+        """Returns what publishes an image with a stamp on a topic."""
+        if topic not in self._publish_image:
+            message, _, write = image_format(kind, topic)
+            publish = self._transport.publisher(topic, message, reliable=True)
+            self._publish_image[topic] = lambda image, stamp: publish(write(image, stamp, "camera_link"))
+        return self._publish_image[topic]
 
     def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
         speed, yaw_rate, dt = state.linear_velocity.item(), state.angular_velocity.item(), state.dt.item()
