@@ -16,8 +16,7 @@ import numpy as np
 from torch import Tensor
 
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.images import MILLIMETERS, ImageFormat, colors_of, depths_of, pixels_of
-from rover_rl.sims.served import ImageKind
+from rover_rl.sims.ros2.images import MILLIMETERS, colors_of, depths_of, pixels_of
 
 try:
     from PIL import Image
@@ -112,11 +111,3 @@ def _saved(image: Image.Image, kind: str, **options: Any) -> bytes:
 
 def _message(kind: str, data: bytes, stamp: Any, frame: str) -> Any:
     return ros.CompressedImage(ros.Header(stamp, frame), format=kind, data=np.frombuffer(data, dtype=np.uint8))
-
-
-FORMATS: dict[tuple[ImageKind, str], ImageFormat] = {
-    ("colors", "compressed"): ImageFormat(ros.CompressedImage, read_compressed_colors, compressed_color_message),
-    ("depth", "compressed"): ImageFormat(ros.CompressedImage, read_compressed_depth, compressed_depth_message),
-    ("depth", "compressedDepth"): ImageFormat(ros.CompressedImage, read_compressed_depth, header_depth_message),
-}
-"""Formats by the kind of images and the end of the topic."""

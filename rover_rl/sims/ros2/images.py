@@ -1,13 +1,8 @@
-"""Images as ROS 2 messages: depths with the encodings of REP 118, and colors, ``sensor_msgs/Image``.
-
-On a topic that ends as those of image_transport's plugins do, they are compressed: see
-:mod:`rover_rl.sims.ros2.compressed_images`.
-"""
+"""Images as ROS 2 messages: depths with the encodings of REP 118, and colors, ``sensor_msgs/Image``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +10,6 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.served import ImageKind
 
 MILLIMETERS = 0.001
 """Unit of depths that are whole numbers, m."""
@@ -29,37 +23,6 @@ COLOR_ENCODINGS = {
     "mono8": (1, [0, 0, 0]),
 }
 """Number of bytes of a pixel, and those of red, green and blue, by the name of the encoding."""
-
-
-class ImageFormat(NamedTuple):
-    """How images go over a topic.
-
-    Attributes:
-        message: class of the messages.
-        read: reads an image from a message: ``[rows, columns]`` of depths, m, or ``[3, rows, columns]`` of colors.
-        write: builds a message of an image, its stamp and the name of its frame.
-    """
-
-    message: Any
-    read: Callable[[Any], Tensor]
-    write: Callable[[Tensor, Any, str], Any]
-
-
-def image_format(kind: ImageKind, topic: str) -> ImageFormat:
-    """Returns the format of a topic: compressed if it ends in ``/compressed`` or ``/compressedDepth``.
-
-    Raises:
-        ValueError: for colors on ``/compressedDepth``.
-        ImportError: if images are compressed, and Pillow is not installed.
-    """
-    transport = topic.rpartition("/")[2]
-    if transport not in ("compressed", "compressedDepth"):
-        return _RAW[kind]
-    from rover_rl.sims.ros2.compressed_images import FORMATS
-
-    if (kind, transport) not in FORMATS:
-        raise ValueError(f"topics of {kind} end in /compressed if they are compressed, got {topic!r}")
-    return FORMATS[kind, transport]
 
 
 def read_depth(msg: Any) -> Tensor:
@@ -139,9 +102,3 @@ def _message(pixels: np.ndarray, encoding: str, stamp: Any, frame: str) -> Any:
     return ros.Image(
         header, height=rows, width=columns, encoding=encoding, is_bigendian=0, step=len(data) // rows, data=data
     )
-
-
-_RAW = {
-    "depth": ImageFormat(ros.Image, read_depth, depth_message),
-    "colors": ImageFormat(ros.Image, read_colors, color_message),
-}

@@ -17,7 +17,7 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.images import image_format
+from rover_rl.sims.ros2.image_formats import image_format
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport

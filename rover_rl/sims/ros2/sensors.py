@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.ros2.images import image_format
+from rover_rl.sims.ros2.image_formats import image_format
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
     IDENTITY_ORIENTATION,

@@ -18,7 +18,8 @@ from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport
-from rover_rl.sims.ros2.images import depth_message, image_format, read_colors, read_depth, resized
+from rover_rl.sims.ros2.image_formats import image_format
+from rover_rl.sims.ros2.images import depth_message, read_colors, read_depth, resized
 from rover_rl.sims.ros2.messages import CompressedImage, Header, Image
 from rover_rl.sims.ros2.robot import RobotNode
 from tests.sims.ros2.processes import until
