@@ -20,6 +20,7 @@ import trimesh
 import tyro
 
 from rover_rl import EnvConfig, RoverEnv, Sensor
+from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.sims.rays import world_mesh
@@ -86,9 +87,9 @@ def bullet_seconds(env: RoverEnv, camera: DepthCamera, world: str) -> float:
 def main(options: Options) -> None:
     """Measures, and prints the results."""
     torch.set_num_threads(1)
-    camera, planes, heights = DepthCamera(), Lidar3D(), HeightScan()
+    camera = DepthCamera()
     plain = make(options)
-    envs = {sensor.name: make(options, sensor) for sensor in (camera, planes, heights)}
+    envs = {sensor.name: make(options, sensor) for sensor in (camera, ColorCamera(), Lidar3D(), HeightScan())}
     rates: dict[str, list[float]] = {name: [] for name in ("plain", *envs, "bullet")}
     for _ in range(options.rounds):
         rates["plain"].append(seconds_of(plain.rand_step))

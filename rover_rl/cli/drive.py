@@ -100,7 +100,10 @@ class Drive:
     imu_topic: str = Connection.imu_topic
     """Topic of the IMU."""
     camera_topic: str = Connection.camera_topic
-    """Topic of the depth image, for policies that read one."""
+    """Topic of the depth image, for policies that read one. One that ends in /compressed or /compressedDepth has
+    compressed images (docs/cameras.md)."""
+    color_topic: str = Connection.color_topic
+    """Topic of the color image, likewise."""
     elevation_topic: str = Connection.elevation_topic
     """Topic of the elevation map or point cloud of the ground, for policies that read heights."""
     points_topic: str = Connection.points_topic

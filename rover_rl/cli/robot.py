@@ -7,7 +7,7 @@ import signal
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
@@ -52,8 +52,9 @@ class RobotCommand:
     harsh: bool = False
     """Delay, drop and distort what is published, delay the commands, and vary friction, mass and motors, as
     rover-rl train --randomize harsh does (docs/randomization.md)."""
-    camera: bool = False
-    """Publish a depth image too, that of the sensor depth. A robot whose --env has depth cameras publishes theirs."""
+    camera: tuple[Literal["depth", "colors"], ...] | None = None
+    """Publish the images of the sensors depth and colors, too; without a name, those of depth. A robot whose --env has
+    such cameras publishes theirs."""
     elevation_map: bool = False
     """Publish the ground around the rover too, as the sensor heights reads it. A robot whose --env has height scans
     publishes theirs."""
@@ -66,7 +67,10 @@ class RobotCommand:
     imu_topic: str | None = None
     """Topic that the sensor_msgs/Imu is published to. Default: /imu/data."""
     camera_topic: str | None = None
-    """Topic that the sensor_msgs/Image of the depth camera is published to. Default: /camera/image_raw."""
+    """Topic that the sensor_msgs/Image of the depth camera is published to. Default: /camera/image_raw. On one that
+    ends in /compressed or /compressedDepth, it is a sensor_msgs/CompressedImage."""
+    color_topic: str | None = None
+    """Topic of the color camera, likewise. Default: /camera/color/image_raw."""
     elevation_topic: str | None = None
     """Topic that the grid_map_msgs/GridMap is published to. Default: /elevation_map."""
     points_topic: str | None = None
@@ -127,15 +131,16 @@ class RobotCommand:
         """Returns the description of the environment: the file's, else the default, with the options on top."""
         config = EnvConfig(world="maze") if self.env is None else read_env(self.env)
         topics = {"scan_topic": self.scan_topic, "imu_topic": self.imu_topic, "cmd_vel_topic": self.cmd_vel_topic}
-        topics["camera_topic"] = self.camera_topic
+        topics |= {"camera_topic": self.camera_topic, "color_topic": self.color_topic}
         topics |= {"elevation_topic": self.elevation_topic, "points_topic": self.points_topic}
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         connection = replace(config.connection, **given)
-        asked = {DEPTH: self.camera, LIDAR3D: self.points, HEIGHTS: self.elevation_map}
+        # The flag alone is the depth camera.
+        asked = [] if self.camera is None else [*(self.camera or (DEPTH,))]
+        asked += [LIDAR3D] * self.points + [HEIGHTS] * self.elevation_map
         there = own_sensors(config.sensors)
-        added = [name for name, is_asked in asked.items() if is_asked and name not in there]
-        changes["sensors"] = (*config.sensors, *added)
+        changes["sensors"] = (*config.sensors, *(name for name in asked if name not in there))
         described = replace(config, connection=connection, robot_options=self.robot_options, **changes)
         return imperfect(described, "harsh") if self.harsh else described

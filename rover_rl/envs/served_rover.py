@@ -18,6 +18,7 @@ import torch
 from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
@@ -38,7 +39,7 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has the depth cameras and 3D lidars, and for
+            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras and 3D lidars, and for
             height scans elevation maps without errors.
 
     Attributes:
@@ -52,11 +53,12 @@ class ServedRover:
         plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig()}
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
-        self._cameras = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
+        self._depth = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
+        self._colors = [sensor for sensor in sensors if isinstance(sensor, ColorCamera)]
         self._lidars = [sensor for sensor in sensors if isinstance(sensor, Lidar3D)]
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
         self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
-        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._cameras, *self._lidars)
+        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
@@ -72,13 +74,14 @@ class ServedRover:
         observation = self.env.step_commands(torch.tensor([command]))
         report = self._report(observation["outcome", "steps"])
         is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
-        depth = {camera.topic: observation[camera.name].unflatten(-1, camera.size)[0] for camera in self._cameras}
+        depth = {one.topic: observation[one.name].unflatten(-1, one.size)[0] for one in self._depth}
+        colors = {one.topic: observation[one.name].unflatten(-1, (3, *one.size))[0] for one in self._colors}
         points = {
             lidar.topic: _points(lidar, rays, observation[lidar.name][0])
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        report = report._replace(depth=depth, points=points, ground=ground)
+        report = report._replace(images={"depth": depth, "colors": colors}, points=points, ground=ground)
         return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:

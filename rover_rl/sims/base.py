@@ -161,6 +161,19 @@ class DepthCarrier(Protocol):
 
 
 @runtime_checkable
+class ColorCarrier(Protocol):
+    """A live backend with color cameras."""
+
+    def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Returns the latest color image in a size (rows and columns), 0 to 1, ``[3, rows, columns]``.
+
+        Before the first image, all is black. ``topic`` is that of the camera; ``None``: that of
+        :class:`~rover_rl.sims.connection.Connection`.
+        """
+        ...
+
+
+@runtime_checkable
 class PointCarrier(Protocol):
     """A live backend with point clouds and elevation maps. Topics may be ``None``: that of the connection."""
 

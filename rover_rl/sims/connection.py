@@ -15,7 +15,9 @@ class Connection:
         scan_topic: Topic of the ``sensor_msgs/LaserScan``.
         imu_topic: Topic of the ``sensor_msgs/Imu``.
         cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
-        camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, which is received if a sensor asks for it.
+        camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it ends
+            in ``/compressed`` or ``/compressedDepth``. It is received if a sensor asks for it.
+        color_topic: Topic of the color image, likewise.
         timeout: Time to wait for the first scan, s.
         elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
             received if a sensor asks for it.
@@ -26,6 +28,12 @@ class Connection:
     imu_topic: str = "/imu/data"
     cmd_vel_topic: str = "/cmd_vel"
     camera_topic: str = "/camera/image_raw"
+    color_topic: str = "/camera/color/image_raw"
     timeout: float = 30.0
     elevation_topic: str = "/elevation_map"
     points_topic: str = "/points"
+
+    @property
+    def image_topics(self) -> dict[str, str]:
+        """Topics of the images, by what they show."""
+        return {"depth": self.camera_topic, "colors": self.color_topic}

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 from torch import Tensor
 
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
+
+ImageKind: TypeAlias = Literal["depth", "colors"]
+"""What an image shows: distances along the optical axis, ``[rows, columns]``, m, or red, green and blue from 0 to 1,
+``[3, rows, columns]``."""
 
 
 class Report(NamedTuple):
@@ -20,7 +24,7 @@ class Report(NamedTuple):
         state: pose and velocities as the sensors tell them, ``[1]``, with the stamp of their time.
         ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
         scan_stamp: time of the scan, s.
-        depth: depth image of each camera, ``[rows, columns]``, m, by its topic; ``None``: that of the connection.
+        images: images of each kind by the topic of the camera; ``None``: that of the connection.
         points: points of each 3D lidar in its frame, ``[planes, beams, 3]``, m, by its topic; NaN for no return.
         ground: elevation map of each height scan, by its topic.
     """
@@ -29,7 +33,7 @@ class Report(NamedTuple):
     state: RoverState
     ranges: Tensor | None
     scan_stamp: float
-    depth: Mapping[str | None, Tensor] = MappingProxyType({})
+    images: Mapping[ImageKind, Mapping[str | None, Tensor]] = MappingProxyType({})
     points: Mapping[str | None, Tensor] = MappingProxyType({})
     ground: Mapping[str | None, ElevationMap] = MappingProxyType({})
 

@@ -11,6 +11,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.envs.sensors.color_camera import ColorCamera
 from tests.gpu.driven import ROUGH, drive, environment
 
 ROVERS = 192
@@ -28,6 +29,16 @@ def test_the_lidar_measures_the_same_within_a_millimeter(gpu: torch.device, beam
     same = scans[0].isclose(scans[1], rtol=0, atol=1e-3)
     # A beam along an edge may miss it on one of the two.
     assert same.float().mean() > 0.999
+
+
+def test_color_images_agree(gpu: torch.device) -> None:
+    images = []
+    for device in ("cpu", gpu):
+        env = environment(device, 6, world_n=("plaza:4", *ROUGH[:2]), sensors=[ColorCamera(size=(24, 32))])
+        images.append(torch.stack([step["colors"] for step in drive(env, 2)]))
+        env.close()
+    # A ray along an edge may miss it on one of the two.
+    assert ((images[0] - images[1]).abs() < 0.02).float().mean() > 0.98
 
 
 def test_positions_after_a_second_on_flat_ground_agree_within_a_millimeter(gpu: torch.device) -> None:

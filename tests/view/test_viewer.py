@@ -30,6 +30,7 @@ from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
+from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.sims.worlds import get_world
 from rover_rl.view import Viewer
@@ -256,6 +257,9 @@ def test_a_page_shows_what_a_camera_sees():
     assert picture[0, 0].tolist() == [68, 1, 84]
     assert picture[0, -1].tolist() == [253, 231, 36]
     assert (picture[96:] == picture[96, 0]).all()
+    red_and_green = torch.tensor([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    colors = sensor_picture(ColorCamera(size=(1, 2)), red_and_green)
+    assert colors[0, [0, -1]].tolist() == [[255, 0, 0], [0, 255, 0]]
 
 
 @pytest.fixture

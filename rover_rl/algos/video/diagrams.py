@@ -40,16 +40,16 @@ def lidar_picture(readings: np.ndarray, max_range: float) -> str:
 def sensor_picture(sensor: Sensor, value: Tensor) -> np.ndarray:
     """Returns a picture ``[height, width, 3]``, uint8, of the ``value [k]`` of a sensor whose value is an image.
 
-    Dark is low or near, bright is high or far. Pixels of small images are enlarged.
+    Dark is low or near, bright is high or far. Colors are shown as they are. Pixels of small images are enlarged.
     """
     assert sensor.image is not None
     low, high = sensor.bounds.tensors(value.device)
     if sensor.features == len(value):
         low, high, value = sensor.encode(low), sensor.encode(high), sensor.encode(value)
-    shares = ((value - low) / (high - low)).unflatten(-1, sensor.image).cpu().numpy()
+    shares = ((value - low) / (high - low)).unflatten(-1, (-1, *sensor.image)).cpu().numpy()
     zoom = max(1, PICTURE // max(sensor.image))
-    colors = (255 * colormaps["viridis"](shares)[..., :3]).astype(np.uint8)
-    return colors.repeat(zoom, 0).repeat(zoom, 1)
+    colors = np.moveaxis(shares, 0, -1) if len(shares) == 3 else colormaps["viridis"](shares[0])[..., :3]
+    return (255 * colors).astype(np.uint8).repeat(zoom, 0).repeat(zoom, 1)
 
 
 def reward_bars(rewards: Mapping[str, float], inside: Mapping[str, float]) -> str:

@@ -30,6 +30,7 @@ from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
 if TYPE_CHECKING:
     from rover_rl.sims.rays import RayCaster
+    from rover_rl.sims.rendering.colors import ColorCaster
 
 
 Delayed: TypeAlias = Literal["scan", "state"] | None
@@ -54,10 +55,25 @@ class Surroundings:
 
     def cast_apart(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
-        if self.live is not None:
-            raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
+        self._require_simulated()
         ranges, parts = self._caster.cast(origins, directions), self._movers.parts
         return ranges, ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
+
+    def colors(self, origins: Tensor, directions: Tensor, goal: Tensor, spread: float) -> Tensor:
+        """Returns the color that each ray sees, red, green and blue from 0 to 1, ``[N, 3, K]``.
+
+        Args:
+            origins: starts of the rays in the world frame, ``[N, K, 3]``, m.
+            directions: directions in the world frame, of any length but 0, ``[N, K, 3]``.
+            goal: places of the goals, where their posts stand, ``[N, 2]``, m.
+            spread: distance between neighboring rays at a distance of 1 m, m.
+
+        Raises:
+            ValueError: for a live rover.
+        """
+        self._require_simulated()
+        posts = torch.cat((goal, self.height_at(goal)[:, None]), -1)
+        return self._color_caster.cast(origins, directions, posts, spread)
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the height of the ground (m) at points ``xy [N, ..., 2]`` (m) of each row's world: ``[N, ...]``."""
@@ -66,12 +82,23 @@ class Surroundings:
             table[slot] = world.terrain
         return table.of(self._worlds.slots).measured_at(xy)
 
+    def _require_simulated(self) -> None:
+        if self.live is not None:
+            raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
+
     @cached_property
     def _caster(self) -> RayCaster:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.sims.rays import RayCaster
 
         return RayCaster(self._worlds)
+
+    @cached_property
+    def _color_caster(self) -> ColorCaster:
+        # Importing the renderer takes a second.
+        from rover_rl.sims.rendering.colors import ColorCaster
+
+        return ColorCaster(self._worlds, self._movers)
 
     @cached_property
     def _terrains(self) -> tuple[TerrainTable, Callable[[], dict[int, World]]]:

@@ -27,11 +27,8 @@ Vectors: TypeAlias = list[list[float]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RayImage(Sensor):
-    """Image ``[N, rows * columns]`` of distances, m, row by row from the top left: base of cameras and 3D lidars.
-
-    It shows ground, obstacles, movers and the other rovers of a group, but not the robot itself. A pixel without a
-    return reads ``max_range``, and one closer than ``min_range`` or lost reads 0, as those of most devices do.
+class PixelImage(Sensor):
+    """Image with a ray for each pixel, row by row from the top left: base of cameras and 3D lidars.
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
@@ -39,8 +36,7 @@ class RayImage(Sensor):
         mount: position in the frame of the robot, whose origin is on the ground and whose axes point forward, left and
             up, m.
         yaw: angle by which the device looks to the left, rad.
-        min_range, max_range: least and largest distance, m.
-        noise: standard deviation of a distance, m.
+        noise: standard deviation of a value.
         dropout: fraction of the pixels that are lost.
 
     Raises:
@@ -50,8 +46,6 @@ class RayImage(Sensor):
     size: tuple[int, int]
     mount: tuple[float, float, float]
     yaw: float = 0.0
-    min_range: float = 0.1
-    max_range: float
     noise: float = 0.0
     dropout: float = 0.0
     delayed = "scan"
@@ -61,23 +55,14 @@ class RayImage(Sensor):
         super().__post_init__()
         rows, columns = self.size
         check_at_least(1, MAX_COUNT, rows=rows, columns=columns)
-        check_positive(MAX_RANGE, max_range=self.max_range)
-        if not 0 <= self.min_range < self.max_range:
-            raise ValueError(f"min_range must be from 0 to below max_range={self.max_range}, got {self.min_range}")
         if not (self.noise >= 0 and 0 <= self.dropout <= 1):
             raise ValueError(
                 f"noise must be at least 0 and dropout between 0 and 1, got {self.noise} and {self.dropout}"
             )
 
     @property
-    def bounds(self) -> Bounds:
-        """Bounds of the distances, m."""
-        count = self.size[0] * self.size[1]
-        return Bounds((0.0,) * count, (self.max_range,) * count)
-
-    @property
     def image(self) -> tuple[int, int]:
-        """Rows and columns: the distances are an image."""
+        """Rows and columns: the value is an image, or several."""
         return self.size
 
     @abstractmethod
@@ -87,23 +72,69 @@ class RayImage(Sensor):
         The axes of the frame point ahead, left and up.
         """
 
-    def spread(self, distance: Tensor) -> Tensor | float:
-        """Returns the standard deviation of the noise at distances, m."""
-        return self.noise
-
     def received(self, inputs: SensorInput) -> Tensor:
-        """Returns the image ``[rows, columns]`` of a live rover.
+        """Returns the image or images ``[..., rows, columns]`` of a live rover.
 
         Raises:
             ValueError: if the rover has none.
         """
         raise ValueError(f"sensor {self.name!r} casts rays, which needs a simulated world: a live rover has none")
 
+    def mirror(self, value: Tensor) -> Tensor:
+        """Swaps left and right.
+
+        Raises:
+            ValueError: for a device that is not in the middle, or does not look ahead.
+        """
+        if self.yaw or self.mount[1]:
+            raise ValueError(
+                f"sensor {self.name!r} has no mirror image, as it is not in the middle or does not look ahead: train "
+                "with --no-mirror-augmentation"
+            )
+        return value.unflatten(-1, (-1, *self.size)).flip(-1).flatten(-3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayImage(PixelImage):
+    """Image ``[N, rows * columns]`` of distances, m: base of depth cameras and 3D lidars.
+
+    It shows ground, obstacles, movers and the other rovers of a group, but not the robot itself. A pixel without a
+    return reads ``max_range``, and one closer than ``min_range`` or lost reads 0, as those of most devices do.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, dropout: as for :class:`PixelImage`.
+        min_range, max_range: least and largest distance, m.
+        noise: standard deviation of a distance, m.
+
+    Raises:
+        ValueError: if a setting is out of range.
+    """
+
+    min_range: float = 0.1
+    max_range: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive(MAX_RANGE, max_range=self.max_range)
+        if not 0 <= self.min_range < self.max_range:
+            raise ValueError(f"min_range must be from 0 to below max_range={self.max_range}, got {self.min_range}")
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the distances, m."""
+        count = self.size[0] * self.size[1]
+        return Bounds((0.0,) * count, (self.max_range,) * count)
+
+    def spread(self, distance: Tensor) -> Tensor | float:
+        """Returns the standard deviation of the noise at distances, m."""
+        return self.noise
+
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the image, with its noise and without what is lost. That of a live rover is its own."""
         if inputs.surroundings.live is not None:
             return self.received(inputs).clamp(max=self.max_range).flatten()[None]
-        directions, scales = _turned(self)
+        directions, scales = turned_rays(self)
         ranges = inputs.scan(self.mount, directions)
         distance = (ranges / ranges.new_tensor(scales)).clamp(max=self.max_range)
         count = distance.shape[-1]
@@ -119,27 +150,14 @@ class RayImage(Sensor):
         """Returns the logarithm of the distances, since centimeters matter only at short range."""
         return value.log1p() / 1.3 - 1
 
-    def mirror(self, value: Tensor) -> Tensor:
-        """Swaps left and right.
-
-        Raises:
-            ValueError: for a device that is not in the middle, or does not look ahead.
-        """
-        if self.yaw or self.mount[1]:
-            raise ValueError(
-                f"sensor {self.name!r} has no mirror image, as it is not in the middle or does not look ahead: train "
-                "with --no-mirror-augmentation"
-            )
-        return value.unflatten(-1, self.size).flip(-1).flatten(-2)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(RayImage):
+class Pinhole(PixelImage):
     """Image of a pinhole camera with square pixels: base of cameras.
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`.
+        size, mount, yaw, noise, dropout: as for :class:`PixelImage`.
         field_of_view: horizontal field of view, rad.
         pitch: angle by which the camera looks down, rad.
 
@@ -149,7 +167,6 @@ class Camera(RayImage):
 
     size: tuple[int, int] = (64, 64)
     mount: tuple[float, float, float] = (0.25, 0.0, 0.3)
-    max_range: float = 8.0
     field_of_view: float = math.radians(87)
     pitch: float = math.radians(15)
 
@@ -158,19 +175,40 @@ class Camera(RayImage):
         if not 0 < self.field_of_view < math.pi:
             raise ValueError(f"field_of_view must be between 0 and pi, got {self.field_of_view}")
 
+    @property
+    def focal_length(self) -> float:
+        """Focal length, pixels."""
+        return self.size[1] / 2 / math.tan(self.field_of_view / 2)
+
     def rays(self) -> tuple[Vectors, list[float]]:
         """Returns the directions ``(1, -u / f, -v / f)``, turned down by the pitch, and their lengths.
 
         A pixel lies ``u`` to the right of the middle of the image and ``v`` below it, and the focal length is ``f``,
         all in pixels.
         """
-        focal = self.size[1] / 2 / math.tan(self.field_of_view / 2)
+        focal = self.focal_length
         v, u = torch.meshgrid(*(torch.arange(count) - (count - 1) / 2 for count in self.size), indexing="ij")
         directions = torch.stack((torch.ones_like(u), -u / focal, -v / focal), -1).reshape(-1, 3)
         ahead, left, up = directions.unbind(-1)
         cos, sin = math.cos(self.pitch), math.sin(self.pitch)
         turned = torch.stack((cos * ahead + sin * up, left, cos * up - sin * ahead), -1)
         return turned.tolist(), directions.norm(dim=-1).tolist()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(Pinhole, RayImage):
+    """Image of a pinhole camera with a range: base of depth and segmentation cameras.
+
+    Args:
+        name, period: as for :class:`~rover_rl.Sensor`.
+        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`.
+        field_of_view, pitch: as for :class:`Pinhole`.
+
+    Raises:
+        ValueError: if a setting is out of range.
+    """
+
+    max_range: float = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,10 +222,11 @@ class DepthCamera(Camera):
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
         size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
-        field_of_view, pitch: as for :class:`Camera`.
+        field_of_view, pitch: as for :class:`Pinhole`.
         noise: standard deviation of the depth at 1 m, m.
-        topic: topic of the ``sensor_msgs/Image`` of a live rover. ``None``: that of the connection. The camera must see
-            what this one does: the same field of view from the same place.
+        topic: topic of the images of a live rover, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it
+            ends in ``/compressed`` or ``/compressedDepth``. ``None``: that of the connection. The camera must see what
+            this one does: the same field of view from the same place.
 
     Raises:
         ValueError: if a setting is out of range.
@@ -235,7 +274,7 @@ class SegmentationCamera(Camera):
         size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`. A pixel that is lost, or whose ray
             ends too close or too far, shows nothing.
         noise: 0, as kinds have none.
-        field_of_view, pitch: as for :class:`Camera`.
+        field_of_view, pitch: as for :class:`Pinhole`.
 
     Raises:
         ValueError: if a setting is out of range.
@@ -261,7 +300,7 @@ class SegmentationCamera(Camera):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the kinds."""
-        origins, rays = inputs.rays(self.mount, _turned(self)[0])
+        origins, rays = inputs.rays(self.mount, turned_rays(self)[0])
         still, ranges = inputs.surroundings.cast_apart(origins, rays)
         rays = rays / rays.norm(dim=-1, keepdim=True)
         ends = origins + rays * ranges.masked_fill(ranges.isinf(), 0.0)[..., None]
@@ -378,7 +417,7 @@ class Lidar3D(RayImage):
 
 
 @cache
-def _turned(sensor: RayImage) -> tuple[Vectors, list[float]]:
+def turned_rays(sensor: PixelImage) -> tuple[Vectors, list[float]]:
     """Returns the directions of the pixels in the frame of the robot, and the ranges at which they read 1 m."""
     directions, scales = sensor.rays()
     cos, sin = math.cos(sensor.yaw), math.sin(sensor.yaw)

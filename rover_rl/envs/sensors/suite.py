@@ -19,7 +19,7 @@ PAST_SCANS = "past_scans"
 """Name of what the lidar saw before, which an environment has if asked for."""
 ROUTE = "route"
 """Name of the route, which an environment has if asked for, and which policies may read in any environment."""
-HEIGHTS, DEPTH, SEGMENTATION, LIDAR3D = "heights", "depth", "segmentation", "lidar3d"
+HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D = "heights", "depth", "colors", "segmentation", "lidar3d"
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
 CONTACT, EFFORT = "contact", "effort"
 """Names of contact forces and motor torques, which an environment has if asked for."""
@@ -41,6 +41,7 @@ BUILT_IN = {
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
     HEIGHTS: "rover_rl.envs.sensors.heights:HeightScan",
     DEPTH: "rover_rl.envs.sensors.ray_images:DepthCamera",
+    COLORS: "rover_rl.envs.sensors.color_camera:ColorCamera",
     SEGMENTATION: "rover_rl.envs.sensors.ray_images:SegmentationCamera",
     LIDAR3D: "rover_rl.envs.sensors.ray_images:Lidar3D",
     CONTACT: "rover_rl.envs.sensors.forces:ContactSensor",

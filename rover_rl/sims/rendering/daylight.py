@@ -15,8 +15,9 @@ from scipy.ndimage import map_coordinates
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from rover_rl.sims.rendering.renderer import SCENERY_REACH, sky_openness, sunlight, traced_mesh
+from rover_rl.sims.rendering.renderer import SCENERY_REACH, sky_openness, sunlight
 from rover_rl.sims.rendering.scenery import GROUND, HORIZON, ZENITH
+from rover_rl.sims.rendering.scenes import traced_mesh
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
 from rover_rl.sims.worlds import World
 

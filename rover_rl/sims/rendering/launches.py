@@ -41,6 +41,6 @@ def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> Non
         list(pool.map(wp.Launch.launch, bands))
 
 
-def array(values: Any, dtype: Any) -> wp.array:
-    """Copies values to an array of the renderer's device."""
-    return wp.array(np.asarray(values), dtype=dtype, device=DEVICE)
+def array(values: Any, dtype: Any, device: Any = DEVICE) -> wp.array:
+    """Copies values to an array of a device, by default the renderer's."""
+    return wp.array(np.asarray(values), dtype=dtype, device=device)

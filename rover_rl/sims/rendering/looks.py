@@ -17,9 +17,9 @@ class Look(NamedTuple):
 
 
 def looks_of(world: World, count: int) -> list[Look]:
-    """Returns the look of ``count`` parts: those of a world's movers, then those of other rovers of a group."""
+    """Returns the look of ``count`` parts: those of other rovers of a group, then those of a world's movers."""
     looks = [look for mover in world.movers for look in _looks(mover.shape)]
-    return [*looks, *[Look(MOVER)] * (count - len(looks))][:count]
+    return [*[Look(MOVER)] * (count - len(looks)), *looks][:count]
 
 
 def _looks(shape: Shape) -> list[Look]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -16,6 +17,7 @@ from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.launches import DEVICE, array
 from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.rendering.scenery import SKIN
+from rover_rl.sims.rendering.scenes import traced_mesh
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers.shapes import KINDS, Kind
@@ -41,57 +43,71 @@ def forms_of(world: World, parts: Parts) -> list[Form]:
     return forms
 
 
-class MoverSurfaces:
-    """Meshes of the parts of a world's movers, each of a kind and size once. Several threads may call it."""
+class FormMeshes:
+    """Meshes of the forms of parts on a device, each made when it is first asked for."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, device: Any = DEVICE) -> None:
+        self._device = device
         self._numbers: dict[Form, int] = {}
         self._surfaces: list[Surface] = []
         self._meshes: list[wp.Mesh] = []
-        self._forms = rays.Forms()
-        self._lock = Lock()
+        self._arrays: rays.Forms | None = None
+        self.reaches: list[float] = []
+        """Radius of a sphere around the origin of each form that contains it, m."""
+
+    def number(self, form: Form) -> int:
+        """Returns the number of a form."""
+        if form not in self._numbers:
+            self._numbers[form] = len(self._numbers)
+            surface = part_surface(form)
+            self._surfaces.append(surface)
+            self._meshes.append(traced_mesh(surface, self._device))
+            self.reaches.append(float(np.linalg.norm(surface.vertices, axis=1).max()))
+            self._arrays = None
+        return self._numbers[form]
+
+    @property
+    def arrays(self) -> rays.Forms:
+        """What the kernels look up. New forms are in new arrays; the old ones stay as they are."""
+        if self._arrays is None:
+            joined, device, forms = Surface.join(self._surfaces), self._device, rays.Forms()
+            starts = np.cumsum([0, *(len(one.faces) for one in self._surfaces[:-1])])
+            forms.meshes = array([mesh.id for mesh in self._meshes], wp.uint64, device)
+            forms.first_triangles, forms.triangles = array(starts, int, device), array(joined.faces, int, device)
+            forms.normals = array(joined.normals, wp.vec3, device)
+            # Squares turn displayed colors into intensities.
+            forms.colors = array(joined.colors**2, wp.vec3, device)
+            self._arrays = forms
+        return self._arrays
+
+
+class MoverSurfaces:
+    """Meshes of the parts of a world's movers. Several threads may call it."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._meshes, self._lock = world, FormMeshes(), Lock()
 
     def place(self, placing: rays.Placing, parts: Parts | None, eye: np.ndarray) -> object:
         """Sets where parts are, for a camera at ``eye [3]`` (m). Returns what must live as long as ``placing``."""
         shown = in_view(parts, eye) if parts is not None else ()
-        placing.parts = len(shown)
+        placing.parts, placing.root = len(shown), -1
         if parts is None or not len(shown):
             return None
         position, orientation = parts.position[0].numpy()[shown], parts.orientation[0].numpy()[shown]
         with self._lock:
             forms = forms_of(self._world, parts)
-            numbers = [self._number(forms[part]) for part in shown]
-            placing.forms = self._forms
-            reach = np.array([np.linalg.norm(self._surfaces[number].vertices, axis=1).max() for number in numbers])
-            boxes = [array(position + sign * reach[:, None], wp.vec3) for sign in (-1, 1)]
+            numbers = [self._meshes.number(forms[part]) for part in shown]
+            placing.forms = self._meshes.arrays
+            reach = np.array(self._meshes.reaches)[numbers, None]
+            boxes = [array(position + sign * reach, wp.vec3) for sign in (-1, 1)]
             tree = wp.Bvh(*boxes)
         placing.tree = tree.id
         placing.part_poses = wp.array(np.hstack((position, orientation)), dtype=wp.transform, device=DEVICE)
         placing.part_forms = array(numbers, int)
         return tree
 
-    def _number(self, form: Form) -> int:
-        """Returns the number of the mesh of a form, and makes it where it is new."""
-        if form not in self._numbers:
-            self._numbers[form] = len(self._numbers)
-            self._add(part_surface(form))
-        return self._numbers[form]
 
-    def _add(self, surface: Surface) -> None:
-        """Adds a mesh. Pictures that other threads are drawing keep the meshes that they have."""
-        self._surfaces = [*self._surfaces, surface]
-        mesh = wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
-        self._meshes.append(mesh)
-        joined, forms = Surface.join(self._surfaces), rays.Forms()
-        forms.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
-        forms.first_triangles = array(np.cumsum([0, *(len(one.faces) for one in self._surfaces[:-1])]), int)
-        forms.triangles, forms.normals = array(joined.faces, int), array(joined.normals, wp.vec3)
-        # Squares turn displayed colors into intensities.
-        forms.colors = array(joined.colors**2, wp.vec3)
-        self._forms = forms
-
-
+@lru_cache(maxsize=512)
 def part_surface(form: Form) -> Surface:
     """Creates the surface of a part in its own frame."""
     length, width, height = form.size

@@ -16,14 +16,11 @@ from rover_rl.sims.rendering.kernels.pictures import STEP
 from rover_rl.sims.rendering.launches import DEVICE, array, launch
 from rover_rl.sims.rendering.mover_surfaces import MoverSurfaces
 from rover_rl.sims.rendering.robot_surface import robot_surface
+from rover_rl.sims.rendering.scenes import AT_ORIGIN, FAR_BELOW, scene_of, traced_mesh
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
-_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-"""Position and quaternion (x, y, z, w) of the scenery."""
-_FAR_BELOW = (0.0, 0.0, -1e6)
-"""Position of the post without a goal, out of sight, m."""
 OPENNESS_RAYS = 16
 """Number of rays of each vertex that tell how much of the sky it sees."""
 SCENERY_REACH, BODY_REACH = 1.2, 0.25
@@ -42,31 +39,13 @@ class Renderer:
         ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)
         scenery = ground if obstacles is None else Surface.join([ground, obstacles])
         bodies = [scenery, robot_surface(robot), post_surface()]
-        # The arrays hold no reference to the meshes.
         self._meshes = [traced_mesh(body) for body in bodies]
-        self._arrays = arrays = rays.Scene()
-        arrays.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
-        arrays.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
-        arrays.first_triangles = array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int)
-        heights = world.terrain.heights
-        arrays.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
-        low, high = bodies[rays.ROVER].vertices.min(0), bodies[rays.ROVER].vertices.max(0)
-        arrays.rover_center, arrays.rover_half = wp.vec3(*((low + high) / 2)), wp.vec3(*((high - low) / 2))
-        joined = Surface.join(bodies)
-        is_ground = np.arange(len(joined.faces)) < len(ground.faces)
-        arrays.triangles = array(joined.faces, int)
-        # Squares turn displayed colors into intensities.
-        arrays.colors = array(np.column_stack((joined.colors**2, is_ground)), wp.vec4)
-        arrays.normals = array(joined.normals, wp.vec3)
         reaches = [SCENERY_REACH, *(BODY_REACH for _ in bodies[1:])]
         openness = [sky_openness(*each) for each in zip(self._meshes, bodies, reaches, strict=True)]
-        arrays.openness = array(np.concatenate(openness), float)
-        sunshine = np.full(len(joined.vertices), 0.5)
+        sunshine = np.full(sum(map(len, openness)), 0.5)
         sunshine[: len(ground.vertices)] = sunlight(self._meshes[0], ground)
-        arrays.sunshine = array(sunshine, float)
-        side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
-        arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
-        launch(light.find_noise, (side, side), [arrays.noise])
+        lit = np.concatenate(openness), sunshine
+        self._arrays = scene_of(world.terrain, len(ground.faces), bodies, self._meshes, *lit)
         self._movers = MoverSurfaces(world)
         self.sight = Sight(world)
 
@@ -83,8 +62,8 @@ class Renderer:
         """Renders what a camera sees: see ``RendererCache.render``. Several threads may call it."""
         pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
-        post = _FAR_BELOW if goal is None else (*goal.tolist(), self._world.height_at(goal.double().cpu()).item())
-        poses = np.array((_AT_ORIGIN, rover, (*post, *_AT_ORIGIN[3:])), dtype=np.float32)
+        post = FAR_BELOW if goal is None else (*goal.tolist(), self._world.height_at(goal.double().cpu()).item())
+        poses = np.array((AT_ORIGIN, rover, (*post, *AT_ORIGIN[3:])), dtype=np.float32)
         placing = rays.Placing()
         placing.poses = wp.array(poses, dtype=wp.transform, device=DEVICE)
         _tree = self._movers.place(placing, movers, camera.eye.numpy())
@@ -108,11 +87,6 @@ def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
     pinhole.eye, pinhole.forward = wp.vec3(*camera.eye.tolist()), wp.vec3(*forward.tolist())
     pinhole.right, pinhole.down = wp.vec3(*(right / focal).tolist()), wp.vec3(*(down / focal).tolist())
     return pinhole
-
-
-def traced_mesh(surface: Surface) -> wp.Mesh:
-    """Creates the mesh that rays are traced against."""
-    return wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
 
 
 def sky_openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -13,7 +14,8 @@ from trimesh.graph import smooth_shade
 from trimesh.remesh import subdivide_to_size
 
 from rover_rl.sims.rendering.scenery import GOAL, GROUND, OBSTACLE, POST_LENGTH, POST_RADIUS
-from rover_rl.sims.worlds import Obstacle, Terrain, World
+from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.worlds.obstacles import groups_of
 
 SEGMENTS = 48
 """Number of sides of the prisms that stand for cylinders."""
@@ -62,10 +64,10 @@ class Surface:
         return cls(np.array(shaded.vertices), np.array(shaded.faces), np.array(shaded.vertex_normals), colors)
 
 
-def ground_surface(terrain: Terrain) -> Surface:
-    """Creates the surface of a terrain."""
+def ground_surface(terrain: Terrain, max_cell: float = MAX_CELL) -> Surface:
+    """Creates the surface of a terrain. Cells of flat ground that are larger than ``max_cell`` (m) are divided."""
     if terrain.is_flat:
-        parts = math.ceil(terrain.cell / MAX_CELL)
+        parts = math.ceil(terrain.cell / min(max_cell, terrain.cell))
         rows, columns = ((count - 1) * parts + 1 for count in terrain.heights.shape)
         terrain = Terrain(terrain.heights[:1, :1].expand(rows, columns), terrain.cell / parts, terrain.origin)
     vertices, faces = terrain.mesh()
@@ -73,26 +75,34 @@ def ground_surface(terrain: Terrain) -> Surface:
     return Surface(vertices.numpy(), faces.numpy(), _vertex_normals(vertices, faces).numpy(), colors)
 
 
-def obstacles_surface(world: World) -> Surface | None:
-    """Creates the surface of all obstacles of a world, ``None`` if there are none."""
+def obstacles_surface(world: World, max_edge: float = MAX_EDGE) -> Surface | None:
+    """Creates the surface of all obstacles of a world, ``None`` if there are none.
+
+    Triangles with an edge longer than ``max_edge`` (m) are divided.
+    """
+    groups = groups_of(world.obstacles)
+    if not groups:
+        return None
+    # Separate vertices for every triangle give flat shading with visible edges.
+    corners = np.concatenate([solids.vertices[:, solids.faces].reshape(-1, 3).numpy() for solids in groups])
     tints = np.random.default_rng(0).uniform(1 - TINT, 1 + TINT, len(world.obstacles))
-    parts = [_obstacle(obstacle, tint) for obstacle, tint in zip(world.obstacles, tints.tolist(), strict=True)]
-    return Surface.join(parts) if parts else None
+    counts = [len(solids.faces) for solids in groups for _ in range(len(solids))]
+    obstacle = np.arange(len(counts)).repeat(counts)
+    vertices, faces = corners, np.arange(len(corners)).reshape(-1, 3)
+    if max_edge < math.inf:
+        vertices, faces, whole = subdivide_to_size(vertices, faces, max_edge, max_iter=30, return_index=True)
+        order = obstacle[whole].argsort(kind="stable")
+        faces, obstacle = faces[order], obstacle[whole][order]
+    normals = _vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
+    return Surface(vertices, faces, normals, np.outer(tints[obstacle], OBSTACLE))
 
 
+@cache
 def post_surface() -> Surface:
     """Creates the surface of the post of the goal, whose origin is on the ground."""
     post = trimesh.creation.cylinder(POST_RADIUS, POST_LENGTH, sections=SEGMENTS)
     post.apply_translation((0, 0, POST_LENGTH / 2))
     return Surface.of_solid(post, GOAL)
-
-
-def _obstacle(obstacle: Obstacle, tint: float) -> Surface:
-    # Separate vertices for every triangle give flat shading with visible edges.
-    corners = obstacle.vertices[obstacle.faces.flatten()].numpy()
-    vertices, faces = subdivide_to_size(corners, np.arange(len(corners)).reshape(-1, 3), MAX_EDGE, max_iter=30)
-    normals = _vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
-    return Surface(vertices, faces, normals, np.tile(np.multiply(OBSTACLE, tint), (len(faces), 1)))
 
 
 def _vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:

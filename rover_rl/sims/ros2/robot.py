@@ -18,7 +18,7 @@ from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.elevation_maps import elevation_map_message
-from rover_rl.sims.ros2.images import depth_message
+from rover_rl.sims.ros2.image_formats import image_format
 from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -128,8 +128,10 @@ class RobotNode:
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
         connection = self._connection
-        for topic, depth in report.depth.items():
-            self._send(topic or connection.camera_topic, depth_message(depth, scan_time, "camera_link"))
+        for kind, images in report.images.items():
+            for topic, image in images.items():
+                topic = topic or connection.image_topics[kind]
+                self._send(topic, image_format(kind, topic).write(image, scan_time, "camera_link"))
         for topic, points in report.points.items():
             self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
         for topic, ground in report.ground.items():

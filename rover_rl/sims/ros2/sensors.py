@@ -15,8 +15,8 @@ from torch import Tensor
 
 from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.ros2.images import read_depth
-from rover_rl.sims.ros2.messages import Image, Imu, LaserScan, Odometry
+from rover_rl.sims.ros2.image_formats import image_format
+from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
     IDENTITY_ORIENTATION,
     ORIGIN_POSE,
@@ -29,6 +29,7 @@ from rover_rl.sims.ros2.poses import (
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
+from rover_rl.sims.served import ImageKind
 
 RATE_WINDOW = 20
 """Number of scan periods in a measurement of the scan rate."""
@@ -137,7 +138,7 @@ class Sensors:
         self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
         for kind, (topic, message, _) in sources.items():
             transport.subscribe(topic, message, partial(self.receive, kind))
-        self._transport, self._camera_topic = transport, connection.camera_topic
+        self._transport, self._connection = transport, connection
 
     @property
     def has_recent_scan(self) -> bool:
@@ -160,12 +161,14 @@ class Sensors:
         """Latest forward speed (m/s) and yaw rate (rad/s) by wheel odometry, ``[2]``; zeros before the first one."""
         return self.messages.value("odometry", torch.zeros(2))
 
-    def depth_image(self, topic: str | None) -> Tensor | None:
-        """Returns the latest depth image on a topic, ``[rows, columns]``, m; ``None`` before the first one.
+    def image(self, of: ImageKind, topic: str | None) -> Tensor | None:
+        """Returns the latest image on a topic; ``None`` before the first one. ``None`` is the topic of the connection.
 
         The first call subscribes to the topic.
         """
-        image: Tensor | None = self.latest_on(topic or self._camera_topic, "camera", Image, read_depth)
+        topic = topic or self._connection.image_topics[of]
+        message, read, _ = image_format(of, topic)
+        image: Tensor | None = self.latest_on(topic, of, message, read)
         return image
 
     def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:

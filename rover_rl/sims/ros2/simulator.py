@@ -296,8 +296,13 @@ class Ros2Simulator:
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
         """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
-        image = self._sensors.depth_image(topic)
+        image = self._sensors.image("depth", topic)
         return torch.zeros(size) if image is None else resized(image, size)
+
+    def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Returns the latest color image: see :meth:`~rover_rl.sims.base.ColorCarrier.color_image`."""
+        image = self._sensors.image("colors", topic)
+        return torch.zeros(3, *size) if image is None else resized(image, size)
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
         """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""

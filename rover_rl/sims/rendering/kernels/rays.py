@@ -101,9 +101,11 @@ class Placing:
 
     # Poses of the first three bodies.
     poses: wp.array[wp.transform]
-    # Number of parts of movers, tree of boxes around them, and the pose and form of each.
+    # Number of parts of movers, tree of boxes around them, its branch with those in this picture (-1: all), and the
+    # pose and form of each.
     parts: int
     tree: wp.uint64
+    root: int
     part_poses: wp.array[wp.transform]
     part_forms: wp.array[int]
     forms: Forms
@@ -163,7 +165,7 @@ def closest_part(placing: Placing, start: wp.vec3, direction: wp.vec3, farthest:
     hit = Hit()
     hit.distance = farthest
     hit.body = -1
-    query = wp.bvh_query_ray(placing.tree, start, direction)
+    query = wp.bvh_query_ray(placing.tree, start, direction, placing.root)
     part = int(0)
     while wp.bvh_query_next(query, part, hit.distance):
         pose = placing.part_poses[part]
@@ -183,7 +185,7 @@ def closest_part(placing: Placing, start: wp.vec3, direction: wp.vec3, farthest:
 @wp.func
 def meets_part(placing: Placing, start: wp.vec3, direction: wp.vec3) -> bool:
     """Whether a ray meets a part of a mover."""
-    query = wp.bvh_query_ray(placing.tree, start, direction)
+    query = wp.bvh_query_ray(placing.tree, start, direction, placing.root)
     part = int(0)
     while wp.bvh_query_next(query, part, FAR):
         pose = placing.part_poses[part]
