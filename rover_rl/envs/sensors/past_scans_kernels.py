@@ -9,7 +9,8 @@ from rover_rl.sims.native.warp import wp
 
 FAR = wp.constant(1.0e6)
 """Length of a beam without a return, m."""
-Scans = wp.array(dtype=wp.vec2, ndim=3)
+TURN = wp.constant(6.283185307179586)
+"""A full turn, rad."""
 
 
 @wp.func
@@ -29,7 +30,7 @@ def keep(
     directions: wp.array[wp.vec2],
     frames: wp.array[wp.vec3],
     latest: wp.array[int],
-    ends: Scans,
+    ends: wp.array3d[wp.vec2],
 ):
     """Writes the scans of the rows that are due to the place ``latest``, and to all places of a new episode."""
     row = wp.tid()
@@ -51,7 +52,7 @@ def show(
     frames: wp.array[wp.vec3],
     latest: wp.array[int],
     apart: int,
-    ends: Scans,
+    ends: wp.array3d[wp.vec2],
     ranges: wp.array3d[float],
 ):
     """Shortens ``ranges [N, count, directions]`` to those of the kept scans, seen from ``frames``.
@@ -65,7 +66,7 @@ def show(
         for point in range(ends.shape[2]):
             end = turned(-frame[2], ends[row, place, point] - wp.vec2(frame[0], frame[1]))
             distance = wp.length(end)
-            share = wp.atan2(end[1], end[0]) * float(count) / (2.0 * wp.pi)
+            share = wp.atan2(end[1], end[0]) * float(count) / TURN
             before = (int(wp.floor(share)) + count) % count
             after = (before + 1) % count
             ranges[row, scan, before] = wp.min(ranges[row, scan, before], distance)

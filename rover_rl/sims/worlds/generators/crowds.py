@@ -271,7 +271,7 @@ def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
         ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
-    lengths, speeds = (
+    (shortest, longest), (slowest, fastest) = (
         [scale * scaled(difficulty, *ends) for ends in zip(*values, strict=True)]
         for values in (GATE_LENGTHS, GATE_SPEEDS)
     )
@@ -283,9 +283,9 @@ def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
     for number in range(round(scaled(difficulty, *GATES))):
         x, yaw = rng.uniform(-0.5, 0.5) * scale, rng.uniform(-GATE_YAW, GATE_YAW)
         start = width / 2 * rng.choice((-1.0, 1.0))
-        period = round(width / rng.uniform(*speeds), 2)
+        period = round(width / rng.uniform(slowest, fastest), 2)
         path = Waypoints([(0.0, x, start, yaw), (period, x, -start, yaw)], "loop", random_start=True)
-        movers.append(Mover(path, Box(round(rng.uniform(*lengths), 2), GATE_THICKNESS, 1.0), f"gate {number}"))
+        movers.append(Mover(path, Box(round(rng.uniform(shortest, longest), 2), GATE_THICKNESS, 1.0), f"gate {number}"))
     middle = (width + WALL) / 2
     return World(
         name="gates",
