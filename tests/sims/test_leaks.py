@@ -8,8 +8,8 @@ from benchmarks.leaks import in_fresh_process
 from tests.extras import BACKENDS
 
 WARMUP, CYCLES = 2, 3
-WORLDS = ("inspect", "new")
-"""The worlds with meshes of the ground and of boulders; the maze and the moon have nothing that these do not have."""
+WORLDS = ("new",)
+"""World with meshes of the ground and of boulders. The built-in ones have nothing that it does not have."""
 LIMIT = 5.0 * CYCLES
 """Allowed growth in MB. The lists leaked by PyBullet's own functions take 21 to 115 MB per environment, except in the
 maze (`python -m benchmarks.leaks` measures all worlds)."""
