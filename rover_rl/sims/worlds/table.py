@@ -230,7 +230,7 @@ class TerrainRows(NamedTuple):
         from rover_rl.sims.native.warp import stream_of, wp
         from rover_rl.sims.worlds.ground_kernels import grounds_of, measure_heights
 
-        points = xy.float().flatten(1, -2).contiguous()
+        points = xy.float().reshape(len(xy), -1, 2).contiguous()
         heights = points.new_empty(points.shape[:2])
         with wp.ScopedStream(stream_of(points.device)):
             inputs = [grounds_of(self), wp.from_torch(points, dtype=wp.vec2), wp.from_torch(heights)]
