@@ -130,7 +130,7 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
     [
         ("gymnasium_drive.py", {"ROVERS": 4}, r"^goal reached after \d(.|\n)*4 rovers reached"),
         ("lidar_scan.py", {}, ""),
-        ("depth_camera.py", {}, ""),
+        ("cameras.py", {}, ""),
         # The gate and the posts, not the ground alone, and a way out ahead.
         ("own_world.py", {}, r"^([6-9]\d|1[01]\d) of 128 beams"),
         ("import_map.py", {"EPISODES": 1}, r"16 boxes(.|\n)*anywhere: 1 of 1 goals"),

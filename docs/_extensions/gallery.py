@@ -10,7 +10,7 @@ from sphinx.application import Sphinx
 ORDER = (
     "gymnasium_drive.py",
     "lidar_scan.py",
-    "depth_camera.py",
+    "cameras.py",
     "own_world.py",
     "import_map.py",
     "own_robot.py",

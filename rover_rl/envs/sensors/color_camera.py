@@ -20,7 +20,8 @@ class ColorCamera(Pinhole):
     The images of red, green and blue follow one another. Each is row by row from the top left, as a screen shows it.
     The colors are those of films: ground with its grid, obstacles, movers, the other rovers of a group, the post of the
     goal, sky, sunlight with shadows, and haze. A pixel is what one ray sees, so that edges are not smooth. The robot
-    itself is not seen, nor its shadow, and corners are not darker than what is around them.
+    itself is not seen, nor its shadow, and corners are not darker than what is around them. People have shoulders and a
+    head, while rays of other sensors meet a cylinder in their place.
 
     Args:
         name, period: as for :class:`~rover_rl.Sensor`.
