@@ -20,18 +20,19 @@ FACE = 5.0
 
 
 def driven(yaw: Tensor, world: World, speed: float, steps: int = 20) -> Tensor:
-    """Drives at a speed, and returns the current range straight ahead and the past ones, ``[N, 3]``, m."""
+    """Drives at a speed, and returns the range straight ahead in the scan now and in the past ones, ``[N, 3]``, m."""
     env = RoverEnv(EnvConfig(world=world, num_envs=len(yaw), backend="warp", lidar=LIDAR, sensors=[SENSOR], seed=3))
     start = torch.cat((torch.zeros(len(yaw), 2), yaw[:, None]), -1)
     tensordict = env.reset(start=start, goal=torch.tensor([[0.0, 8.0]]).repeat(len(yaw), 1))
-    first = tensordict["past_scans"].unflatten(-1, (2, 64))
-    assert torch.equal(first[:, 0], first[:, 1])
+    first = tensordict["past_scans"].unflatten(-1, (3, 64))
+    assert torch.equal(first, first[:, :1].expand(-1, 3, -1))
     for _ in range(steps):
         action = torch.stack((torch.full_like(yaw, speed), torch.zeros_like(yaw)), -1)
         tensordict = env.step(tensordict.set("action", action))["next"]
     env.close()
-    past = tensordict["past_scans"].unflatten(-1, (2, 64))[..., 0]
-    return torch.cat((tensordict["lidar"][:, :1], past), -1)
+    ranges = tensordict["past_scans"].unflatten(-1, (3, 64))[..., 0]
+    torch.testing.assert_close(ranges[:, 0], tensordict["lidar"][:, 0], atol=0.05, rtol=0)
+    return ranges
 
 
 def test_what_rests_has_the_same_range_in_all_scans() -> None:
@@ -50,8 +51,18 @@ def test_a_long_wall_that_moves_was_elsewhere() -> None:
     assert torch.equal(driven(torch.tensor([0.0]), world, speed=0.0), ranges[:1])
 
 
+def test_networks_read_what_has_changed() -> None:
+    now, before, both = torch.full((64,), 2.0), torch.full((64,), 3.0), torch.full((64,), 2.0)
+    before[:8] = 2.0
+    encoded = SENSOR.encode(torch.cat((now, before, both))).unflatten(-1, (3, 64))
+    assert SENSOR.features == 192
+    assert not encoded[2].any()
+    assert not encoded[1, :8].any()
+    assert (encoded[1, 8:] == -1).all()
+
+
 def test_the_mirror_image_swaps_left_and_right() -> None:
-    value = torch.arange(128.0)
+    value = torch.arange(192.0)
     mirrored = SENSOR.mirror(value)
     assert torch.equal(SENSOR.mirror(mirrored), value)
     assert mirrored[:4].tolist() == [0, 63, 62, 61]

@@ -17,19 +17,22 @@ from rover_rl.envs.sensors.suite import PAST_SCANS
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots.fleet import Fleet
 
+CHANGE = 4.0
+"""Factor of the changes that a network reads: 1 is what has come from 3 m to 2.1 m."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PastScans(Sensor):
-    """Earlier lidar scans, as they would look from the pose now, ``[N, count * points]``, m, the latest first.
+    """The lidar scan and earlier ones, as they would look from the pose now, ``[N, (1 + count) * points]``, m.
 
     What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved:
-    people, and long walls, which the tracker of :class:`~rover_rl.envs.sensors.movers.Movers` leaves out. At the
-    start of an episode, all are the first scan.
+    people, and long walls, which the tracker of :class:`~rover_rl.envs.sensors.movers.Movers` leaves out. The
+    latest scan is the first. At the start of an episode, all are the first scan.
 
     Args:
         name: key of the entry.
         period: number of steps from one scan that is kept to the next.
-        count: number of scans.
+        count: number of earlier scans.
         apart: number of kept scans from one to the next.
         points: number of directions, from ahead counterclockwise. A direction without a reading has ``max_range``: with
             half as many directions as the lidar has readings, there are no gaps on a wall that has come nearer.
@@ -40,8 +43,8 @@ class PastScans(Sensor):
 
     Example:
         >>> env = RoverEnv(world_n="gates", num_envs=2, seed=0, sensors=[PastScans(count=3)])
-        >>> env.rollout(5)["past_scans"].unflatten(-1, (3, 16)).shape
-        torch.Size([2, 5, 3, 16])
+        >>> env.rollout(5)["past_scans"].unflatten(-1, (4, 16)).shape
+        torch.Size([2, 5, 4, 16])
     """
 
     name: str = PAST_SCANS
@@ -60,7 +63,7 @@ class PastScans(Sensor):
     @property
     def bounds(self) -> Bounds:
         """Bounds of the ranges, m."""
-        size = self.count * self.points
+        size = (1 + self.count) * self.points
         return Bounds((0.0,) * size, (self.max_range,) * size)
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
@@ -72,12 +75,14 @@ class PastScans(Sensor):
         raise NotImplementedError("past scans are a memory: read them by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
-        """Returns the logarithm of the ranges, as for the lidar."""
-        return value.log1p() / 1.3 - 1
+        """Returns the logarithm of the ranges now, as for the lidar, and by how much it exceeds the earlier ones."""
+        now, before = value.log1p().split((self.points, self.count * self.points), -1)
+        change = now[..., None, :] - before.unflatten(-1, (self.count, self.points))
+        return torch.cat((now / 1.3 - 1, (CHANGE * change).clamp(-1, 1).flatten(-2)), -1)
 
     def mirror(self, value: Tensor) -> Tensor:
         """Mirrors the scans: direction b becomes -b."""
-        return value.unflatten(-1, (self.count, self.points)).flip(-1).roll(1, -1).flatten(-2)
+        return value.unflatten(-1, (-1, self.points)).flip(-1).roll(1, -1).flatten(-2)
 
 
 class _KeptScans:
@@ -92,7 +97,7 @@ class _KeptScans:
         self._ends = torch.zeros(rig.rows, size, rig.lidar.points, 2, device=rig.device)
         # Place of each row's last scan.
         self._latest = torch.zeros(rig.rows, dtype=torch.int32, device=rig.device)
-        self._ranges = torch.zeros(rig.rows, sensor.count, sensor.points, device=rig.device)
+        self._ranges = torch.zeros(rig.rows, 1 + sensor.count, sensor.points, device=rig.device)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         """Adds the scans of the rows that are due, and returns the values of the sensor."""
@@ -111,7 +116,7 @@ class _KeptScans:
         wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
         ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
         inputs_of_show = [due, self._frames(pose, imu), self._latest, sensor.apart, self._ends, ranges]
-        wp.launch(show, (rows, sensor.count), inputs_of_show, **options)
+        wp.launch(show, (rows, 1 + sensor.count), inputs_of_show, **options)
         self._ranges = ranges
         return ranges.flatten(1)
 

@@ -62,7 +62,7 @@ def show(
     row, scan = wp.tid()
     if due[row]:
         frame, count = frames[row], ranges.shape[2]
-        place = (latest[row] + ends.shape[1] - (scan + 1) * apart) % ends.shape[1]
+        place = (latest[row] + ends.shape[1] - scan * apart) % ends.shape[1]
         for point in range(ends.shape[2]):
             end = turned(-frame[2], ends[row, place, point] - wp.vec2(frame[0], frame[1]))
             distance = wp.length(end)
