@@ -28,7 +28,7 @@ import tyro
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from benchmarks.stored import stored_worlds
+from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl import EnvConfig, LidarConfig, Randomization, make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, draw_episodes, stored_episodes
@@ -36,7 +36,7 @@ from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.names import BASELINES, make_baseline
-from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.train import train
 
 ROVERS, STEPS = 16, 200
@@ -80,7 +80,7 @@ class Digests:
             for world in POOLS:
                 print("pool", world, rollout_digest(world, "warp", RANDOMIZED), flush=True)
         if "policies" in self.parts:
-            for name in pretrained_names():
+            for name in stored_policies():
                 print("policy", name, *policy_digest(name, self.count), flush=True)
         if "baselines" in self.parts:
             for name in BASELINES:

@@ -21,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from benchmarks.stored import stored_worlds
+from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
 from rover_rl.algos.config_files import run_config
 from rover_rl.algos.evaluation.cores import over_cores
@@ -31,7 +31,7 @@ from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.experiments.curves import draw_learning_curve
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.train import train
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.files import write_json, written_whole
@@ -50,7 +50,7 @@ INTERRUPTED = 130
 class Options:
     """Train the policies of the package with several seeds, and evaluate them."""
 
-    policies: list[str] = field(default_factory=pretrained_names)
+    policies: list[str] = field(default_factory=stored_policies)
     """Names of the policies of the package."""
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
     """Seeds of weights, actions, starts and goals."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS
+from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.worlds.names import WorldRange
 
@@ -17,3 +18,8 @@ def stored_worlds(env: EnvConfig) -> list[str]:
     ranges = {name: WorldRange.parse(name) for name in env.world_names}
     kinds = dict.fromkeys(name if seeds is None else seeds.part for name, seeds in ranges.items())
     return [kind for kind in kinds if kind in STORED_WORLDS]
+
+
+def stored_policies() -> list[str]:
+    """Returns the pretrained policies that were trained in a world with stored starts and goals."""
+    return [name for name in pretrained_names() if stored_worlds(load_pretrained(name).env)]

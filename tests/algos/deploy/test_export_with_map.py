@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,8 @@ def folder(tmp_path_factory) -> Path:
     routed_checkpoint("gru").save(folder / "gru" / "checkpoint.pt")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "CHECKED_DRIVE", DECISIONS)
+        # Optimizing the graph of a map takes a minute. Those of test_export are optimized.
+        patch.setattr(torch.onnx, "export", partial(torch.onnx.export, optimize=False))
         assert main(["export", str(folder / "gru"), "--out", str(folder / "gru.onnx")]) == 0
         assert export(routed_checkpoint("none"), folder / "none.pt2", "torch") <= TOLERANCE
     return folder
