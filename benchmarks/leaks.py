@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rover_rl import make_env
-from rover_rl.sims.worlds import Terrain, World, boulder
+from rover_rl.sims.worlds import Terrain, World, boulder, box
 
 WORLDS = ("inspect", "moon", "maze", "new")
 """Built-in worlds, and ``"new"`` for a world created for each environment."""
@@ -85,7 +85,8 @@ def _hills(seed: int) -> World:
     heights = 0.002 * rng.standard_normal((181, 181))
     area = ((-1.5, 1.5), (-1.5, 1.5))
     rocks = [boulder((x, y, 0.2), 0.4, rng) for x in (-3, 3) for y in (-3, 3)]
-    return World(f"hills {seed}", Terrain(heights, 0.05), rocks, spawn_range=area)
+    panel = box((0, 3, 0.5), (1.0, 0.1, 1.0))
+    return World(f"hills {seed}", Terrain(heights, 0.05), [*rocks, panel], spawn_range=area)
 
 
 def _memory() -> float:

@@ -9,7 +9,7 @@ from tests.extras import BACKENDS
 
 WARMUP, CYCLES = 2, 3
 WORLDS = ("new",)
-"""World with meshes of the ground and of boulders. The built-in ones have nothing that it does not have."""
+"""World with a mesh of the ground, boulders and a box. The built-in ones have nothing that it does not have."""
 LIMIT = 5.0 * CYCLES
 """Allowed growth in MB. The lists leaked by PyBullet's own functions take 21 to 115 MB per environment, except in the
 maze (`python -m benchmarks.leaks` measures all worlds)."""

@@ -288,6 +288,25 @@ class Sensor(ABC):
         return mirrored_signs(self.mirror_signs, value) if self.mirror_signs else value
 
 
+@dataclass(frozen=True, kw_only=True)
+class RigSensor(Sensor):
+    """A sensor that a batch of rovers needs a reader for: it has a memory, or depends on the robots of the rows.
+
+    A subclass defines :meth:`reader` instead of :meth:`read`.
+
+    Args:
+        name, period: as for :class:`Sensor`.
+    """
+
+    @abstractmethod
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns what reads this sensor on a batch of rovers: see :meth:`Sensor.reader`."""
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Raises ``NotImplementedError``: the values are those of a :meth:`reader`."""
+        raise NotImplementedError(f"sensor {self.name!r} depends on its rig: read it by reader(rig)")
+
+
 def mirrored_signs(signs: tuple[float, ...], value: Tensor) -> Tensor:
     """Returns ``value [..., k]`` times the signs of its mirror image."""
     return value * _signs(signs, value.device)

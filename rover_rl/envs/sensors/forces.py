@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.checks import MAX_NUMBER, check_at_least, check_positive
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, RigSensor, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.reports import SIDES
 from rover_rl.sims.robots import Robot
@@ -74,7 +74,7 @@ class ContactSensor(Sensor):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelEffort(Sensor):
+class WheelEffort(RigSensor):
     """Torque of the motor of each wheel, ``[N, wheels]``, N m; positive torques drive forward.
 
     Wheels are in pairs from front to back, the left one first: front left, front right, rear left, rear right. A wheel
@@ -130,10 +130,6 @@ class WheelEffort(Sensor):
             return pad(torque, (0, 1)).gather(-1, columns[fleet.index])
 
         return read
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the wheels are those of a :meth:`reader`."""
-        raise NotImplementedError("the wheels are those of a rig: read their torques by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns half the logarithm of the absolute torque with its sign: 0.9 at 5 N m."""

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.standard import LidarPooling, hidden_beams
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
@@ -24,7 +24,7 @@ WHOLE = 0.9999
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidarMask(Sensor):
+class LidarMask(RigSensor):
     """Share of the beams of each lidar reading that see, ``[N, points]``: 1 if all of them do, 0 if none does.
 
     Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view`` and
@@ -64,10 +64,6 @@ class LidarMask(Sensor):
             return views(*hidden)
 
         return read
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the views are those of a :meth:`reader`."""
-        raise NotImplementedError("the views of the lidars are those of a rig: read them by reader(rig)")
 
     def mirror(self, value: Tensor) -> Tensor:
         """Reverses the order of the shares, as that of the readings."""

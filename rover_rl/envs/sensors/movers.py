@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE, LidarConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, in_base_frame
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput, mirrored_signs
+from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput, mirrored_signs
 from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
@@ -103,7 +103,7 @@ class SeenMovers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Movers(Sensor):
+class Movers(RigSensor):
     """Up to 12 movers around the rover, and the scans that they would give in the next seconds, ``[N, 156]``.
 
     Each mover has x and y in the base frame (m), its velocity over ground along these axes (m/s), and its radius (m),
@@ -137,10 +137,6 @@ class Movers(Sensor):
             return seen(inputs.observation, due, due & (inputs.steps == 0).squeeze(-1))
 
         return read
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the tracks are the memory of a :meth:`reader`."""
-        raise NotImplementedError("movers have a memory: read them by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes the logarithm of the ranges, and the first six movers."""

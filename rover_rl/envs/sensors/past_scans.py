@@ -11,7 +11,7 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_directions
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import PAST_SCANS
 from rover_rl.envs.specs import Bounds
@@ -22,7 +22,7 @@ CHANGE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PastScans(Sensor):
+class PastScans(RigSensor):
     """The lidar scan and earlier ones, as they would look from the pose now, ``[N, (1 + count) * points]``, m.
 
     What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved:
@@ -70,10 +70,6 @@ class PastScans(Sensor):
         """Returns a reader with scans of its own."""
         return _KeptScans(self, rig)
 
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the scans are the memory of a :meth:`reader`."""
-        raise NotImplementedError("past scans are a memory: read them by reader(rig)")
-
     def encode(self, value: Tensor) -> Tensor:
         """Returns the logarithm of the ranges now, as for the lidar, and by how much it exceeds the earlier ones."""
         now, before = value.log1p().split((self.points, self.count * self.points), -1)
@@ -115,8 +111,8 @@ class _KeptScans:
         taken = self._frames(*(taken_at(entries) or (pose, imu)))
         wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
         ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
-        inputs_of_show = [due, self._frames(pose, imu), self._latest, sensor.apart, self._ends, ranges]
-        wp.launch(show, (rows, 1 + sensor.count), inputs_of_show, **options)
+        now = self._frames(pose, imu)
+        wp.launch(show, (rows, 1 + sensor.count), [due, now, self._latest, sensor.apart, self._ends, ranges], **options)
         self._ranges = ranges
         return ranges.flatten(1)
 

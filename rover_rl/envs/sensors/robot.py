@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -50,7 +50,7 @@ class RobotNumbers(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotBody(Sensor):
+class RobotBody(RigSensor):
     """Size and limits of the robot, ``[N, 12]``, so that one policy can drive different robots.
 
     Reach of the footprint behind and ahead of the origin and half its width (m), largest speed (m/s) and yaw rate
@@ -77,10 +77,6 @@ class RobotBody(Sensor):
         fleet = Fleet.of(rig.robot if rig.fleet is None else rig.fleet, rig.rows, rig.device)
         table = fleet.table(_body_of)
         return lambda inputs: table[fleet.index]
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the robots are those of a :meth:`reader`."""
-        raise NotImplementedError("the robots are those of a rig: read them by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the value in units of :data:`TYPICAL`."""

@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.standard import Target
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.specs import Bounds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Route(Sensor):
+class Route(RigSensor):
     """Distance (m) and angle (rad) of two corners, and length (m; -1 without a path), ``[N, 5]``.
 
     The route is the shortest one around the obstacles that the rover has seen in this episode, within the bounds of the
@@ -54,10 +54,6 @@ class Route(Sensor):
             return seen(inputs.observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
 
         return read
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises an error: the map is the memory of a :meth:`reader`."""
-        raise NotImplementedError("a route has a memory: read it by reader(rig)")
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes two corners like targets, and the length, for which no path counts as none left."""
