@@ -23,7 +23,7 @@ from rover_rl import EnvConfig, RoverEnv, Sensor
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
-from rover_rl.sims.rays import world_mesh
+from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
 from rover_rl.sims.rotations import rotate
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.worlds import get_world
@@ -61,10 +61,13 @@ def seconds_of(act: Callable[[], object], least: float = 1.0) -> float:
 
 def bullet_seconds(env: RoverEnv, camera: DepthCamera, world: str) -> float:
     """Returns the time that Bullet's renderer takes for an image of the camera of the first rover, s."""
+    scene = get_world(world)
+    parts = ground_surface(scene.terrain), obstacles_surface(scene, max_edge=math.inf)
+    scenery = Surface.join([part for part in parts if part is not None])
     client = pybullet.connect(pybullet.DIRECT)
     with TemporaryDirectory() as folder:
         file = Path(folder, "world.obj")
-        trimesh.Trimesh(*world_mesh(get_world(world)), process=False).export(file)
+        trimesh.Trimesh(scenery.vertices, scenery.faces, process=False).export(file)
         shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(file), physicsClientId=client)
     pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
     rover = env.rover_state

@@ -36,8 +36,8 @@ from rover_rl.envs.config import RobotLike
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.robots import Robot, get_robot, get_robots
+from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.scene import SceneTable
 from rover_rl.sims.worlds import _make_world, get_world
 from rover_rl.sims.worlds.pool import WorldPool
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rover_rl.sims.rays import RayCaster
 from rover_rl.sims.worlds import Terrain, World, box
@@ -53,6 +55,37 @@ def test_hills_have_the_heights_of_the_terrain() -> None:
     down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins)
     ranges = RayCaster(WorldTable([World("hills", hills)])).cast(origins, down)
     torch.testing.assert_close(3.0 - ranges, hills.height_at(points), atol=1e-5, rtol=0)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 2**31),
+    # Starts and directions on lines, corners and diagonals of the grid, too.
+    start=st.tuples(st.floats(-4, 4) | st.integers(-4, 4), st.floats(-3, 3) | st.integers(-3, 3), st.floats(0.3, 3)),
+    heading=st.sampled_from([0.0, math.pi / 2, math.pi, math.pi / 4, -math.pi / 4]) | st.floats(0, 2 * math.pi),
+    pitch=st.floats(-math.pi / 2, 0.3),
+    farthest=st.sampled_from([2.0, math.inf]),
+)
+def test_a_ray_ends_where_it_meets_the_ground_and_not_before(
+    seed: int, start: tuple[float, ...], heading: float, pitch: float, farthest: float
+) -> None:
+    hills = Terrain(torch.rand(13, 17, generator=torch.Generator().manual_seed(seed)), cell=0.5)
+    direction = torch.tensor(
+        [math.cos(pitch) * math.cos(heading), math.cos(pitch) * math.sin(heading), math.sin(pitch)]
+    )
+    origin = torch.tensor(start)
+    origin[2] += hills.height_at(origin[:2])
+    caster = RayCaster(WorldTable([World("hills", hills)]))
+    length = caster.cast(origin.expand(1, 1, 3), direction.expand(1, 1, 3), farthest).item()
+    assert length == math.inf or length < farthest
+    way = torch.linspace(0, min(length, farthest, 12.0), 500)[:-1, None]
+    points = origin + way * direction
+    (left, right), (bottom, top) = hills.extent
+    inside = ((points[:, :2] >= torch.tensor((left, bottom))) & (points[:, :2] <= torch.tensor((right, top)))).all(-1)
+    assert (points[:, 2] - hills.height_at(points[:, :2]))[inside].min() > -1e-4
+    if length < math.inf:
+        end = origin + length * direction
+        assert end[2].item() == pytest.approx(hills.height_at(end[:2]).item(), abs=2e-4)
 
 
 def test_each_row_is_in_its_own_world_and_independent_of_the_others() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,6 @@ from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rover_rl.sims.rendering.colors import ColorCaster
 
 
+Directions: TypeAlias = Tensor | Sequence[Sequence[float]]
 Delayed: TypeAlias = Literal["scan", "state"] | None
 """Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
 
@@ -45,19 +46,27 @@ class Surroundings:
         self.live: Any = None
         """Simulator of a live rover, around which nothing is known but the map of its world. ``None``: not live."""
 
-    def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
-        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`.
+    def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
+        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers may be farther than ``farthest``.
 
         Raises:
             ValueError: for a live rover.
         """
-        return self.cast_apart(origins, directions)[1]
+        return self.cast_apart(origins, directions, farthest)[1]
 
-    def cast_apart(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def cast_apart(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> tuple[Tensor, Tensor]:
         """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
         self._require_simulated()
-        ranges, parts = self._caster.cast(origins, directions), self._movers.parts
+        ranges, parts = self._caster.cast(origins, directions, farthest), self._movers.parts
         return ranges, ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
+
+    def rays_from(self, rover: RoverState, mount: Sequence[float], directions: Directions) -> tuple[Tensor, Tensor]:
+        """Returns origins and directions of rays in the world frame: see :meth:`SensorInput.rays`."""
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.rays import aimed_rays
+
+        self._require_simulated()
+        return aimed_rays(rover, mount, torch.as_tensor(directions, device=rover.position.device))
 
     def colors(self, origins: Tensor, directions: Tensor, goal: Tensor, spread: float) -> Tensor:
         """Returns the color that each ray sees, red, green and blue from 0 to 1, ``[N, 3, K]``.
@@ -168,23 +177,24 @@ class SensorInput:
         """Returns the rows in which a sensor with a period reads in this step, bool ``[N]``."""
         return self.rows & (self.steps % period == 0).squeeze(-1)
 
-    def scan(self, mount: Sequence[float], directions: Sequence[Sequence[float]]) -> Tensor:
+    def scan(self, mount: Sequence[float], directions: Directions, farthest: float = math.inf) -> Tensor:
         """Casts rays from a point of the rover, and returns their ranges, ``[N, K]``, m; ``inf`` for no return.
 
         Args:
             mount: position in the frame of the rover, whose origin is on the ground and whose axes point forward, left
                 and up, m.
-            directions: K directions in this frame, of any length but 0.
+            directions: K directions in this frame, of any length but 0: a tensor ``[K, 3]``, or a list.
+            farthest: length of the rays, m. Short ones take less time.
         """
-        return self.surroundings.cast(*self.rays(mount, directions))
+        return self.surroundings.cast(*self.rays(mount, directions), farthest)
 
-    def rays(self, mount: Sequence[float], directions: Sequence[Sequence[float]]) -> tuple[Tensor, Tensor]:
-        """Returns origins and directions of rays in the world frame, ``[N, K, 3]`` each: see :meth:`scan`."""
-        rover = self.truth.rover
-        position, orientation = rover.position[:, None], rover.orientation[:, None]
-        rays = rotate(orientation, position.new_tensor(directions))
-        origins = position + rotate(orientation, position.new_tensor(mount))
-        return origins.expand_as(rays), rays
+    def rays(self, mount: Sequence[float], directions: Directions) -> tuple[Tensor, Tensor]:
+        """Returns origins and directions of rays in the world frame, ``[N, K, 3]`` each: see :meth:`scan`.
+
+        Raises:
+            ValueError: for a live rover.
+        """
+        return self.surroundings.rays_from(self.truth.rover, mount, directions)
 
     def uniform(self, sensor: Sensor, count: int) -> Tensor:
         """Returns random numbers in [0, 1) of a sensor, float32 ``[N, count]``.

@@ -59,7 +59,7 @@ class ColorCamera(Pinhole):
         """Returns the images, with their noise and without what is lost. Those of a live rover are its own."""
         if inputs.surroundings.live is not None:
             return self.received(inputs).flatten()[None]
-        origins, rays = inputs.rays(self.mount, turned_rays(self)[0])
+        origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)
         colors = inputs.surroundings.colors(origins, rays, inputs.goal, 1 / self.focal_length)
         if self.noise:
             colors = colors + self.noise * inputs.normal(self, 3 * colors.shape[-1]).view_as(colors)

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import torch
 from torch import Tensor
@@ -134,9 +134,9 @@ class RayImage(PixelImage):
         """Returns the image, with its noise and without what is lost. That of a live rover is its own."""
         if inputs.surroundings.live is not None:
             return self.received(inputs).clamp(max=self.max_range).flatten()[None]
-        directions, scales = turned_rays(self)
-        ranges = inputs.scan(self.mount, directions)
-        distance = (ranges / ranges.new_tensor(scales)).clamp(max=self.max_range)
+        rays = turned_rays(self, inputs.goal.device)
+        ranges = inputs.scan(self.mount, rays.directions, self.max_range * rays.longest)
+        distance = (ranges / rays.scales).clamp(max=self.max_range)
         count = distance.shape[-1]
         if self.noise:
             noisy = distance + self.spread(distance) * inputs.normal(self, count)
@@ -300,8 +300,8 @@ class SegmentationCamera(Camera):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the kinds."""
-        origins, rays = inputs.rays(self.mount, turned_rays(self)[0])
-        still, ranges = inputs.surroundings.cast_apart(origins, rays)
+        origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)
+        still, ranges = inputs.surroundings.cast_apart(origins, rays, self.max_range)
         rays = rays / rays.norm(dim=-1, keepdim=True)
         ends = origins + rays * ranges.masked_fill(ranges.isinf(), 0.0)[..., None]
         above = ends[..., 2] - inputs.surroundings.height_at(ends[..., :2])
@@ -416,9 +416,24 @@ class Lidar3D(RayImage):
         return image.masked_fill(image < self.min_range, 0.0).unflatten(0, self.size)
 
 
+class PixelRays(NamedTuple):
+    """Rays of the pixels of an image.
+
+    Attributes:
+        directions: directions in the frame of the robot, ``[K, 3]``.
+        scales: ranges at which the pixels read 1 m, ``[K]``.
+        longest: the largest of these.
+    """
+
+    directions: Tensor
+    scales: Tensor
+    longest: float
+
+
 @cache
-def turned_rays(sensor: PixelImage) -> tuple[Vectors, list[float]]:
-    """Returns the directions of the pixels in the frame of the robot, and the ranges at which they read 1 m."""
+def turned_rays(sensor: PixelImage, device: torch.device) -> PixelRays:
+    """Returns the rays of a device that looks to the left by its yaw."""
     directions, scales = sensor.rays()
     cos, sin = math.cos(sensor.yaw), math.sin(sensor.yaw)
-    return [[cos * x - sin * y, sin * x + cos * y, z] for x, y, z in directions], scales
+    turned = [[cos * x - sin * y, sin * x + cos * y, z] for x, y, z in directions]
+    return PixelRays(torch.tensor(turned, device=device), torch.tensor(scales, device=device), max(scales))

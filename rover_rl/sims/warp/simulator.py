@@ -23,11 +23,12 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
+from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
-from rover_rl.sims.warp.scene import ModelTable, SceneTable
+from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import Obstacle, Terrain, World

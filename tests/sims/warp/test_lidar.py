@@ -15,10 +15,12 @@ from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import read_inertial_model
+from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
-from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
-from rover_rl.sims.warp.scene import ModelTable, SceneTable
+from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays
+from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, get_world
 

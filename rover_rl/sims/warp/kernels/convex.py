@@ -17,7 +17,8 @@ of the base frame, origin at the center of mass). Lengths in m.
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.warp.kernels.types import RobotModel, Scene
+from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.warp.kernels.types import RobotModel
 
 MAX_PORTALS = 24
 """Maximum number of iterations, of the portal's discovery and of its refinement."""

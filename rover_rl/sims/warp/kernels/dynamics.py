@@ -27,6 +27,7 @@ CFM). It makes the load on four wheels well defined.
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.contacts import (
     EXTRA_CONTACTS,
     LEFT,
@@ -44,7 +45,7 @@ from rover_rl.sims.warp.kernels.contacts import (
     prepare_contacts,
     restore_impulses,
 )
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, RoverArrays, Scene, Solver
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, RoverArrays, Solver
 
 GRAVITY = 9.81
 """Gravitational acceleration, m/s^2."""

@@ -20,8 +20,9 @@ the origin at the lidar. Lengths in m, angles in turns of 2 pi.
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.scenes.ground import ground_at
+from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.convex import max_separation_plane
-from rover_rl.sims.warp.kernels.ground import ground_at
 from rover_rl.sims.warp.kernels.scan_plane import (
     ScanPlane,
     angle_in_turns,
@@ -30,7 +31,7 @@ from rover_rl.sims.warp.kernels.scan_plane import (
     stretch_of,
     update_visibility,
 )
-from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
+from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays
 
 BEAM_SLACK = 0.05
 """Tolerance of the angles of a segment's ends, in beam spacings; covers the error of :func:`angle_in_turns`."""

@@ -7,7 +7,7 @@ World frame, m. Each grid cell is split into two triangles along the diagonal fr
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.warp.kernels.types import Scene
+from rover_rl.sims.scenes.scene import Scene
 
 
 @wp.func

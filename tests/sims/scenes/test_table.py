@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rover_rl import Terrain, World, box
-from rover_rl.sims.warp.scene import PackedScene
+from rover_rl.sims.scenes.table import PackedScene
 from rover_rl.sims.worlds import get_world
 
 

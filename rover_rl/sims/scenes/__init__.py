@@ -1,0 +1,1 @@
+"""Worlds as Warp kernels read them, and rays through them."""
