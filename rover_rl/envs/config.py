@@ -410,6 +410,8 @@ class Randomization:
         dead_sectors: Largest number of sectors in which the lidar sees nothing, as behind a part of the robot or dirt.
             Each episode has from 0 to this many, in any direction. At most 16.
         dead_sector_width: Range of the width of each of these sectors, rad.
+        lidar_min_range: Range of the least distance that the lidar measures, m. Beams that meet something closer have
+            no return.
 
     Raises:
         ValueError: if a range is not in ascending order, or a value is out of range.
@@ -437,6 +439,7 @@ class Randomization:
     lidar_view: tuple[float, float] | None = None
     dead_sectors: int = 0
     dead_sector_width: tuple[float, float] = (0.1, 0.6)
+    lidar_min_range: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in _FACTORS:
@@ -475,6 +478,9 @@ class Randomization:
             raise ValueError(
                 f"dead_sector_width must be a range (low, high) of angles of 0 to 2 pi rad, got {(low, high)}"
             )
+        low, high = self.lidar_min_range
+        if not 0 <= low <= high < math.inf:
+            raise ValueError(f"lidar_min_range must be a range (low, high) of distances, m, got {(low, high)}")
 
     @classmethod
     def typical(cls) -> Randomization:
@@ -518,7 +524,7 @@ class Randomization:
     @property
     def hides_beams(self) -> bool:
         """Whether the lidar sees less than that of the robot. An environment then has the sensor ``lidar_mask``."""
-        return self.lidar_view is not None or self.dead_sectors > 0
+        return self.lidar_view is not None or self.dead_sectors > 0 or self.lidar_min_range[1] > 0
 
 
 @dataclass(frozen=True)

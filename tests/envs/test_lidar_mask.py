@@ -14,7 +14,9 @@ from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.sensors.lidar_mask import LidarMask
 from rover_rl.envs.sensors.standard import hidden_beams
 
-PARTIAL = Randomization(lidar_view=(math.pi, 2 * math.pi), dead_sectors=2, dead_sector_width=(0.2, 0.5))
+PARTIAL = Randomization(
+    lidar_view=(math.pi, 2 * math.pi), dead_sectors=2, dead_sector_width=(0.2, 0.5), lidar_min_range=(0.4, 0.8)
+)
 LIDAR = LidarConfig(points=64, beams=64)
 
 
@@ -52,19 +54,25 @@ def test_each_episode_draws_what_is_hidden_whatever_the_company() -> None:
 
 def test_views_and_sectors_are_drawn_from_their_ranges() -> None:
     keys = torch.randint(-(2**62), 2**62, (2000, 1), generator=torch.Generator().manual_seed(0))
-    hidden = hidden_beams(Randomization(lidar_view=(2.0, 4.0)), keys, 360)
+    ranges = torch.linspace(0.01, 1.0, 360).expand(2000, 360)
+    hidden = hidden_beams(Randomization(lidar_view=(2.0, 4.0)), keys, ranges)
     angles = (~hidden).sum(-1) * math.radians(1)
     assert 1.97 < angles.min() < 2.03
     assert 3.97 < angles.max() < 4.03
     assert angles.mean().item() == pytest.approx(3.0, abs=0.03)
     assert torch.equal(hidden[:, 1:], hidden[:, 1:].flip(-1)), "a view is centered on straight ahead"
-    hidden = hidden_beams(Randomization(dead_sectors=2, dead_sector_width=(0.2, 0.2)), keys, 360)
+    hidden = hidden_beams(Randomization(dead_sectors=2, dead_sector_width=(0.2, 0.2)), keys, ranges)
     edges = (hidden & ~hidden.roll(1, -1)).sum(-1)
     # A third of the episodes has none, and of those with two, some overlap.
     shares = [(edges == count).float().mean().item() for count in range(3)]
     assert shares == pytest.approx([1 / 3, 1 / 3, 1 / 3], abs=0.05)
     assert (hidden.sum(-1)[edges == 1] >= 11).all()
     assert hidden.float().mean(0).std() < 0.02, "they are in any direction"
+    hidden = hidden_beams(Randomization(lidar_min_range=(0.1, 0.3)), keys, ranges)
+    nearest = ranges.masked_fill(hidden, math.inf).amin(-1)
+    assert torch.equal(hidden, ranges < nearest[:, None])
+    ends = nearest.min().item(), nearest.mean().item(), nearest.max().item()
+    assert ends == pytest.approx((0.1, 0.2, 0.3), abs=5e-3)
 
 
 def test_the_mask_is_that_of_the_view_of_the_robot_and_its_mirror_image_is_mirrored() -> None:
@@ -94,6 +102,7 @@ def test_the_mask_is_that_of_the_view_of_the_robot_and_its_mirror_image_is_mirro
         ({"dead_sectors": 1.5}, "^dead_sectors must be a whole number from 0 to 16, got 1.5$"),
         ({"dead_sector_width": (-0.1, 0.2)}, r"^dead_sector_width must be a range .* got \(-0.1, 0.2\)$"),
         ({"dead_sector_width": (0.3, 0.2)}, r"^dead_sector_width must be a range .* got \(0.3, 0.2\)$"),
+        ({"lidar_min_range": (0.3, 0.2)}, r"^lidar_min_range must be a range .* of distances, m, got \(0.3, 0.2\)$"),
     ],
 )
 def test_what_cannot_be_hidden_is_refused_in_one_sentence(settings: dict[str, object], message: str) -> None:

@@ -27,9 +27,10 @@ WHOLE = 0.9999
 class LidarMask(RigSensor):
     """Share of the beams of each lidar reading that see, ``[N, points]``: 1 if all of them do, 0 if none does.
 
-    Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view`` and
-    ``dead_sectors``). On a live rover, a beam sees if a valid reading of the scan covers it: neither directions outside
-    of the scan's ``angle_min`` and ``angle_max`` do, nor NaN, nor ranges outside of its limits.
+    Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view``,
+    ``dead_sectors`` and ``lidar_min_range``). On a live rover, a beam sees if a valid reading of the scan covers it:
+    neither directions outside of the scan's ``angle_min`` and ``angle_max`` do, nor NaN, nor ranges outside of its
+    limits.
 
     A reading with a mask of 0 is the maximum. The map of what has been seen and the tracks of what moves take readings
     with a mask below 1 for unknown, not for free, if the observation has this entry. An environment has it if
@@ -58,7 +59,7 @@ class LidarMask(RigSensor):
         def read(inputs: SensorInput) -> Tensor:
             hidden, live = [], inputs.surroundings.live
             if noise.hides_beams:
-                hidden.append(hidden_beams(noise, inputs.keys, rig.lidar.beams))
+                hidden.append(hidden_beams(noise, inputs.keys, inputs.truth.ranges))
             if isinstance(live, ScanCarrier):
                 hidden.append(~live.covered())
             return views(*hidden)

@@ -21,7 +21,7 @@ from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.region import overlap
 
 _LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE, _ODOMETRY_SCALE = 4, 5, 6, 10, 25
-_VIEW, _SECTORS, _SECTOR_WIDTHS, _SECTOR_PLACES = 27, 28, 29, 30
+_VIEW, _SECTORS, _SECTOR_WIDTHS, _SECTOR_PLACES, _MIN_RANGE = 27, 28, 29, 30, 31
 """Streams of random numbers."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
@@ -58,7 +58,7 @@ class Lidar(Sensor):
         if noise.range_noise or noise.dropout:
             ranges = self._noisy(noise, ranges, keys, step)
         if noise.hides_beams:
-            ranges = ranges.masked_fill(hidden_beams(noise, keys, ranges.shape[-1]), math.inf)
+            ranges = ranges.masked_fill(hidden_beams(noise, keys, truth.ranges), math.inf)
         return {} if ranges is truth.ranges else {"ranges": ranges}
 
     def _noisy(self, noise: Randomization, ranges: Tensor, keys: Tensor, step: Tensor) -> Tensor:
@@ -84,13 +84,14 @@ class Lidar(Sensor):
         return value.flip(-1)
 
 
-def hidden_beams(noise: Randomization, keys: Tensor, beams: int) -> Tensor:
+def hidden_beams(noise: Randomization, keys: Tensor, ranges: Tensor) -> Tensor:
     """Returns the beams that see nothing in episodes with random ``keys [N, 1]``, bool ``[N, beams]``.
 
-    They are outside of the view of the episode, or in one of its dead sectors: see :class:`Randomization`.
+    They are outside of the view of the episode, in one of its dead sectors, or their true ``ranges [N, beams]`` (m) are
+    below its minimum: see :class:`Randomization`.
     """
-    angles = _angles(beams, keys.device)
-    hidden = torch.zeros(len(keys), beams, dtype=torch.bool, device=keys.device)
+    angles = _angles(ranges.shape[-1], keys.device)
+    hidden = torch.zeros_like(ranges, dtype=torch.bool)
     if noise.lidar_view is not None:
         hidden = ~seen(angles, between(random_bits(keys, _VIEW, 0, 1), noise.lidar_view))
     if most := noise.dead_sectors:
@@ -100,6 +101,8 @@ def hidden_beams(noise: Randomization, keys: Tensor, beams: int) -> Tensor:
         width = width.masked_fill(torch.arange(most, device=keys.device) >= count, -1.0)
         middle = 2 * math.pi * to_unit(random_bits(keys, _SECTOR_PLACES, 0, most))
         hidden = hidden | seen(angles - middle[..., None], width[..., None]).any(1)
+    if noise.lidar_min_range[1]:
+        hidden = hidden | (ranges < between(random_bits(keys, _MIN_RANGE, 0, 1), noise.lidar_min_range))
     return hidden
 
 
