@@ -142,6 +142,9 @@ class PPOConfig(AlgorithmConfig):
     expert: ExpertKind = "map"
     """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
     route needs "route" in observation."""
+    freeze_encoder: bool = False
+    """Keep the convolutions over images as they are in the policy that training starts from, in the critic, too.
+    It takes less time, and what the policy sees in images stays what it was. Needs --from."""
 
 
 @dataclass(frozen=True)
@@ -298,6 +301,9 @@ class TrainingConfig:
             raise ValueError(
                 f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
             )
+
+        if isinstance(self.algorithm, PPOConfig) and self.algorithm.freeze_encoder and self.run.started_from is None:
+            raise ValueError("freeze_encoder keeps the convolutions of a policy that training starts from: use --from")
 
     def _check_prior(self) -> None:
         from rover_rl.sims.robots import get_robots

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -26,6 +26,7 @@ from torchrl.objectives.value import GAE
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.grid_planner import Follower, follow
+from rover_rl.algos.policy.images import ImageFeatures
 from rover_rl.algos.policy.networks import (
     DRIVER,
     action_spec,
@@ -61,6 +62,9 @@ class PPOLearner(Learner):
         encoder = encoder_of(config)
         self.actor = actor_of(config, encoder, device)
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
+        if settings.freeze_encoder:
+            for images in (*_image_networks(self.actor), *_image_networks(self.critic)):
+                images.requires_grad_(False)
         self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
         self._driver = driver_of(self.actor)
@@ -78,6 +82,13 @@ class PPOLearner(Learner):
         self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, encoder.sensors)
         inputs = dict.fromkeys((*driven.in_keys, *self.critic.in_keys))
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
+
+    def start_from(self, actor: Mapping[str, Tensor]) -> None:
+        """Loads the weights of a trained policy. The critic, which is new, takes over frozen convolutions."""
+        super().start_from(actor)
+        if self._settings.freeze_encoder:
+            for new, trained in zip(_image_networks(self.critic), _image_networks(self.actor), strict=True):
+                new.load_state_dict(trained.state_dict())
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Updates the networks with a batch and returns the means of the logged values over the gradient steps."""
@@ -143,6 +154,10 @@ class PPOLearner(Learner):
         """Clips actions and scales them to 95 % of their range: a squashed normal does not reach its bounds."""
         middle, half = middle_and_half(action_spec(self.config.env.bounded_action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
+
+
+def _image_networks(network: nn.Module) -> list[ImageFeatures]:
+    return [module for module in network.modules() if isinstance(module, ImageFeatures)]
 
 
 def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:

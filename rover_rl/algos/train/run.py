@@ -11,7 +11,7 @@ import signal
 import threading
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -55,6 +55,10 @@ class Learner(ABC):
     @abstractmethod
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Learns from a batch ``[N, T]`` of decisions, after a fraction ``share`` of training; returns what to log."""
+
+    def start_from(self, actor: Mapping[str, Tensor]) -> None:
+        """Loads the weights of a trained policy, from which training goes on."""
+        self.actor.load_state_dict(actor)
 
     def weights(self) -> dict[str, Tensor]:
         """Returns the weights of all networks, by name."""
@@ -131,7 +135,7 @@ class TrainingRun:
         if folder is not None:
             self._resume(folder)
         if self._saved_steps is None and (source := load_source(config)) is not None:
-            learner.actor.load_state_dict(source.actor)
+            learner.start_from(source.actor)
         self.folder = folder or new_run_folder(config.run.runs, config.run.name, default_name(config))
         self._record = record or RunRecord(self.folder / SETTINGS, config)
         if self._saved_steps is None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
@@ -59,6 +59,28 @@ def test_the_first_actions_are_those_of_the_policy(trained: Trained, tmp_path: P
     monkeypatch.setattr(PPOLearner, "update", update)
     train(fine_tuning_config(source, world=FIELD, runs=str(tmp_path), **SMALL))
     assert all(seen)
+
+
+def test_frozen_convolutions_stay_those_of_the_policy_also_in_the_critic(tmp_path: Path) -> None:
+    seeing = {
+        "observation": ("target", "heights"),
+        "sensors": ("heights(size=(8, 8))",),
+        "world": FIELD,
+        "hidden": (8,),
+    }
+    source = train(training_config("ppo", **seeing, runs=str(tmp_path), **SMALL)).folder
+    config = fine_tuning_config(source, runs=str(tmp_path), freeze_encoder=True, critic_warmup=0.0, **SMALL)
+    learned = weights(train(config).folder)
+    images = {name for name in learned if ".networks.heights." in name}
+    assert images
+    for name, weight in weights(source).items():
+        assert torch.equal(learned[name], weight) == (name in images), name
+    learner = PPOLearner(config)
+    learner.start_from(weights(source))
+    of_critic = {name: value for name, value in learner.critic.state_dict().items() if ".networks.heights." in name}
+    assert sorted(map(torch.sum, of_critic.values())) == sorted(torch.sum(learned[name]) for name in images)
+    with pytest.raises(ValueError, match="^freeze_encoder keeps the convolutions .* use --from$"):
+        train(training_config("ppo", freeze_encoder=True, runs=str(tmp_path)))
 
 
 def test_defaults_are_those_of_a_short_training_of_the_same_policy() -> None:
