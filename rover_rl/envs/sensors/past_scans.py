@@ -66,15 +66,23 @@ class PastScans(RigSensor):
         size = (1 + self.count) * self.points
         return Bounds((0.0,) * size, (self.max_range,) * size)
 
+    @property
+    def image(self) -> tuple[int, int]:
+        """A row of directions, in which networks read the scans as channels."""
+        return 1, self.points
+
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader with scans of its own."""
         return _KeptScans(self, rig)
 
     def encode(self, value: Tensor) -> Tensor:
-        """Returns the logarithm of the ranges now, as for the lidar, and by how much it exceeds the earlier ones."""
-        now, before = value.log1p().split((self.points, self.count * self.points), -1)
-        change = now[..., None, :] - before.unflatten(-1, (self.count, self.points))
-        return torch.cat((now / 1.3 - 1, (CHANGE * change).clamp(-1, 1).flatten(-2)), -1)
+        """Returns the logarithm of the ranges now, as for the lidar, and by how much it exceeds the earlier ones.
+
+        The direction ahead is in the middle of the row, so that the ends are behind.
+        """
+        now, before = value.log1p().unflatten(-1, (-1, self.points)).split((1, self.count), -2)
+        scans = torch.cat((now / 1.3 - 1, (CHANGE * (now - before)).clamp(-1, 1)), -2)
+        return scans.roll(self.points // 2, -1).flatten(-2)
 
     def mirror(self, value: Tensor) -> Tensor:
         """Mirrors the scans: direction b becomes -b."""
