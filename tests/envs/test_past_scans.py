@@ -57,8 +57,11 @@ def test_networks_read_what_has_changed() -> None:
     encoded = SENSOR.encode(torch.cat((now, before, both))).unflatten(-1, (3, 64))
     assert SENSOR.features == 192
     assert not encoded[2].any()
-    assert not encoded[1, :8].any()
-    assert (encoded[1, 8:] == -1).all()
+    # The direction ahead is in the middle of the row.
+    changed = encoded[1] != 0
+    assert not changed[32:40].any()
+    assert (encoded[1, changed] == -1).all()
+    assert changed.sum() == 56
 
 
 def test_the_mirror_image_swaps_left_and_right() -> None:
