@@ -1,8 +1,9 @@
 """``ForesightPolicy``: planner that knows where all movers will be, as an upper bound of what a policy can do.
 
 Every second it computes, for a point that moves at full speed in any direction, how long it takes to the goal from each
-place around the rover at each instant of the next 10 s, when movers are where they will be then: by dynamic programming
-backward in time, on a grid of 0.2 m and 0.25 s. What comes later is the shortest path on the map.
+place around the rover at each of 40 instants, when movers are where they will be then: by dynamic programming backward
+in time, on a grid of 0.2 m and 0.25 s, or less for a robot that is faster than 1 m/s. What comes later is the shortest
+path on the map.
 
 Ten times a second it simulates drives of 2.2 s: a speed and a yaw rate for 0.7 s, and others for 1.5 s, with the
 robot's limits of acceleration, and the discs that cover it among the movers. The action is the beginning of the drive
@@ -45,6 +46,8 @@ from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.movers.shapes import KINDS
 from rover_rl.sims.worlds.world import Worlds
 
+LAYER_DT = 0.25  # largest time from one instant of a plan to the next, s
+LAYER_WAY = 0.25  # largest way from one instant of a plan to the next, m
 REPLAN = 20  # number of steps from one plan to the next
 DECIDE = 2  # number of steps from one decision to the next
 SPACING = 0.1  # spacing of the distances to what does not move, m
@@ -162,9 +165,10 @@ class ForesightPolicy(TensorDictModuleBase):
         speed = self._speed
         last = int(kernels.LAYERS)
         memory.costs[chosen, last] = torch.where(is_free, length / speed, straight / speed + NO_PATH)
-        moving = moving_at(env.movers, [layer * float(kernels.LAYER_DT) for layer in range(last)])
+        moving = moving_at(env.movers, [layer * self._layer_dt for layer in range(last)])
         radius = INSIDE * env.task.success_distance
-        inputs = [_pairs(memory.origin), _pairs(memory.goal), radius, speed, place.fixed.struct(world), moving]
+        inputs = [_pairs(memory.origin), _pairs(memory.goal), radius, speed, self._layer_dt]
+        inputs += [place.fixed.struct(world), moving]
         for layer in reversed(range(last)):
             _launch(kernels.sweep, (len(chosen), size * size), [chosen, layer, *inputs, memory.costs], origin.device)
 
@@ -184,7 +188,7 @@ class ForesightPolicy(TensorDictModuleBase):
         turns, speeds = int(kernels.TURNS), int(kernels.SPEEDS)
         results = torch.zeros(len(states), speeds * turns, device=device)
         since = ((steps - memory.step) * env.control_dt).float()
-        inputs = [chosen, since, states.contiguous(), _pairs(memory.origin), _pairs(memory.goal)]
+        inputs = [chosen, since, self._layer_dt, states.contiguous(), _pairs(memory.origin), _pairs(memory.goal)]
         inputs += [0.97 * env.task.success_distance, self._body(), place.fixed.struct(world)]
         inputs += [moving_at(env.movers, instants), memory.costs, results]
         _launch(kernels.drive, (len(chosen), speeds * turns), inputs, device)
@@ -205,6 +209,14 @@ class ForesightPolicy(TensorDictModuleBase):
     def _speed(self) -> float:
         env = self._entered.env.config
         return min(self._robot.drive.max_speed, action_bounds(env.bounded_action).high[0])
+
+    @property
+    def _layer_dt(self) -> float:
+        """Time from one instant of a plan to the next, in which a rover moves ``LAYER_WAY`` at most, s.
+
+        With a longer way, it would leave the window within a plan, and it would not matter when it starts.
+        """
+        return min(LAYER_DT, LAYER_WAY / self._speed)
 
     def _body(self) -> Any:
         """Returns what a drive depends on of the robot, as the kernels read it."""

@@ -10,8 +10,6 @@ CELL = wp.constant(0.2)
 """Side length of a cell, m."""
 LAYERS = wp.constant(40)
 """Number of instants of a plan, besides that of its beginning."""
-LAYER_DT = wp.constant(0.25)
-"""Time from one instant to the next, s."""
 HEADINGS = wp.constant(16)
 """Number of directions in which a point moves in a plan."""
 BLOCKED = wp.constant(0.26)
@@ -157,6 +155,7 @@ def sweep(
     goals: wp.array[wp.vec2],
     goal_radius: float,
     speed: float,
+    dt: float,
     fixed: Fixed,
     moving: Moving,
     costs: wp.array3d[float],
@@ -170,6 +169,7 @@ def sweep(
         goals: goals, m.
         goal_radius: distance from the goal at which it is reached, m.
         speed: largest speed, m/s.
+        dt: time from one instant to the next, s.
         fixed: what does not move.
         moving: movers at the instants of the plan.
         costs: costs to go, s, ``[N, LAYERS + 1, SIZE * SIZE]``.
@@ -188,13 +188,13 @@ def sweep(
         costs[row, layer, k] = COLLISION + cost_at(costs, row, layer + 1, origin, x, y) * 0.5
         return
     best = cost_at(costs, row, layer + 1, origin, x, y)
-    step = speed * LAYER_DT
+    step = speed * dt
     for h in range(HEADINGS):
         angle = 2.0 * wp.pi * float(h) / float(HEADINGS)
         cost = cost_at(costs, row, layer + 1, origin, x + step * wp.cos(angle), y + step * wp.sin(angle))
         best = wp.min(best, cost)
     unease = UNEASE * (EASY - clearance) / (EASY - BLOCKED)
-    costs[row, layer, k] = best + LAYER_DT * (1.0 + wp.max(unease, 0.0))
+    costs[row, layer, k] = best + dt * (1.0 + wp.max(unease, 0.0))
 
 
 @wp.func
@@ -233,6 +233,7 @@ def drive_step(
 def drive(
     rows: wp.array[wp.int64],
     since: wp.array[float],
+    dt: float,
     states: wp.array2d[float],
     origins: wp.array[wp.vec2],
     goals: wp.array[wp.vec2],
@@ -248,6 +249,7 @@ def drive(
     Args:
         rows: rows that decide.
         since: time since the beginning of each row's plan, s.
+        dt: time from one instant of the plans to the next, s.
         states: x, y, heading, speed and yaw rate of each row.
         origins: x and y of cell 0 of each row's window, m.
         goals: goals, m.
@@ -290,7 +292,7 @@ def drive(
                 if wp.length(goals[row] - wp.vec2(next[0], next[1])) < goal_radius:
                     ended = 1
             if ended == 0:
-                time = (since[row] + DRIVE_DT * float(number)) / LAYER_DT
+                time = (since[row] + DRIVE_DT * float(number)) / dt
                 layer = wp.min(int(time + 0.5), LAYERS)
                 next[5] = next[5] + cost_at(costs, row, layer, origins[row], next[0], next[1])
             best = wp.min(best, next[5])

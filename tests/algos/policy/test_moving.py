@@ -122,6 +122,18 @@ def test_foresight_keeps_out_of_the_way_of_what_comes_at_its_goal() -> None:
     assert drive(ForesightPolicy(), [world, crossing(1.0, gate=False)]) == ["goal_reached"] * 2
 
 
+def test_foresight_drives_a_fast_robot_to_a_goal_that_is_farther_than_a_plan() -> None:
+    env = RoverEnv(
+        EnvConfig(world=World("wide", Terrain.flat((40.0, 6.0))), robot="jackal", num_envs=1, backend="warp")
+    )
+    tensordict = env.reset(start=torch.tensor([[-18.0, 0.0, 0.0]]), goal=torch.tensor([[17.0, 0.0]]))
+    runner = PolicyRunner(ForesightPolicy("jackal"), env=env)
+    for _ in range(60):
+        tensordict = env.step(tensordict.set("action", runner(tensordict)))["next"]
+    assert env.rover_state.position[0, 0] > -14.0
+    env.close()
+
+
 def test_foresight_needs_an_environment() -> None:
     observation = TensorDict({"velocities": torch.zeros(1, 2), "outcome": {"steps": torch.zeros(1, 1)}}, [1])
     with pytest.raises(RuntimeError, match="foresight knows no environment"):
