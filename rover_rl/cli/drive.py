@@ -108,6 +108,8 @@ class Drive:
     """Topic of the elevation map or point cloud of the ground, for policies that read heights."""
     points_topic: str = Connection.points_topic
     """Topic of the point cloud of a 3D lidar, for policies that read one."""
+    joint_topic: str = Connection.joint_topic
+    """Topic of the motor torques, for policies that read effort."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False

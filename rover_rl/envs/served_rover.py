@@ -19,6 +19,7 @@ from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.forces import WheelEffort
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
@@ -39,8 +40,8 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras and 3D lidars, and for
-            height scans elevation maps without errors.
+            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras, 3D lidars and motor
+            torques, and for height scans elevation maps without errors.
 
     Attributes:
         env: the environment.
@@ -58,9 +59,11 @@ class ServedRover:
         self._lidars = [sensor for sensor in sensors if isinstance(sensor, Lidar3D)]
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
         self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
-        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars)
+        efforts = [sensor for sensor in sensors if isinstance(sensor, WheelEffort)]
+        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars, *efforts)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
+        self._wheels = self.env.robot.drive.wheels if efforts else ()
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
 
@@ -81,7 +84,9 @@ class ServedRover:
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        report = report._replace(images={"depth": depth, "colors": colors}, points=points, ground=ground)
+        report = report._replace(
+            images={"depth": depth, "colors": colors}, points=points, ground=ground, wheels=self._wheels
+        )
         return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
@@ -112,6 +117,8 @@ class ServedRover:
             "angular_velocity": sensed.angular_velocity,
             "stamp": stamp,
         }
+        if self._wheels:
+            told["wheel_torque"] = env.rover_state.wheel_torque
         late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)

@@ -22,6 +22,7 @@ class Connection:
         elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
             received if a sensor asks for it.
         points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
+        joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, which is received if a sensor asks for it.
     """
 
     scan_topic: str = "/scan"
@@ -32,6 +33,7 @@ class Connection:
     timeout: float = 30.0
     elevation_topic: str = "/elevation_map"
     points_topic: str = "/points"
+    joint_topic: str = "/joint_states"
 
     @property
     def image_topics(self) -> dict[str, str]:

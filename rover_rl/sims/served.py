@@ -27,6 +27,7 @@ class Report(NamedTuple):
         images: images of each kind by the topic of the camera; ``None``: that of the connection.
         points: points of each 3D lidar in its frame, ``[planes, beams, 3]``, m, by its topic; NaN for no return.
         ground: elevation map of each height scan, by its topic.
+        wheels: joints of the wheels whose motor torques ``state`` has. Empty: it has none.
     """
 
     time: float
@@ -36,6 +37,7 @@ class Report(NamedTuple):
     images: Mapping[ImageKind, Mapping[str | None, Tensor]] = MappingProxyType({})
     points: Mapping[str | None, Tensor] = MappingProxyType({})
     ground: Mapping[str | None, ElevationMap] = MappingProxyType({})
+    wheels: tuple[str, ...] = ()
 
 
 class Served(Protocol):

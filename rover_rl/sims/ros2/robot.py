@@ -19,6 +19,7 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.elevation_maps import elevation_map_message
 from rover_rl.sims.ros2.image_formats import image_format
+from rover_rl.sims.ros2.joints import joint_state_message
 from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -136,6 +137,8 @@ class RobotNode:
             self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
         for topic, ground in report.ground.items():
             self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, "world"))
+        if report.wheels and (torque := state.wheel_torque) is not None:
+            self._send(connection.joint_topic, joint_state_message(report.wheels, torque[0], stamp))
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),

@@ -6,20 +6,22 @@ import logging
 import math
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, RoverState, View, beam_angles
+from rover_rl.sims.base import Capability, Report, RoverState, View, beam_angles
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.ground import LivePoints
 from rover_rl.sims.ros2.images import resized
-from rover_rl.sims.ros2.messages import Clock
+from rover_rl.sims.ros2.joints import read_efforts
+from rover_rl.sims.ros2.messages import Clock, JointState
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
@@ -78,8 +80,8 @@ class Ros2Simulator:
         ImportError: if a package that the transport requires is not installed.
     """
 
-    # It senses no contacts, and reports none.
-    capabilities: frozenset[Capability] = frozenset({"contacts", "lidar", "live"})
+    # It senses no contacts, and reports none. Motor torques are those of its joint states.
+    capabilities: frozenset[Capability] = frozenset({"contacts", "lidar", "live", "wheel_torque"})
 
     def __init__(
         self,
@@ -95,7 +97,8 @@ class Ros2Simulator:
         self.num_envs = 1
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
-        self._world = worlds[0]
+        self._world, self._wheels, self._joint_topic = worlds[0], robot.drive.wheels, connection.joint_topic
+        self._tells_torque = False
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
         self._limiter = CommandLimiter(settings.min_reversal)
         self._publishers_checked = -math.inf
@@ -201,6 +204,19 @@ class Ros2Simulator:
         self._dt = self.control_dt
         return self.state()
 
+    def report(self, fields: Collection[Report]) -> None:
+        """Adds the motor torques to the states: see :meth:`~rover_rl.sims.base.Reporter.report`."""
+        self._tells_torque = "wheel_torque" in fields
+        self._torque()
+
+    def _torque(self) -> dict[str, Tensor]:
+        """Returns the latest motor torques, if they were asked for; zeros before the first ones."""
+        if not self._tells_torque:
+            return {}
+        read = partial(read_efforts, wheels=self._wheels)
+        torque = self._sensors.latest_on(self._joint_topic, "torques", JointState, read)
+        return {"wheel_torque": torch.zeros(1, len(self._wheels)) if torque is None else torque[None]}
+
     def scanner(self, beams: int) -> Ros2Scanner:
         """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
         self._set_beams(beams)
@@ -278,6 +294,7 @@ class Ros2Simulator:
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
             # A live rover does not sense contacts. A policy of a task whose collision is the contact drives anyway.
             contact=torch.zeros(1, 1, dtype=torch.bool),
+            **self._torque(),
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
