@@ -84,9 +84,8 @@ class ServedRover:
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        report = report._replace(
-            images={"depth": depth, "colors": colors}, points=points, ground=ground, wheels=self._wheels
-        )
+        images = {"depth": depth, "colors": colors}
+        report = report._replace(images=images, points=points, ground=ground, wheels=self._wheels)
         return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
@@ -117,8 +116,8 @@ class ServedRover:
             "angular_velocity": sensed.angular_velocity,
             "stamp": stamp,
         }
-        if self._wheels:
-            told["wheel_torque"] = env.rover_state.wheel_torque
+        if (torque := env.rover_state.wheel_torque) is not None:
+            told["wheel_torque"] = torque
         late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)

@@ -22,7 +22,7 @@ class Connection:
         elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
             received if a sensor asks for it.
         points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
-        joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, which is received if a sensor asks for it.
+        joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, likewise.
     """
 
     scan_topic: str = "/scan"
