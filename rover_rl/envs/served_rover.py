@@ -84,8 +84,8 @@ class ServedRover:
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        images = {"depth": depth, "colors": colors}
-        report = report._replace(images=images, points=points, ground=ground, wheels=self._wheels)
+        report = report._replace(images={"depth": depth, "colors": colors}, wheels=self._wheels)
+        report = report._replace(points=points, ground=ground)
         return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
