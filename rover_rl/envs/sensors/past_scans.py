@@ -27,7 +27,8 @@ class PastScans(RigSensor):
 
     What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved:
     people, and long walls, which the tracker of :class:`~rover_rl.envs.sensors.movers.Movers` leaves out. The
-    latest scan is the first. At the start of an episode, all are the first scan.
+    latest scan is the first. At the start of an episode, all are the first scan. Networks read the latest one and the
+    changes since the others with convolutions over the directions.
 
     Args:
         name: key of the entry.
