@@ -24,7 +24,7 @@ short = ["--count", "2", "--seconds", "1"]
 assert main(["evaluate", "run", "--backend", "warp", *short]) == 0
 film = ["--seconds", "0.5", "--width", "80", "--height", "60", "--out", "film.gif"]
 assert main(["film", "pretrained:moon-sac", "--backend", "warp", *film]) == 0
-assert main(["worlds", "inspect"]) == 0
+assert main(["worlds", "--world", "inspect"]) == 0
 try:
     main(["view", "--help"])
 except SystemExit as end:

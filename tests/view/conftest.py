@@ -14,6 +14,7 @@ from rover_rl import make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run import TrainingRun, prepare
+from tests.fork_server import quick_workers
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -51,7 +52,7 @@ def training_in(runs: Path, **settings: Any) -> Iterator[None]:
     """Trains in the folder ``run``, and yields in each batch."""
     given = {"world": "moon", "num_envs": 8, "backend": "warp", "seed": 0, "runs": str(runs), "name": "run"}
     config = prepare(training_config("ppo", **given, rollout_length=2, hidden=(8,), minibatch=16, **settings))
-    with TrainingRun(config, PPOLearner(config)) as training:
+    with quick_workers(), TrainingRun(config, PPOLearner(config)) as training:
         for batch in training.batches():
             yield
             training.record(training.learner.update(batch, 0.0, training.stopwatch))
