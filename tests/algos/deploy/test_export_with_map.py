@@ -86,6 +86,12 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def policy(folder: Path) -> OnnxPolicy:
+    """The policy from the ONNX file, which takes seconds to open. It keeps its state in the observations."""
+    return OnnxPolicy(folder / "car.onnx")
+
+
 def drive(memory: str) -> list[TensorDict]:
     """The observations of a drive, as a batch of one row each."""
     checkpoint = routed_checkpoint(memory)
@@ -108,18 +114,17 @@ def assert_same(actions: Tensor, expected: Tensor) -> None:
     assert (expected.std(0) > 0.003).all()
 
 
-def test_the_file_reads_what_the_network_and_the_map_read(folder):
+def test_the_file_reads_what_the_network_and_the_map_read(folder, policy):
     sizes = {key: [1, size] for key, size in SIZES.items()}
     expected = ({"state_in": [1, MAP], **sizes}, {"action": [1, 2], "state_out": [1, MAP]})
     assert shapes(folder / "car.onnx") == expected
-    assert OnnxPolicy(folder / "car.onnx").in_keys == [*sizes, "memory", "is_init"]
+    assert policy.in_keys == [*sizes, "memory", "is_init"]
 
 
-def test_an_exported_policy_acts_as_the_original_over_an_episode(folder):
+def test_an_exported_policy_acts_as_the_original_over_an_episode(policy):
     observations = drive("none")
     expected = actions_of(routed_checkpoint("none").make_actor(), observations)
-    policy = pickle.loads(pickle.dumps(OnnxPolicy(folder / "car.onnx")))
-    assert_same(actions_of(policy, observations), expected)
+    assert_same(actions_of(pickle.loads(pickle.dumps(policy)), observations), expected)
 
 
 def test_a_program_acts_as_the_original_over_an_episode(folder):
@@ -146,8 +151,8 @@ def test_a_memory_follows_the_map_in_the_state():
     assert (state[:, MAP:] != 0).all()
 
 
-def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
-    policy, observations = OnnxPolicy(folder / "car.onnx"), drive("none")[:6]
+def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder, policy):
+    observations = drive("none")[:6]
     # A scan that is not late.
     observations[0][SCAN_POSE] = scan_pose_now(observations[0]["imu"])
     runner = PolicyRunner(policy, action_repeat=1)
@@ -169,8 +174,8 @@ def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
     assert (heights == UNSEEN).all(), "the ground is not rough"
 
 
-def test_routes_stay_in_the_bounds(folder):
-    policy, observation = OnnxPolicy(folder / "car.onnx"), drive("none")[0].exclude(BOUNDS)
+def test_routes_stay_in_the_bounds(policy):
+    observation = drive("none")[0].exclude(BOUNDS)
     # The goal is outside.
     bounds = observation["pose"][:, [0, 1, 0, 1]] + torch.tensor([-1.0, -1.0, 1.0, 1.0])
     both = (policy, routed_checkpoint("none").make_actor())
@@ -181,12 +186,12 @@ def test_routes_stay_in_the_bounds(folder):
     assert (without[0] - within[0]).abs().max() > 1e-3
 
 
-def test_it_drives_as_the_original_in_a_maze(folder):
+def test_it_drives_as_the_original_in_a_maze(policy):
     env = routed_checkpoint("none").env.fitted()
     episodes = draw_episodes(env.world, 3, robot=env.robot)
-    policies = (routed_checkpoint("none").make_actor(), OnnxPolicy(folder / "car.onnx"))
+    drivers = (routed_checkpoint("none").make_actor(), policy)
     # Fewer rows than episodes, whose map is cleared when the next one begins.
-    ours, theirs = (evaluate(policy, episodes, env=env, seconds=2.0, rows=2) for policy in policies)
+    ours, theirs = (evaluate(driver, episodes, env=env, seconds=2.0, rows=2) for driver in drivers)
     assert ours.action_repeat == theirs.action_repeat == 4
     assert ours.endings == theirs.endings
     assert_alike(ours.trajectories, theirs.trajectories)
