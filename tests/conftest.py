@@ -5,11 +5,13 @@ Compiled kernels of Warp are kept from run to run: their names are hashes of wha
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import tempfile
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -47,6 +49,21 @@ def pytest_configure(config: pytest.Config) -> None:
         caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         os.environ.setdefault("WARP_CACHE_PATH", str(Path(caches, "warp")))
         config.stash[_FOLDER] = os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="rover_rl-tests-")
+
+
+def pytest_collection_finish() -> None:
+    """Lets one process compile a kernel that all others wait for. In an empty cache, each would compile it."""
+    from rover_rl.sims.native.warp import wp
+
+    module = type(wp.get_module(__name__))
+    compiled = module._compile
+
+    def in_turn(self: Any, *args: Any, **options: Any) -> bool:
+        with open(Path(os.environ["XDG_CACHE_HOME"], f"{self.name}.lock"), "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return compiled(self, *args, **options)
+
+    module._compile = in_turn
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -15,7 +15,7 @@ from rover_rl.cli.train import train_defaults
 from rover_rl.envs import imperfect
 from rover_rl.sims.robots import get_robot
 
-FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
+FLOOR = {"inspect": 0.9, "moon": 0.9}
 """Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""
 ANYWHERE = "anywhere"
 """Name of the policy for all worlds."""

@@ -14,6 +14,7 @@ from rover_rl import make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run import TrainingRun, prepare
+from tests.fork_server import quick_workers
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -25,6 +26,11 @@ collect_ignore_glob = [] if find_spec("viser") else ["test_*.py"]
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Options of a browser that draws without a GPU."""
+SLOW_SCREEN = """
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 250);
+window.cancelAnimationFrame = clearTimeout;
+"""
+"""Lets a page draw four times a second. Software draws as often as it is asked to, on all cores."""
 
 
 def until(condition: Callable[[], object]) -> None:
@@ -46,7 +52,7 @@ def training_in(runs: Path, **settings: Any) -> Iterator[None]:
     """Trains in the folder ``run``, and yields in each batch."""
     given = {"world": "moon", "num_envs": 8, "backend": "warp", "seed": 0, "runs": str(runs), "name": "run"}
     config = prepare(training_config("ppo", **given, rollout_length=2, hidden=(8,), minibatch=16, **settings))
-    with TrainingRun(config, PPOLearner(config)) as training:
+    with quick_workers(), TrainingRun(config, PPOLearner(config)) as training:
         for batch in training.batches():
             yield
             training.record(training.learner.update(batch, 0.0, training.stopwatch))
@@ -82,20 +88,32 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def open_page(browser: Browser) -> Iterator[Callable[[str], Page]]:
-    """Opens pages of a small window, which software draws fast enough."""
+def new_page(browser: Browser) -> Iterator[Callable[[], Page]]:
+    """Opens empty pages of a small window, which software draws fast enough."""
     pages: list[Page] = []
 
-    def start(address: str) -> Page:
+    def start() -> Page:
         page = browser.new_page(viewport={"width": 640, "height": 420})
         pages.append(page)
         page.set_default_timeout(60_000)
+        page.add_init_script(SLOW_SCREEN)
+        return page
+
+    yield start
+    for page in pages:
+        page.close()
+
+
+@pytest.fixture
+def open_page(new_page: Callable[[], Page]) -> Callable[[str], Page]:
+    """Opens pages of a viewer."""
+
+    def start(address: str) -> Page:
+        page = new_page()
         page.goto(address)
         page.get_by_role("button", name="▲").wait_for()
         # From here on, the page hears keys.
         page.wait_for_function("window.roverKeys")
         return page
 
-    yield start
-    for page in pages:
-        page.close()
+    return start

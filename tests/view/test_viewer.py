@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import socket
-import subprocess
-import sys
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -192,32 +190,6 @@ def test_a_taken_port_is_one_sentence(capsys, tmp_path):
         assert main(["train", "--view", "--port", str(port), "--runs", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("choose another --port\n") == 2
     assert not [*tmp_path.iterdir()]
-
-
-WITHOUT_VISER = """
-import sys
-
-sys.path.insert(0, sys.argv[1])
-from rover_rl.cli import main
-
-
-def code_of(*words):
-    try:
-        return main(list(words)) or 0
-    except SystemExit as end:
-        return end.code or 0
-
-
-print([code_of("view"), code_of("worlds"), code_of("view", "--help")])
-"""
-
-
-def test_without_the_extra_there_is_a_sentence_and_nothing_imports_viser(tmp_path):
-    (tmp_path / "viser.py").write_text("raise ImportError('no viser')\n")
-    command = [sys.executable, "-c", WITHOUT_VISER, str(tmp_path)]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert run.stdout.endswith("[2, 0, 0]\n"), run.stderr
-    assert run.stderr == 'rover-rl: the viewer needs viser, an extra: pip install "rover_rl[view]"\n'
 
 
 def test_poses_between_two_steps():

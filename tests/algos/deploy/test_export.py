@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import random
 import sys
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,34 +15,35 @@ import torch
 from tensordict import TensorDict
 
 from rover_rl import Randomization, RewardConfig, TaskConfig
-from rover_rl.algos.config import training_config, with_settings
+from rover_rl.algos.config import training_config
 from rover_rl.algos.deploy import comparison
 from rover_rl.algos.deploy import export as exporting
 from rover_rl.algos.deploy.comparison import random_observations
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.policy.arcs import drive_to
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, actor_of, make_actor
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
 from rover_rl.envs.config import ActionConfig
-from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.sims.robots import get_robot
 from tests.algos.deploy.onnx_files import needs_onnx, shapes
 from tests.algos.evaluation.drives import assert_alike
 from tests.algos.policy.memories import recurrent_checkpoint
 
-POLICY = load_pretrained("moon-ppo")
+POLICY, SAC = load_pretrained("moon-ppo"), load_pretrained("moon-sac")
 
 
 @pytest.fixture(scope="module")
 def onnx_file(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("onnx") / "moon.onnx"
-    assert export(POLICY, path) <= exporting.TOLERANCE
-    return path
+    """What the command writes of SAC's policy."""
+    folder, told = tmp_path_factory.mktemp("onnx"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(told):
+        patch.chdir(folder)
+        assert main(["export", "pretrained:moon-sac"]) == 0
+    assert "moon-sac.onnx: acts as pretrained:moon-sac does" in told.getvalue()
+    return folder / "moon-sac.onnx"
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +59,8 @@ def few_checks(monkeypatch) -> None:
     monkeypatch.setattr(comparison, "CHECKED", 100)
 
 
-def expected(observations: dict[str, torch.Tensor]) -> torch.Tensor:
-    return POLICY.make_actor()(TensorDict(observations, batch_size=[len(observations["lidar"])]))["loc"]
+def expected(checkpoint: Checkpoint, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    return checkpoint.make_actor()(TensorDict(observations, batch_size=[len(observations["lidar"])]))["loc"]
 
 
 @needs_onnx
@@ -65,42 +68,18 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
     import onnxruntime
 
     session = onnxruntime.InferenceSession(str(onnx_file))
-    observations = random_observations(POLICY, 50)
+    observations = random_observations(SAC, 50)
     low, high = np.array([-1.0, -np.pi]), np.array([1.0, np.pi])
-    for row, loc in enumerate(expected(observations).detach().numpy()):
+    for row, loc in enumerate(expected(SAC, observations).detach().numpy()):
         (action,) = session.run(None, {key: value[row : row + 1].numpy() for key, value in observations.items()})
         np.testing.assert_allclose(action[0], (low + high) / 2 + (high - low) / 2 * np.tanh(loc), atol=1e-4)
     assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
 
 
-class Car(torch.nn.Module):
-    def forward(self, place: torch.Tensor, length: torch.Tensor, lidar: torch.Tensor, velocities: torch.Tensor):
-        return drive_to(place, length, lidar, velocities, RobotNumbers.of_robot(get_robot("hunter"), lidar))
-
-
-@needs_onnx
-@pytest.mark.slow
-def test_the_driver_of_a_car_acts_in_onnx_as_in_torch(tmp_path):
-    import onnxruntime
-
-    generator = torch.Generator().manual_seed(0)
-    sizes = {"place": 2, "length": 1, "lidar": 64, "velocities": 2}
-    rows = {name: 0.2 + 2 * torch.rand(20, size, generator=generator) for name, size in sizes.items()}
-    rows["lidar"] += 1.0
-    example = tuple(value[:1] for value in rows.values())
-    written = torch.onnx.export(Car().eval(), example, input_names=[*sizes], dynamo=True, verbose=False)
-    written.save(str(tmp_path / "car.onnx"))
-    session, actions = onnxruntime.InferenceSession(str(tmp_path / "car.onnx")), Car()(*rows.values()).numpy()
-    for row, action in enumerate(actions):
-        (told,) = session.run(None, {name: value[row : row + 1].numpy() for name, value in rows.items()})
-        np.testing.assert_allclose(told[0], action, atol=1e-4)
-    assert actions.std(0).min() > 0.1
-
-
 def test_a_program_acts_as_the_original(program_file):
     act = program_function(program_file)
     observation = random_observations(POLICY, 1)
-    loc = expected(observation)
+    loc = expected(POLICY, observation)
     torch.testing.assert_close(act(observation), torch.tensor([[1.0, torch.pi]]) * torch.tanh(loc))
     observation["target"][0, 0] = torch.nan
     with pytest.raises(ValueError, match="observation 'target' holds NaN or infinity"):
@@ -115,12 +94,11 @@ def test_a_damaged_program_is_refused(program_file, tmp_path):
             program_function(path)
 
 
-@needs_onnx
 @pytest.mark.usefixtures("few_checks")
 def test_a_policy_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
     with pytest.raises(RuntimeError, match="acts otherwise"):
-        export(POLICY, tmp_path / "wrong.onnx")
+        export(POLICY, tmp_path / "wrong.pt2", "torch")
     assert not [*tmp_path.iterdir()]
 
 
@@ -138,7 +116,7 @@ def test_what_is_no_policy_is_refused(onnx_file, tmp_path):
 @needs_onnx
 def test_a_flipped_bit_of_an_onnx_policy_is_refused_or_changes_nothing(onnx_file, tmp_path):
     data, path, draw = onnx_file.read_bytes(), tmp_path / "flipped.onnx", random.Random(0)
-    observation = random_observations(POLICY, 1)
+    observation = random_observations(SAC, 1)
     expected = onnx_function(onnx_file)(observation)
     # Half of them in the settings and the checksum at the end.
     bits = draw.sample(range(8 * len(data)), 60) + draw.sample(range(8 * (len(data) - 1000), 8 * len(data)), 60)
@@ -151,7 +129,7 @@ def test_a_flipped_bit_of_an_onnx_policy_is_refused_or_changes_nothing(onnx_file
             assert "flipped.onnx" in str(error)  # noqa: PT017
             refused += 1
         else:
-            assert policy.config == POLICY.config
+            assert policy.config == SAC.config
             assert torch.equal(onnx_function(path)(observation), expected)
     assert refused > 60
 
@@ -162,32 +140,12 @@ def flipped(data: bytes, bit: int) -> bytes:
 
 @needs_onnx
 def test_an_onnx_policy_does_not_act_on_what_is_not_finite(onnx_file):
-    observations, policy = TensorDict(random_observations(POLICY, 3), batch_size=[3]), OnnxPolicy(onnx_file)
+    observations, policy = TensorDict(random_observations(SAC, 3), batch_size=[3]), OnnxPolicy(onnx_file)
     for number in (float("nan"), float("inf")):
         observations["imu"][2, 1] = number
         with pytest.raises(ValueError, match="observation 'imu' holds NaN or infinity: the policy does not act on it"):
             policy(observations)
     assert "action" not in observations
-
-
-@needs_onnx
-@pytest.mark.usefixtures("few_checks")
-def test_the_task_travels_with_the_file(checkpoint, tmp_path):
-    task = TaskConfig(collision_from="contact", collision_window=0)
-    config = with_settings(checkpoint.config, task=task, contract_reward=RewardConfig(clearance_penalty=-0.1))
-    export(replace(checkpoint, config=config), tmp_path / "policy.onnx")
-    policy = OnnxPolicy(tmp_path / "policy.onnx")
-    assert policy.made_for.task == task
-    assert policy.made_for == config.env
-
-
-@pytest.mark.slow
-@needs_onnx
-@pytest.mark.usefixtures("few_checks")
-def test_the_command_exports(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", "pretrained:moon-sac"]) == 0
-    assert "moon-sac.onnx: acts as pretrained:moon-sac does" in capsys.readouterr().out
 
 
 @needs_onnx
@@ -208,9 +166,11 @@ def test_a_policy_whose_map_lacks_what_it_read_is_refused(tmp_path, entry, setti
 @pytest.mark.slow
 @needs_onnx
 @pytest.mark.usefixtures("few_checks")
-def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_original(tmp_path):
+def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_original_in_its_task(tmp_path):
     network = {"hidden": (16,), "north_up": True, "mirror_augmentation": False}
-    config = training_config("ppo", world="maze", action=ActionConfig(min_speed=0.0), max_std=0.4, **network)
+    task, reward = TaskConfig(collision_from="contact", collision_window=0), RewardConfig(clearance_penalty=-0.1)
+    made_for = {"action": ActionConfig(min_speed=0.0), "task": task, "contract_reward": reward}
+    config = training_config("ppo", world="maze", max_std=0.4, **made_for, **network)
     torch.manual_seed(0)
     encoder = ObservationEncoder(north_up=True)
     actor = make_actor(encoder, (16,), config.env.action, max_std=0.4)
@@ -218,23 +178,10 @@ def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_
     checkpoint, path = Checkpoint(config=config, steps=100, actor=weights), tmp_path / "north.onnx"
     assert export(checkpoint, path) <= exporting.TOLERANCE
     policy, episodes = OnnxPolicy(path), stored_episodes("maze").first(2)
-    assert policy.made_for.action.min_speed == 0.0
+    assert policy.made_for == config.env
+    assert (policy.made_for.action.min_speed, policy.made_for.task) == (0.0, task)
     ours, theirs = (evaluate(each, episodes, seconds=2.0) for each in (checkpoint.make_actor(), policy))
     assert_alike(ours.trajectories, theirs.trajectories)
-
-
-@pytest.mark.slow
-@needs_onnx
-@pytest.mark.usefixtures("few_checks")
-def test_commands_take_policies_with_memory(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine").mkdir()
-    recurrent_checkpoint("gru").save(tmp_path / "mine" / "checkpoint.pt")
-    assert main(["export", "mine"]) == 0
-    for policies, repeats in (("mine mine.onnx", [4, 4]), ("mine --action-repeat 2", [2])):
-        options = "--world maze --count 2 --seconds 0.5 --out ."
-        assert main(["evaluate", *policies.split(), *options.split()]) == 0
-        assert [entry["action_repeat"] for entry in json.loads(Path("evaluation.json").read_text())] == repeats
 
 
 def test_missing_packages_are_named(tmp_path, monkeypatch):
@@ -248,37 +195,38 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_checks")
-@pytest.mark.parametrize("memory", ["gru", "lstm"])
-def test_a_program_with_memory_acts_as_the_original_over_an_episode(memory, tmp_path):
-    checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.pt2"
+def test_a_program_with_memory_acts_as_the_original_over_an_episode(tmp_path):
+    checkpoint, path = recurrent_checkpoint("gru"), tmp_path / "recurrent.pt2"
     # The difference is the largest one in an episode of 100 decisions.
     assert export(checkpoint, path, "torch") <= exporting.TOLERANCE
     act, rows = program_function(path), TensorDict(random_observations(checkpoint, 3), batch_size=[3]).split(1)
-    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, SIZES[memory])
+    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, 12)
     for row in rows:
         action, state = act({**row, "state_in": state})
         torch.testing.assert_close(action, runner(row))
-    forgetful, _ = act({**rows[-1], "state_in": torch.zeros(1, SIZES[memory])})
+    forgetful, _ = act({**rows[-1], "state_in": torch.zeros(1, 12)})
     assert not torch.allclose(forgetful, action, atol=1e-3)
     state[0, 3] = torch.nan
     with pytest.raises(ValueError, match="observation 'state_in' holds NaN or infinity"):
         act({**rows[0], "state_in": state})
 
 
-SIZES = {"gru": 12, "lstm": 24}
-
-
 @pytest.mark.slow
 @needs_onnx
 @pytest.mark.usefixtures("few_checks")
-@pytest.mark.parametrize("memory", ["gru", "lstm"])
-def test_an_onnx_policy_with_memory_drives_as_the_original(memory, tmp_path):
-    checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.onnx"
-    assert export(checkpoint, path) <= exporting.TOLERANCE
-    state, sizes = [1, SIZES[memory]], {"lidar": [1, 32], "imu": [1, 3], "target": [1, 2], "velocities": [1, 2]}
+def test_an_onnx_policy_with_memory_drives_as_the_original_and_commands_take_both(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checkpoint, path = recurrent_checkpoint("lstm"), tmp_path / "mine.onnx"
+    checkpoint.save(tmp_path / "mine" / "checkpoint.pt")
+    assert main(["export", "mine"]) == 0
+    state, sizes = [1, 24], {"lidar": [1, 32], "imu": [1, 3], "target": [1, 2], "velocities": [1, 2]}
     assert shapes(path) == ({"state_in": state, **sizes}, {"action": [1, 2], "state_out": state})
     policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("maze").first(3)
     # Fewer rows than episodes, whose memory is cleared when the next one begins.
     ours, theirs = (evaluate(each, episodes, seconds=2.0, rows=2) for each in (checkpoint.make_actor(), policy))
     assert ours.action_repeat == theirs.action_repeat == 4
     assert_alike(ours.trajectories, theirs.trajectories)
+    for policies, repeats in (("mine mine.onnx", [4, 4]), ("mine --action-repeat 2", [2])):
+        options = "--world maze --count 2 --seconds 0.5 --out ."
+        assert main(["evaluate", *policies.split(), *options.split()]) == 0
+        assert [entry["action_repeat"] for entry in json.loads(Path("evaluation.json").read_text())] == repeats

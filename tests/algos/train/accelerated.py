@@ -206,12 +206,12 @@ def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
 
 
 def _evaluated(on: Accelerator | None) -> list[tuple[Tensor, str]]:
-    """Path and ending of each of some episodes that an actor drives, each rover several of them."""
+    """Path and ending of each of some episodes that an actor drives, a rover two of them."""
     device = "cpu" if on is None else str(on.device)
     torch.manual_seed(0)
-    actor, episodes = make_actor().to(device), draw_episodes(FIELD, 5, seed=3)
+    actor, episodes = make_actor().to(device), draw_episodes(FIELD, 3, seed=3)
     env = EnvConfig(backend=SlidingBackend(), device=device)
-    driven = evaluate(actor, episodes, env=env, rows=2, seconds=3).trajectories
+    driven = evaluate(actor, episodes, env=env, rows=2, seconds=1).trajectories
     return [(one.position, one.ending) for one in driven]
 
 

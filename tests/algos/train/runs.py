@@ -34,6 +34,8 @@ LEARNABLE = with_settings(PPO, backend="warp", world="maze:0-7@0-1", curriculum=
 """A training with a curriculum."""
 GRU = with_settings(PPO, world=FIELD, memory="gru", memory_size=8, length=40, rollout_length=8, minibatch=16)
 LSTM = with_settings(GRU, memory="lstm")
+RECURRENT = with_settings(LEARNABLE, memory="gru", memory_size=8, rollout_length=8, minibatch=16)
+"""A training of a policy with memory, with a curriculum."""
 BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
 """Runs a test with PPO and with SAC."""
 LEARNERS: dict[str, Any] = {"ppo": PPOLearner, "sac": SACLearner}
@@ -92,6 +94,11 @@ def record_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def states_of(batch: TensorDictBase, memory: str) -> TensorDictBase:
+    """What :func:`check_states` reads of a batch."""
+    return batch.select("is_init", *MEMORY_KEYS[memory], "next").clone()
+
+
 def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
     """Checks that the memory moves, is cleared at resets row by row, and goes on; returns the batches as one."""
     batch = torch.cat(batches, 1)
@@ -106,19 +113,3 @@ def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
         going_on = ~is_init[:, 1:]
         assert torch.equal(state[:, 1:][going_on], after[:, :-1][going_on])
     return batch
-
-
-def check_workers(monkeypatch: pytest.MonkeyPatch, runs: Path, memory: str, **settings: Any) -> None:
-    """Checks that two workers carry a policy's memory and have a curriculum each, also in a run that goes on."""
-    recurrent = {"memory": memory, "memory_size": 8, "rollout_length": 8, "minibatch": 16}
-    config, collected = with_settings(LEARNABLE, **recurrent, **settings, workers=2), list[TensorDictBase]()
-
-    def keep(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
-        collected.append(batch.select("is_init", *MEMORY_KEYS[memory], "next").clone())
-
-    before_updates(monkeypatch, "ppo", keep)
-    folder = run(config, runs, total_steps=384).folder
-    assert len(collected) == 3
-    check_states(collected, memory)
-    assert run(config, runs, folder, total_steps=512).steps == 512
-    assert sum(int(row["draws"]) for row in record_of(folder)) >= 8

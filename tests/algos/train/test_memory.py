@@ -25,14 +25,17 @@ from tests.algos.train.runs import (
     GRU,
     LSTM,
     PPO,
+    RECURRENT,
     WALL,
+    before_updates,
     check_states,
-    check_workers,
     equal,
     field,
     progress_of,
+    record_of,
     run,
     state_of,
+    states_of,
 )
 
 BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
@@ -133,11 +136,16 @@ def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_workers")
-@pytest.mark.parametrize("memory", ["gru", "lstm"])
-def test_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
-    memory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_workers_carry_the_memory_and_have_a_curriculum_of_their_own_also_in_a_run_that_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check_workers(monkeypatch, tmp_path, memory)
+    config, collected = with_settings(RECURRENT, memory="lstm", workers=2), list[TensorDictBase]()
+    before_updates(monkeypatch, "ppo", lambda number, learner, batch: collected.append(states_of(batch, "lstm")))
+    folder = run(config, tmp_path, total_steps=384).folder
+    assert len(collected) == 3
+    check_states(collected, "lstm")
+    assert run(config, tmp_path, folder, total_steps=512).steps == 512
+    assert sum(int(row["draws"]) for row in record_of(folder)) >= 8
 
 
 @pytest.mark.parametrize("memory", ["none", "gru"])

@@ -11,14 +11,16 @@ from pathlib import Path
 
 import psutil
 import pytest
+from tensordict import TensorDictBase
 
 from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.collectors import WorkerError
+from rover_rl.algos.train.ppo import PPOLearner
 from tests.algos.train import runs
-from tests.algos.train.runs import before_updates, check_workers, progress_of, run, state_of
+from tests.algos.train.runs import before_updates, check_states, progress_of, record_of, run, states_of
 
-PPO = with_settings(runs.PPO, collector="ray", workers=None)
+PPO = with_settings(runs.RECURRENT, collector="ray", workers=None)
 SAC = with_settings(runs.SAC, collector="ray", workers=None)
 
 
@@ -59,61 +61,47 @@ def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_
 
 
 @pytest.mark.slow
-def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
+def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check_workers(monkeypatch, tmp_path, "gru", collector="ray")
+    """The workers carry the memory and have a curriculum of their own."""
+    folder, config, steps, collected = tmp_path / "dying", with_settings(PPO, name="dying"), 0, list[TensorDictBase]()
+    # The worker dies in a batch, and between two.
+    for wait in (0.0, 2.0):
+        kill_a_worker_at_the_third_update(monkeypatch, wait, collected)
+        with pytest.raises(WorkerError, match="actor died"):
+            run(config, tmp_path, folder if steps else None, total_steps=UNLIMITED_STEPS)
+        monkeypatch.undo()
+        checkpoint = Checkpoint.load(folder)
+        assert checkpoint.steps >= steps + 3 * 128
+        steps = checkpoint.steps
+    check_states(collected[:3], "gru")
+    check_states(collected[3:6], "gru")
+    assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
+    # One worker per processor of the cluster.
+    assert "workers: 2" in (folder / "config.yaml").read_text()
+    assert not remote_workers()
+    # Without the cluster, whose workers take seconds to start.
+    again = run(config, tmp_path, folder, collector="auto", workers=1, total_steps=steps + 128)
+    assert again.steps == steps + 128
+    assert progress_of(folder)["steps"] == list(range(128, steps + 129, 128))
+    assert sum(again.shares.values()) == pytest.approx(1)
+    assert sum(int(row["draws"]) for row in record_of(folder)) >= 16
 
 
-def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:
-    """Lets PPO kill a worker and wait for some seconds."""
+def kill_a_worker_at_the_third_update(
+    monkeypatch: pytest.MonkeyPatch, wait: float, collected: list[TensorDictBase]
+) -> None:
+    """Lets PPO kill a worker and wait for some seconds, and keep the states in its batches."""
 
-    def kill(number: int, *_: object) -> None:
+    def kill(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
+        if number <= 3:
+            collected.append(states_of(batch, "gru"))
         if number == 3:
             remote_workers()[0].send_signal(signal.SIGKILL)
             time.sleep(wait)
 
     before_updates(monkeypatch, "ppo", kill)
-
-
-@pytest.mark.slow
-def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
-    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kill_a_worker_at_the_third_update(monkeypatch, wait=0)
-    with pytest.raises(WorkerError, match="actor died"):
-        run(PPO, tmp_path, total_steps=UNLIMITED_STEPS, name="dying")
-    folder = tmp_path / "dying"
-    assert state_of(folder)["updates"] >= 3
-    monkeypatch.undo()
-    steps = Checkpoint.load(folder).steps
-    again = run(PPO, tmp_path, folder, total_steps=steps + 128, name="dying")
-    assert again.steps == steps + 128
-    assert progress_of(folder)["steps"] == list(range(64, steps + 129, 64))
-    assert sum(again.shares.values()) == pytest.approx(1)
-    # One worker per processor of the cluster.
-    assert "workers: 2" in (folder / "config.yaml").read_text()
-    assert not remote_workers()
-
-
-@pytest.mark.slow
-def test_a_run_in_warp_ends_resumably_if_a_worker_was_killed_a_while_ago(
-    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = with_settings(PPO, backend="warp", name="dying")
-    kill_a_worker_at_the_third_update(monkeypatch, wait=2)
-    with pytest.raises(WorkerError, match="actor died"):
-        run(config, tmp_path, total_steps=UNLIMITED_STEPS)
-    folder = tmp_path / "dying"
-    assert state_of(folder)["updates"] >= 3
-    monkeypatch.undo()
-    checkpoint = Checkpoint.load(folder)
-    assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
-    steps = checkpoint.steps
-    # Without the cluster, whose workers take seconds to start.
-    again = run(config, tmp_path, folder, collector="auto", workers=1, total_steps=steps + 64)
-    assert again.steps == steps + 64
-    assert progress_of(folder)["steps"] == list(range(64, steps + 65, 64))
 
 
 @pytest.mark.slow
