@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
 import torch
 from torch import Tensor
 
@@ -19,9 +22,9 @@ FACE = 5.0
 """Distance of a wall from the start, m."""
 
 
-def driven(yaw: Tensor, world: World, speed: float, steps: int = 20) -> Tensor:
+def driven(yaw: Tensor, world: World, speed: float, sensor: PastScans = SENSOR, steps: int = 20) -> Tensor:
     """Drives at a speed, and returns the range straight ahead in the scan now and in the past ones, ``[N, 3]``, m."""
-    env = RoverEnv(EnvConfig(world=world, num_envs=len(yaw), backend="warp", lidar=LIDAR, sensors=[SENSOR], seed=3))
+    env = RoverEnv(EnvConfig(world=world, num_envs=len(yaw), backend="warp", lidar=LIDAR, sensors=[sensor], seed=3))
     start = torch.cat((torch.zeros(len(yaw), 2), yaw[:, None]), -1)
     tensordict = env.reset(start=start, goal=torch.tensor([[0.0, 8.0]]).repeat(len(yaw), 1))
     first = tensordict["past_scans"].unflatten(-1, (3, 64))
@@ -49,6 +52,10 @@ def test_a_long_wall_that_moves_was_elsewhere() -> None:
     ranges = driven(torch.tensor([0.0, 0.05]), world, speed=0.0)
     torch.testing.assert_close(ranges[:, 1:] - ranges[:, :1], torch.tensor([AGES]).expand(2, 2), atol=0.03, rtol=0)
     assert torch.equal(driven(torch.tensor([0.0]), world, speed=0.0), ranges[:1])
+    # As training reads it, the scans are as old.
+    assert torch.equal(driven(torch.tensor([0.0]), world, 0.0, replace(SENSOR, period=5)), ranges[:1])
+    with pytest.raises(ValueError, match="^apart of sensor 'past_scans' must be a multiple of its period, 4 steps"):
+        replace(SENSOR, period=4)
 
 
 def test_networks_read_what_has_changed() -> None:

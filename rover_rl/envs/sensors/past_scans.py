@@ -34,7 +34,8 @@ class PastScans(RigSensor):
         name: key of the entry.
         period: number of steps from one scan that is kept to the next.
         count: number of earlier scans.
-        apart: number of kept scans from one to the next.
+        apart: number of steps from one scan to the next, a multiple of the period. Training reads once for a decision,
+            of ``action_repeat`` steps.
         points: number of directions, from ahead counterclockwise. A direction without a reading has ``max_range``: with
             half as many directions as the lidar has readings, there are no gaps on a wall that has come nearer.
         max_range: largest range, m.
@@ -50,7 +51,7 @@ class PastScans(RigSensor):
 
     name: str = PAST_SCANS
     count: int = 3
-    apart: int = 3
+    apart: int = 6
     points: int = 16
     max_range: float = LidarConfig.max_range
     clips = False
@@ -60,6 +61,15 @@ class PastScans(RigSensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_at_least(1, MAX_COUNT, count=self.count, apart=self.apart, points=self.points)
+        if self.apart % self.period:
+            raise ValueError(
+                f"apart of sensor {self.name!r} must be a multiple of its period, {self.period} steps, got {self.apart}"
+            )
+
+    @property
+    def lag(self) -> int:
+        """Number of kept scans from one that is shown to the next."""
+        return self.apart // self.period
 
     @property
     def bounds(self) -> Bounds:
@@ -98,7 +108,7 @@ class _KeptScans:
         self._fleet = Fleet.of(rig.fleet or rig.robot, rig.rows, rig.device)
         self._mounts = self._fleet.table(lambda robot: robot.lidar_position[:2])
         self._directions = reading_directions(rig.lidar).to(rig.device)
-        size = 1 + sensor.count * sensor.apart
+        size = 1 + sensor.count * sensor.lag
         self._ends = torch.zeros(rig.rows, size, rig.lidar.points, 2, device=rig.device)
         # Place of each row's last scan.
         self._latest = torch.zeros(rig.rows, dtype=torch.int32, device=rig.device)
@@ -121,7 +131,7 @@ class _KeptScans:
         wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
         ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
         now = self._frames(pose, imu)
-        wp.launch(show, (rows, 1 + sensor.count), [due, now, self._latest, sensor.apart, self._ends, ranges], **options)
+        wp.launch(show, (rows, 1 + sensor.count), [due, now, self._latest, sensor.lag, self._ends, ranges], **options)
         self._ranges = ranges
         return ranges.flatten(1)
 
