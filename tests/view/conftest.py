@@ -95,7 +95,8 @@ def new_page(browser: Browser) -> Iterator[Callable[[], Page]]:
     def start() -> Page:
         page = browser.new_page(viewport={"width": 640, "height": 420})
         pages.append(page)
-        page.set_default_timeout(60_000)
+        # Software draws slowly beside other tests.
+        page.set_default_timeout(180_000)
         page.add_init_script(SLOW_SCREEN)
         return page
 
