@@ -301,7 +301,6 @@ class TrainingConfig:
             raise ValueError(
                 f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
             )
-
         if isinstance(self.algorithm, PPOConfig) and self.algorithm.freeze_encoder and self.run.started_from is None:
             raise ValueError("freeze_encoder keeps the convolutions of a policy that training starts from: use --from")
 

@@ -734,7 +734,7 @@ def _check_requirements(
     if config.agents > 1:
         needs["movers"] = f"agents={config.agents} need a backend in which rovers push one another"
     for key, sensor in sensors.items():
-        need = f"sensor {key!r} needs a simulated world in which it is measured, and a live rover has none"
+        need = f"sensor {key!r} needs a backend that measures it"
         needs |= dict.fromkeys(sensor.needs, need)
     for capability, need in needs.items():
         if capability not in simulator.capabilities:

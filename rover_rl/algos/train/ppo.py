@@ -63,7 +63,10 @@ class PPOLearner(Learner):
         self.actor = actor_of(config, encoder, device)
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         if settings.freeze_encoder:
-            for images in (*_image_networks(self.actor), *_image_networks(self.critic)):
+            frozen = [*_image_networks(self.actor), *_image_networks(self.critic)]
+            if not frozen:
+                raise ValueError(f"freeze_encoder needs an image in observation, got {network.observation}")
+            for images in frozen:
                 images.requires_grad_(False)
         self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)

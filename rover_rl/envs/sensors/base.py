@@ -47,7 +47,7 @@ class Surroundings:
         """Simulator of a live rover, around which nothing is known but the map of its world. ``None``: not live."""
 
     def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
-        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers may be farther than ``farthest``.
+        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers beyond ``farthest`` are seen, too.
 
         Raises:
             ValueError: for a live rover.

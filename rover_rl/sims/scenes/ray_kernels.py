@@ -44,6 +44,13 @@ def clipped(span: wp.vec2, start: float, inverse: float, size: float) -> wp.vec2
 
 
 @wp.func
+def span_within(start: wp.vec2, inverse: wp.vec2, size: wp.vec2, farthest: float) -> wp.vec2:
+    """First and last time of a ray in the rectangle from 0 to ``size``. The first is last if it misses."""
+    span = clipped(wp.vec2(0.0, farthest), start[0], inverse[0], size[0])
+    return clipped(span, start[1], inverse[1], size[1])
+
+
+@wp.func
 def sign_of(inverse: float) -> int:
     """Direction in which a ray moves along an axis."""
     return wp.where(inverse < 0.0, -1, 1)
@@ -136,8 +143,8 @@ def meet_ground(scene: Scene, start: wp.vec3, direction: wp.vec3, farthest: floa
     rate = wp.vec2(direction[0], direction[1]) / scene.cell
     inverse_u = inverse_of(rate[0])
     inverse_v = inverse_of(rate[1])
-    span = clipped(wp.vec2(0.0, farthest), origin[0], inverse_u, float(columns - 1))
-    span = clipped(span, origin[1], inverse_v, float(lines - 1))
+    size = wp.vec2(float(columns - 1), float(lines - 1))
+    span = span_within(origin, wp.vec2(inverse_u, inverse_v), size, farthest)
     if span[0] > span[1]:
         return farthest
     if span[0] == 0.0 and start[2] < ground_at(scene, start[0], start[1])[3]:
@@ -204,8 +211,8 @@ def meet_obstacles(scene: Scene, start: wp.vec3, direction: wp.vec3, farthest: f
     y = start[1] - scene.grid_origin[1]
     inverse_x = inverse_of(direction[0])
     inverse_y = inverse_of(direction[1])
-    span = clipped(wp.vec2(0.0, farthest), x, inverse_x, cell * float(scene.grid_columns))
-    span = clipped(span, y, inverse_y, cell * float(scene.grid_rows))
+    size = cell * wp.vec2(float(scene.grid_columns), float(scene.grid_rows))
+    span = span_within(wp.vec2(x, y), wp.vec2(inverse_x, inverse_y), size, farthest)
     column = wp.clamp(int((x + direction[0] * span[0]) / cell), 0, scene.grid_columns - 1)
     line = wp.clamp(int((y + direction[1] * span[0]) / cell), 0, scene.grid_rows - 1)
     t = span[0]

@@ -40,7 +40,7 @@ class SceneTable:
 
     Args:
         capacity: maximum number of slots.
-        reach: radius of a sphere around the center of mass that contains the rover, m.
+        reach: radius of a sphere around the center of mass that contains the rover, m; 0 for rays.
         device: device of the arrays.
 
     Attributes:
@@ -103,7 +103,7 @@ class PackedScene:
 
         Args:
             world: world to pack.
-            reach: radius of a sphere around the center of mass that contains the rover, m.
+            reach: radius of a sphere around the center of mass that contains the rover, m; 0 for rays.
         """
         terrain = world.terrain
         heights = terrain.heights.numpy()

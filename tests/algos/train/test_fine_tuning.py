@@ -81,6 +81,8 @@ def test_frozen_convolutions_stay_those_of_the_policy_also_in_the_critic(tmp_pat
     assert sorted(map(torch.sum, of_critic.values())) == sorted(torch.sum(learned[name]) for name in images)
     with pytest.raises(ValueError, match="^freeze_encoder keeps the convolutions .* use --from$"):
         train(training_config("ppo", freeze_encoder=True, runs=str(tmp_path)))
+    with pytest.raises(ValueError, match=r"^freeze_encoder needs an image in observation, got \('lidar', "):
+        train(training_config("ppo", freeze_encoder=True, started_from=str(source), runs=str(tmp_path)))
 
 
 def test_defaults_are_those_of_a_short_training_of_the_same_policy() -> None:
