@@ -15,20 +15,16 @@ It is a Warp kernel with a thread for each row. The tracks are one tensor, which
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.seen_map.scans import reading_angles, reading_directions
+from rover_rl.envs.scan_tracker import ScanTracker, along_heading
 from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 TRACKS = 32
 """Number of tracks of a row."""
@@ -54,7 +50,7 @@ class Tracks(NamedTuple):
     readings: Tensor
 
 
-class MoverTracker:
+class MoverTracker(ScanTracker):
     """Follows what moves, from scan to scan.
 
     Args:
@@ -62,15 +58,6 @@ class MoverTracker:
         lidar: settings of the lidar.
         interval: time from one scan to the next, s.
     """
-
-    def __init__(self, robot: Robot | Fleet, lidar: LidarConfig, interval: float) -> None:
-        self._range, self._dt = lidar.max_range - 1e-3, interval
-        self._fleet = robot if isinstance(robot, Fleet) else None
-        robots = robot.robots if isinstance(robot, Fleet) else (robot,)
-        self._mounts = torch.tensor([each.lidar_position[:2] for each in robots])
-        self._directions = reading_directions(lidar)
-        # Of the first reading, and from one to the next, rad.
-        self._angles = float(reading_angles(lidar)[0]), 2 * math.pi / lidar.points
 
     def __call__(
         self,
@@ -99,27 +86,17 @@ class MoverTracker:
         from rover_rl.sims.native.warp import launch_options, wp
 
         device, (count, points) = lidar.device, lidar.shape
-        self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
-        due = torch.ones(count, dtype=torch.bool, device=device) if due is None else due.contiguous()
         after, moves = torch.empty_like(state), torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
         readings = torch.zeros(count, points, dtype=torch.bool, device=device)
         ends, clusters = (torch.empty(count, points, size, device=device) for size in (2, CLUSTER))
         labels, seen = (
             torch.empty(count, *size, dtype=torch.int32, device=device) for size in ((points,), (2, TRACKS))
         )
-        inputs: list[Any] = [due, *(value.contiguous() for value in (lidar, pose, imu))]
-        inputs += [self._mounts, self._robots(lidar, rows)]
-        inputs += [self._directions, self._angles, self._range, self._dt, _by_track(state.contiguous())]
-        inputs += [ends, labels, clusters, seen, _by_track(after), moves, readings]
+        inputs = self._scans(lidar, pose, imu, rows, due)
+        inputs += [_by_track(state.contiguous()), ends, labels, clusters, seen, _by_track(after), moves, readings]
         wp.launch(follow, count, inputs, **launch_options(device))
         position, velocity, radius = _by_track(after)[..., 1:6].split((2, 2, 1), -1)
         return after, Tracks(position, velocity, radius[..., 0], moves, readings)
-
-    def _robots(self, lidar: Tensor, rows: Tensor | None) -> Tensor:
-        """Returns the number of each row's robot, int64 ``[N]``."""
-        if self._fleet is None:
-            return torch.zeros(len(lidar), dtype=torch.int64, device=lidar.device)
-        return self._fleet.index if rows is None else self._fleet.index[rows]
 
 
 def _by_track(state: Tensor) -> Tensor:
@@ -142,12 +119,5 @@ def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, 
 
 def in_base_frame(tracks: Tracks, tensordict: TensorDictBase | Mapping[str, Tensor]) -> Tracks:
     """Returns tracks relative to each rover's position and heading. Velocities stay those over ground."""
-    yaw, pose = tensordict["imu"][:, 2:], tensordict["pose"]
-    cos, sin = yaw.cos(), yaw.sin()
-
-    def turned(pairs: Tensor) -> Tensor:
-        x, y = pairs.unbind(-1)
-        return torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
-
-    position = turned(tracks.position - pose[:, None, :2])
-    return tracks._replace(position=position, velocity=turned(tracks.velocity))
+    position = along_heading(tracks.position - tensordict["pose"][:, None, :2], tensordict)
+    return tracks._replace(position=position, velocity=along_heading(tracks.velocity, tensordict))

@@ -17,7 +17,7 @@ from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROBOT, ROUTE
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROBOT, ROUTE, WALLS
 from rover_rl.sims.robots import get_robot
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
@@ -42,8 +42,8 @@ class PlainPolicy(nn.Module):
     are the names of arguments and results.
 
     Raises:
-        ValueError: for a policy that reads ``movers``, whose tracks the exported map does not keep, and for one that
-            reads ``route`` but not ``lidar_mask``, if its training hid beams.
+        ValueError: for a policy that reads ``movers`` or ``walls``, whose tracks the exported map does not keep, and
+            for one that reads ``route`` but not ``lidar_mask``, if its training hid beams.
     """
 
     _robot: Tensor
@@ -53,9 +53,9 @@ class PlainPolicy(nn.Module):
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
         actor, settings = checkpoint.make_actor(), checkpoint.config.network
-        if MOVERS in settings.observation:
+        for key in {MOVERS, WALLS} & {*settings.observation}:
             raise ValueError(
-                "a policy that reads movers cannot be exported: its tracks are no part of the exported map"
+                f"a policy that reads {key} cannot be exported: its tracks are no part of the exported map"
             )
         hides_beams = checkpoint.env.randomization.hides_beams
         if hides_beams and ROUTE in settings.observation and LIDAR_MASK not in settings.observation:

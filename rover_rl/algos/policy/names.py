@@ -23,6 +23,7 @@ BASELINES = {
     "dwa-moving": "rover_rl.algos.policy.moving_dwa:MovingDynamicWindowPolicy",
     "gridplanner-moving": "rover_rl.algos.policy.moving_grid_planner:MovingGridPlanner",
     "orca": "rover_rl.algos.policy.orca:OrcaPolicy",
+    "predictive": "rover_rl.algos.policy.predictive:PredictivePolicy",
     "expert": "rover_rl.algos.policy.expert:MapExpert",
     "foresight": "rover_rl.algos.policy.foresight:ForesightPolicy",
 }

@@ -22,11 +22,13 @@ from torch import Tensor
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
+from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SEEN_DISTANCES, SEEN_FRAME, SeenMap
 from rover_rl.envs.sensors.lidar_mask import LidarViews
 from rover_rl.envs.sensors.movers import SeenMovers
 from rover_rl.envs.sensors.scan_pose import scan_pose_now
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE
+from rover_rl.envs.sensors.seen_tracks import SeenTracks
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, WALLS
+from rover_rl.envs.sensors.walls import SeenWalls
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
 
@@ -40,6 +42,10 @@ A policy that needs to know the environment has a method ``enter(env)``. A polic
 only with the rows that decide."""
 
 
+_TRACKS: dict[str, type[SeenTracks]] = {MOVERS: SeenMovers, WALLS: SeenWalls}
+"""What is followed in the scans for the policies that read it."""
+
+
 def default_action_repeat(policy: Policy | None, given: int | None = None, dt: float = CONTROL_DT) -> int:
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
@@ -48,7 +54,7 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
     """
     if given is not None:
         return given
-    if not (state_keys(policy) or _reads(policy, MOVERS) or reads_route(policy)):
+    if not (state_keys(policy) or any(_reads(policy, key) for key in (*_TRACKS, ROUTE))):
         return 1
     trained_dt = getattr(getattr(policy, "made_for", None), "control_dt", CONTROL_DT)
     return max(1, round(getattr(policy, "trained_action_repeat", 1) * trained_dt / dt))
@@ -67,12 +73,13 @@ class PolicyRunner:
     """Runs a policy on a batch of rows.
 
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
-    memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
-    reads ``route`` or ``movers``, in an environment without these sensors, it keeps the maps of what the rovers have
-    seen, and the tracks of what moves, and adds what they tell to the observation. For one that reads ``scan_pose``, in
-    an environment whose scans are never late, it adds that the scan is as new as the pose. For one that reads
-    ``lidar_mask``, in an environment without this sensor, it adds that of the robot's lidar. For one that reads
-    ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
+    memory of a policy from decision to decision, row by row. Policies without memory pass through.
+
+    It adds to the observation what a policy reads and the environment does not have: of the sensors ``route``,
+    ``movers`` and ``walls``, for which it keeps the maps of what the rovers have seen and the tracks of what moves;
+    ``seen_distances`` and ``seen_frame``, the distances on these maps; ``scan_pose``, which tells that the scan is as
+    new as the pose, if scans are never late; ``lidar_mask``, that of the robot's lidar; and ``bounds``, those of the
+    world, for an exported policy that keeps its own map.
 
     Args:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
@@ -92,7 +99,7 @@ class PolicyRunner:
         self.action_repeat = default_action_repeat(policy, action_repeat, self._dt)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
-        self._movers: SeenMovers | None = None
+        self._tracks: dict[str, SeenTracks] = {}
         self._views: LidarViews | None = None
         self._route: Tensor | None = None
         self._distribution: tuple[Tensor, Tensor] | None = None
@@ -105,7 +112,8 @@ class PolicyRunner:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
-            self._seen = self._movers = self._views = self._route = self._distribution = self._tracked = None
+            self._tracks = {}
+            self._seen = self._views = self._route = self._distribution = self._tracked = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -154,9 +162,11 @@ class PolicyRunner:
     def _start(self, observation: TensorDictBase) -> Tensor:
         """Takes the first decision of all rows."""
         self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
-        if _reads(self.policy, MOVERS) and observation.get(MOVERS, None) is None:
-            self._movers = SeenMovers(*self._rig(observation))
-        if reads_route(self.policy) and observation.get(ROUTE, None) is None:
+        for key, seen in _TRACKS.items():
+            if _reads(self.policy, key) and observation.get(key, None) is None:
+                self._tracks[key] = seen(*self._rig(observation))
+        reads_map = _reads(self.policy, SEEN_DISTANCES)
+        if reads_map or (reads_route(self.policy) and observation.get(ROUTE, None) is None):
             rows, lidar, robot, device, interval = self._rig(observation)
             self._seen = SeenMap(rows, lidar, robot, device, interval=interval)
         if _reads(self.policy, LIDAR_MASK) and observation.get(LIDAR_MASK, None) is None:
@@ -181,12 +191,14 @@ class PolicyRunner:
         rows, inputs = len(observation), observation.copy()
         if self._views is not None:
             inputs[LIDAR_MASK] = self._views()
-        if self._movers is not None:
-            inputs[MOVERS] = self._movers(observation, due, self._is_init)
+        for key, seen in self._tracks.items():
+            inputs[key] = seen(observation, due, self._is_init)
         if _reads(self.policy, MOVERS):
             self._tracked = inputs[MOVERS]
         if self._seen is not None:
             self._route = inputs[ROUTE] = self._seen(inputs, due, self._is_init, self._bounds(observation))
+            if _reads(self.policy, SEEN_DISTANCES):
+                inputs[SEEN_DISTANCES], inputs[SEEN_FRAME] = self._seen.distances()
         if _reads(self.policy, SCAN_POSE) and observation.get(SCAN_POSE, None) is None:
             inputs[SCAN_POSE] = scan_pose_now(observation["imu"])
         if _reads(self.policy, BOUNDS):

@@ -23,7 +23,8 @@ from rover_rl.envs.sensors.lidar_mask import LidarMask
 from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.sensors.scan_pose import ScanPose
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, own_sensors
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, WALLS, own_sensors
+from rover_rl.envs.sensors.walls import MovingWalls
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -99,6 +100,8 @@ def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
         sensors[ROUTE] = Route(threads=_threads(config))
     if MOVERS in read:
         sensors[MOVERS] = Movers()
+    if WALLS in read:
+        sensors[WALLS] = MovingWalls()
     for key, sensor in sensors.items():
         if sensor.takes_long and key in read:
             sensors[key] = replace(sensor, period=config.collection.action_repeat)

@@ -39,13 +39,16 @@ from rover_rl.envs.seen_map.scans import (
 )
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, WALLS
+from rover_rl.envs.sensors.walls import belong_to_walls
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.footprint import footprint
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
+SEEN_DISTANCES, SEEN_FRAME = "seen_distances", "seen_frame"
+"""Names of what :meth:`SeenMap.distances` returns."""
 BOUNDS = "bounds"
 """Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
 MOVER_MARGIN = 0.1
@@ -81,7 +84,8 @@ class SeenMap:
 
     What moves marks no cells, if the observation has ``movers``: see :class:`~rover_rl.envs.sensors.movers.Movers`. A
     cell is closed for one plan if a mover at constant velocity is there within 0.75 s of the time at which the rover
-    could be, in the coming 4 s.
+    could be, in the coming 4 s. Walls that move mark none, if it has ``walls``, and close none: see
+    :class:`~rover_rl.envs.sensors.walls.MovingWalls`.
 
     The map needs a pose that does not jump, such as that of odometry. A scan that is older than the pose is added where
     it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
@@ -180,10 +184,12 @@ class SeenMap:
         taken, mask = taken_at(observation), observation.get(LIDAR_MASK, None)
         then = None if taken is None else (taken[0] / unit, taken[1])
         scan, state = self._reader(self._state, ranges, place, imu, readings, then, mask)
-        movers, ways = observation.get(MOVERS, None), list[Tensor]()
+        (movers, walls), ways = (observation.get(key, None) for key in (MOVERS, WALLS)), list[Tensor]()
+        for found, belong_to in ((movers, belong_to_movers), (walls, belong_to_walls)):
+            if found is not None:
+                points = self._points_of(lidar, observation.get(SCAN_POSE, None))
+                scan = scan._replace(hits=scan.hits & ~belong_to(*points, found))
         if movers is not None:
-            points = self._points_of(lidar, observation.get(SCAN_POSE, None))
-            scan = scan._replace(hits=scan.hits & ~belong_to_movers(*points, movers))
             ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal_positions(place, imu, goal), bounds, rows, ways)
@@ -209,6 +215,22 @@ class SeenMap:
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
+
+    def distances(self) -> tuple[Tensor, Tensor]:
+        """Returns the distances to what has been seen, and where they are.
+
+        Returns:
+            Distances of the middles of the cells to the nearest obstacle, row by row, float32 ``[N, SIZE * SIZE]``, m,
+            at most five cells. And x and y of the first of these points, and the spacing, float32 ``[N, 3]``, m.
+        """
+        from rover_rl.envs.seen_map.distance_kernels import find_distances
+        from rover_rl.sims.native.warp import launch_options, wp
+
+        center = self._state[:, :2].int()
+        distances = torch.empty_like(self._heights)
+        inputs = [center, self._evidence, self._boxes, distances]
+        wp.launch(find_distances, tuple(distances.shape), inputs, **launch_options(distances.device))
+        return distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
         """Returns x and y of the ends of readings in the base frame now, ``[N, points]`` each, m."""

@@ -7,18 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import SCAN_POSE, LidarConfig
-from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, in_base_frame
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks, in_base_frame
 from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput, mirrored_signs
-from rover_rl.envs.sensors.lidar_mask import known_readings
-from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
+from rover_rl.envs.sensors.seen_tracks import SeenTracks, reader_of
+from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 COUNT = 12
 """Number of movers in the entry."""
@@ -40,66 +35,22 @@ SLACK = 0.25
 """Distance from a mover up to which readings belong to it, m."""
 
 
-class SeenMovers:
-    """What moves around the rovers of a batch, from scan to scan: see :class:`Movers`.
+class SeenMovers(SeenTracks):
+    """What moves around the rovers of a batch, from scan to scan: see :class:`Movers`."""
 
-    Args:
-        rows: number N of rovers.
-        lidar: settings of the lidar.
-        robot: robot that carries it, or the robots of the rows.
-        device: device of the observations.
-        interval: time from one scan to the next, s.
-    """
+    tracker = MoverTracker
+    remembered = TRACKS * STATE
+    told = TRACKED + len(INSTANTS) * BEARINGS
 
-    def __init__(
-        self, rows: int, lidar: LidarConfig, robot: Robot | Fleet, device: torch.device, interval: float
-    ) -> None:
-        self._tracker = MoverTracker(robot, lidar, interval)
-        self._state = torch.zeros(rows, TRACKS * STATE, device=device)
-        self._values = torch.zeros(rows, len(Movers.bounds.low), device=device)
-
-    def __call__(
-        self,
-        observation: TensorDictBase | Mapping[str, Tensor],
-        rows: Tensor | None = None,
-        renewed: Tensor | None = None,
-    ) -> Tensor:
-        """Adds the scans of an observation and returns the values of the sensor, ``[N, 156]``.
-
-        Args:
-            observation: observation, ``[N]`` each, with ``lidar``, ``pose`` and ``imu``, and with ``scan_pose`` if
-                scans can be late, and ``lidar_mask`` if beams can be hidden.
-            rows: rows whose scan is added, bool ``[N]``; ``None``: all.
-            renewed: rows whose episode begins, bool ``[N]``. They know of no movers.
-        """
-        if renewed is not None:
-            self._state = self._state.masked_fill(renewed[:, None], 0.0)
-        entries = {key: observation.get(key, None) for key in ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)}
-        read = {key: value for key, value in entries.items() if value is not None}
-        if rows is None or self._state.device.type != "cpu":
-            state, values = self._follow(self._state, read, due=rows)
-            keep = torch.ones_like(state[:, :1], dtype=torch.bool) if rows is None else rows[:, None]
-            self._state, self._values = torch.where(keep, state, self._state), torch.where(keep, values, self._values)
-            return self._values
-        # On the CPU, the few rows that begin an episode between two scans take little time.
-        index = rows.nonzero().squeeze(-1)
-        state, values = self._follow(self._state[index], {key: value[index] for key, value in read.items()}, index)
-        self._state, self._values = self._state.index_copy(0, index, state), self._values.index_copy(0, index, values)
-        return self._values
-
-    def _follow(
-        self, state: Tensor, observation: Mapping[str, Tensor], index: Tensor | None = None, due: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Returns the next tracks, and the values of the sensor, in the rows of an ``index``."""
-        pose, imu = taken_at(observation) or (observation["pose"], observation["imu"])
-        state, tracks = self._tracker(state, known_readings(observation), pose, imu, index, due)
+    def values(self, tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
+        """Returns the values of the sensor, ``[N, 156]``."""
         tracks = in_base_frame(tracks, observation)
         ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
         gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
         order = gap.sort(dim=-1, stable=True).indices[:, :COUNT]
         every = torch.cat((tracks.position, tracks.velocity, tracks.radius[..., None]), -1) * tracks.moves[..., None]
         movers = every.gather(1, order[..., None].expand(-1, -1, NUMBERS))
-        return state, torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
+        return torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,13 +81,7 @@ class Movers(RigSensor):
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader with tracks of its own."""
-        seen = SeenMovers(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device, self.period * rig.control_dt)
-
-        def read(inputs: SensorInput) -> Tensor:
-            due = inputs.due(self.period)
-            return seen(inputs.observation, due, due & (inputs.steps == 0).squeeze(-1))
-
-        return read
+        return reader_of(SeenMovers, self, rig)
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes the logarithm of the ranges, and the first six movers."""

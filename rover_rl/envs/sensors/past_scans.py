@@ -25,10 +25,10 @@ CHANGE = 4.0
 class PastScans(RigSensor):
     """The lidar scan and earlier ones, as they would look from the pose now, ``[N, (1 + count) * points]``, m.
 
-    What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved:
-    people, and long walls, which the tracker of :class:`~rover_rl.envs.sensors.movers.Movers` leaves out. The
-    latest scan is the first. At the start of an episode, all are the first scan. Networks read the latest one and the
-    changes since the others with convolutions over the directions.
+    What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved, whether
+    or not :class:`~rover_rl.envs.sensors.movers.Movers` or :class:`~rover_rl.envs.sensors.walls.MovingWalls` follow it.
+    The latest scan is the first. At the start of an episode, all are the first scan. Networks read the latest one and
+    the changes since the others with convolutions over the directions.
 
     Args:
         name: key of the entry.

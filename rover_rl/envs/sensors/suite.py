@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 MOVERS = "movers"
 """Name of what moves, as the lidar scans tell, which an environment has if asked for."""
+WALLS = "walls"
+"""Name of long things that move, as the lidar scans tell, which an environment has if asked for."""
 PAST_SCANS = "past_scans"
 """Name of what the lidar saw before, which an environment has if asked for."""
 ROUTE = "route"
@@ -36,6 +38,7 @@ BUILT_IN = {
     SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
     LIDAR_MASK: "rover_rl.envs.sensors.lidar_mask:LidarMask",
     MOVERS: "rover_rl.envs.sensors.movers:Movers",
+    WALLS: "rover_rl.envs.sensors.walls:MovingWalls",
     PAST_SCANS: "rover_rl.envs.sensors.past_scans:PastScans",
     ROUTE: "rover_rl.envs.sensors.route:Route",
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",

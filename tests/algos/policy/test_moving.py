@@ -17,6 +17,7 @@ from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.moving_dwa import MovingDynamicWindowPolicy
 from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
+from rover_rl.algos.policy.predictive import PredictivePolicy
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
@@ -138,6 +139,19 @@ def test_foresight_needs_an_environment() -> None:
     observation = TensorDict({"velocities": torch.zeros(1, 2), "outcome": {"steps": torch.zeros(1, 1)}}, [1])
     with pytest.raises(RuntimeError, match="foresight knows no environment"):
         ForesightPolicy()(observation)
+
+
+def test_predictive_passes_what_it_sees_moving() -> None:
+    worlds = [crossing(speed, phase) for speed in SPEEDS[:2] for phase in (0.0, 1.5)]
+    assert drive(PredictivePolicy(), worlds) == ["goal_reached"] * len(worlds)
+
+
+def test_predictive_slips_past_a_wall_that_moves_across_its_way() -> None:
+    # In a passage of 4 m, of which it leaves less than the width of the rover at both of its ends.
+    sides = [box((0.0, y, 0.5), (4.0, 1.0, 1.0)) for y in (2.5, -2.5)]
+    wall = Mover(Slider(to=(0.0, 1.7), start=(0.0, -1.7), speed=0.5, yaw=0.0), Box(2.2, 0.1, 1.0))
+    world = World("gate", Terrain.flat((16.0, 8.0)), sides, movers=[wall])
+    assert drive(PredictivePolicy(), [world]) == ["goal_reached"]
 
 
 CYCLES = World(

@@ -1,4 +1,4 @@
-"""Warp kernels of :mod:`rover_rl.algos.policy.foresight`: costs to go in space and time, and drives."""
+"""Warp kernels of :mod:`rover_rl.algos.policy.space_time`: costs to go in space and time, and drives."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ CELL = wp.constant(0.2)
 """Side length of a cell, m."""
 LAYERS = wp.constant(40)
 """Number of instants of a plan, besides that of its beginning."""
-HEADINGS = wp.constant(16)
-"""Number of directions in which a point moves in a plan."""
-BLOCKED = wp.constant(0.26)
-"""Distance of the center from an obstacle below which a cell is blocked, m."""
-EASY = wp.constant(0.6)
-"""Distance from which on an obstacle costs nothing, m."""
+REACHED = wp.constant(4.0)
+"""Distance added to that up to which a plan matters at an instant, in cells."""
+EASY = wp.constant(0.34)
+"""Distance beyond that of a blocked cell from which on an obstacle costs nothing, m."""
 UNEASE = wp.constant(1.5)
 """Extra cost of a second right beside an obstacle, s."""
 COLLISION = wp.constant(20.0)
 """Cost of a blocked cell, s."""
+THROUGH, FAR = wp.constant(20.0), wp.constant(1.0e4)
+"""Time that a meter in a blocked cell costs on the map, and cost of cells whose cost is not known, s."""
+SWEEPS = wp.constant(3)
+"""Number of sweeps over the window in each of four directions."""
 
 DRIVE_DT = wp.constant(0.1)
 """Time step of a drive, s."""
@@ -64,7 +66,7 @@ class Moving:
 
     Attributes:
         pose: x, y (m), and cosine and sine of the yaw, of each row, instant and mover.
-        form: half the length and width, and the radius, m.
+        form: half the length and width, and the radius, m. Those without any are last.
     """
 
     pose: wp.array3d[wp.vec4]
@@ -118,8 +120,10 @@ def moving_distance(moving: Moving, row: int, instant: int, x: float, y: float, 
     """Distance of a point to the nearest mover, at most ``limit``, m."""
     nearest = limit
     for m in range(moving.form.shape[1]):
-        pose = moving.pose[row, instant, m]
         form = moving.form[row, m]
+        if form[0] + form[2] == 0.0:
+            break
+        pose = moving.pose[row, instant, m]
         dx = x - pose[0]
         dy = y - pose[1]
         reach = nearest + form[0] + form[1] + form[2]
@@ -154,13 +158,16 @@ def sweep(
     origins: wp.array[wp.vec2],
     goals: wp.array[wp.vec2],
     goal_radius: float,
-    speed: float,
     dt: float,
+    steps: wp.array[wp.vec2],
+    blocked: float,
     fixed: Fixed,
     moving: Moving,
     costs: wp.array3d[float],
 ):
     """Costs to go at an instant, from those at the next one; a thread does a cell of a row.
+
+    Cells that the rover, in the middle of the window, cannot reach until then have the last costs.
 
     Args:
         rows: rows that plan.
@@ -168,8 +175,9 @@ def sweep(
         origins: x and y of cell 0 of each row's window, m.
         goals: goals, m.
         goal_radius: distance from the goal at which it is reached, m.
-        speed: largest speed, m/s.
         dt: time from one instant to the next, s.
+        steps: ways from one instant to the next, m.
+        blocked: distance of the center from an obstacle below which a cell is blocked, m.
         fixed: what does not move.
         moving: movers at the instants of the plan.
         costs: costs to go, s, ``[N, LAYERS + 1, SIZE * SIZE]``.
@@ -179,22 +187,101 @@ def sweep(
     origin = origins[row]
     x = origin[0] + CELL * float(k % SIZE)
     y = origin[1] + CELL * float(k / SIZE)
+    across = float(k % SIZE - SIZE / 2)
+    along = float(k / SIZE - SIZE / 2)
+    reach = float(layer) * wp.length(steps[0]) / CELL + REACHED
+    if across * across + along * along > reach * reach:
+        costs[row, layer, k] = costs[row, LAYERS, k]
+        return
     if wp.length(goals[row] - wp.vec2(x, y)) < goal_radius:
         costs[row, layer, k] = 0.0
         return
-    clearance = moving_distance(moving, row, layer, x, y, EASY)
+    clearance = moving_distance(moving, row, layer, x, y, blocked + EASY)
     clearance = wp.min(clearance, fixed_distance(fixed, row, x, y))
-    if clearance < BLOCKED:
+    if clearance < blocked:
         costs[row, layer, k] = COLLISION + cost_at(costs, row, layer + 1, origin, x, y) * 0.5
         return
     best = cost_at(costs, row, layer + 1, origin, x, y)
-    step = speed * dt
-    for h in range(HEADINGS):
-        angle = 2.0 * wp.pi * float(h) / float(HEADINGS)
-        cost = cost_at(costs, row, layer + 1, origin, x + step * wp.cos(angle), y + step * wp.sin(angle))
-        best = wp.min(best, cost)
-    unease = UNEASE * (EASY - clearance) / (EASY - BLOCKED)
+    for h in range(steps.shape[0]):
+        best = wp.min(best, cost_at(costs, row, layer + 1, origin, x + steps[h][0], y + steps[h][1]))
+    unease = UNEASE * (blocked + EASY - clearance) / EASY
     costs[row, layer, k] = best + dt * (1.0 + wp.max(unease, 0.0))
+
+
+@wp.func
+def begin_cell(
+    row: int,
+    k: int,
+    origin: wp.vec2,
+    goal: wp.vec2,
+    speed: float,
+    blocked: float,
+    fixed: Fixed,
+    costs: wp.array3d[float],
+):
+    """Sets the time per meter in a cell, in the first layer, which is not needed yet, and the cost if it is known."""
+    x = origin[0] + CELL * float(k % SIZE)
+    y = origin[1] + CELL * float(k / SIZE)
+    clearance = fixed_distance(fixed, row, x, y)
+    unease = UNEASE * wp.clamp((blocked + EASY - clearance) / EASY, 0.0, 1.0)
+    costs[row, 0, k] = (1.0 + unease) / speed + wp.where(clearance < blocked, THROUGH, 0.0)
+    ahead = goal - origin
+    last = CELL * float(SIZE - 1)
+    inside = wp.min(ahead[0], ahead[1]) >= 0.0 and wp.max(ahead[0], ahead[1]) <= last
+    at_edge = k % SIZE == 0 or k % SIZE == SIZE - 1 or k / SIZE == 0 or k / SIZE == SIZE - 1
+    way = wp.length(goal - wp.vec2(x, y))
+    known = (inside and way < 1.5 * CELL) or (at_edge and not inside)
+    costs[row, LAYERS, k] = wp.where(known, way / speed, FAR)
+
+
+@wp.func
+def relax(row: int, x: int, y: int, costs: wp.array3d[float]):
+    """Lowers the last cost of a cell to the least way over its neighbors."""
+    k = y * SIZE + x
+    best = costs[row, LAYERS, k]
+    pace = costs[row, 0, k]
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            to_x = wp.clamp(x + dx, 0, SIZE - 1)
+            to_y = wp.clamp(y + dy, 0, SIZE - 1)
+            way = CELL * wp.sqrt(float(dx * dx + dy * dy))
+            best = wp.min(best, costs[row, LAYERS, to_y * SIZE + to_x] + way * pace)
+    costs[row, LAYERS, k] = best
+
+
+@wp.kernel
+def fixed_costs(
+    rows: wp.array[wp.int64],
+    origins: wp.array[wp.vec2],
+    goals: wp.array[wp.vec2],
+    speed: float,
+    blocked: float,
+    fixed: Fixed,
+    costs: wp.array3d[float],
+):
+    """Costs to go of the last instant, among what does not move; a thread does a row.
+
+    Fast sweeping (H. Zhao, "A fast sweeping method for eikonal equations", Mathematics of Computation 74, 2005) over
+    the eight neighbors of each cell, in four directions in turn. From the edges of the window, the way to a goal
+    outside of it is straight. A meter in a blocked cell costs ``THROUGH`` seconds more.
+
+    Args:
+        rows: rows that plan.
+        origins: x and y of cell 0 of each row's window, m.
+        goals: goals, m.
+        speed: largest speed, m/s.
+        blocked: distance of the center from an obstacle below which a cell is blocked, m.
+        fixed: what does not move.
+        costs: costs to go, s, ``[N, LAYERS + 1, SIZE * SIZE]``. The layers before the last one are overwritten.
+    """
+    row = int(rows[wp.tid()])
+    for k in range(SIZE * SIZE):
+        begin_cell(row, k, origins[row], goals[row], speed, blocked, fixed, costs)
+    for direction in range(4 * SWEEPS):
+        for n in range(SIZE):
+            y = wp.where((direction & 1) > 0, SIZE - 1 - n, n)
+            for m in range(SIZE):
+                relax(row, wp.where((direction & 2) > 0, SIZE - 1 - m, m), y, costs)
 
 
 @wp.func
