@@ -27,6 +27,7 @@ from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.envs.scan_tracker import in_world
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.envs.sensors.walls import MovingWalls, walls_of
 from rover_rl.sims.robots import get_robot
@@ -82,27 +83,20 @@ class Truth:
         return (away * self.along[:, :, None]).sum(-1), (away * self.normal[:, :, None]).sum(-1)
 
 
-def in_world(pairs: Tensor, tensordict: TensorDictBase) -> Tensor:
-    """Returns vectors of the base frame ``[N, K, 2]`` along the axes of the world."""
-    cos, sin = tensordict["imu"][:, 2:].cos(), tensordict["imu"][:, 2:].sin()
-    x, y = pairs.unbind(-1)
-    return torch.stack((cos * x - sin * y, sin * x + cos * y), -1)
-
-
 def compared(tensordict: TensorDictBase, truth: Truth, noise: float) -> tuple[Tensor, Tensor, Tensor]:
     """Returns which boxes are visible and which are told, ``[N, P]``, and which walls are near one, ``[N, 4]``."""
     place = tensordict["pose"][:, None, :2]
     ends = torch.tensor(get_robot(ROBOT).lidar_position[:2]) + tensordict["lidar"][..., None] * reading_directions(
         LIDAR
     )
-    along, aside = truth.seen_from(place + in_world(ends, tensordict))
+    along, aside = truth.seen_from(place + in_world(ends, tensordict["imu"]))
     reach = truth.half[..., None, :] + 0.05 + 3 * noise
     on = (along.abs() < reach[..., 0]) & (aside.abs() < reach[..., 1]) & (tensordict["lidar"] < 11.9)[:, None]
     along, aside = (each[..., 0] for each in truth.seen_from(place))
     away = torch.stack(((along.abs() - truth.half[..., 0]).clamp(min=0), aside), -1).norm(dim=-1)
     visible = truth.is_box & (on.sum(-1) >= READINGS) & (away < WITHIN)
     walls = walls_of(tensordict["walls"])
-    middle, direction, velocity = (in_world(walls[..., k : k + 2], tensordict) for k in (0, 2, 5))
+    middle, direction, velocity = (in_world(walls[..., k : k + 2], tensordict["imu"]) for k in (0, 2, 5))
     along, aside = truth.seen_from(place + middle)
     parallel = (direction[:, None] * truth.normal[:, :, None]).sum(-1).abs() < OBLIQUE
     near = (walls[:, None, :, 4] > 0) & parallel & (along.abs() < truth.half[..., :1] + 0.3)

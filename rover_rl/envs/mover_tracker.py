@@ -16,7 +16,7 @@ It is a Warp kernel with a thread for each row. The tracks are one tensor, which
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -50,58 +50,23 @@ class Tracks(NamedTuple):
     readings: Tensor
 
 
-class MoverTracker(ScanTracker):
-    """Follows what moves, from scan to scan.
+class MoverTracker(ScanTracker[Tracks]):
+    """Follows what moves, from scan to scan: see the module ``mover_tracker``."""
 
-    Args:
-        robot: robot that carries the lidar, or the robots of the rows.
-        lidar: settings of the lidar.
-        interval: time from one scan to the next, s.
-    """
+    tracks = TRACKS
 
-    def __call__(
-        self,
-        state: Tensor,
-        lidar: Tensor,
-        pose: Tensor,
-        imu: Tensor,
-        rows: Tensor | None = None,
-        due: Tensor | None = None,
-    ) -> tuple[Tensor, Tracks]:
-        """Adds a scan.
-
-        Args:
-            state: tracks before, ``[N, TRACKS * STATE]``; zeros without any.
-            lidar: lidar readings, ``[N, points]``, m; negative where no beam covers one, so that it is unknown.
-            pose: x, y and z of the rovers, ``[N, 3]``, m.
-            imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
-            rows: numbers of the rows among those of different robots; ``None``: all of them.
-            due: which of the scans are added, bool ``[N]``; ``None``: all.
-
-        Returns:
-            The next state, and what moves: nothing in rows that are not due.
-        """
-        # Importing NVIDIA Warp takes half a second.
+    def _follow(self, scans: Any, before: Tensor, after: Tensor) -> Tracks:
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
         from rover_rl.sims.native.warp import launch_options, wp
 
-        device, (count, points) = lidar.device, lidar.shape
-        after, moves = torch.empty_like(state), torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
+        device, (count, points) = after.device, scans.ranges.shape
+        moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
         readings = torch.zeros(count, points, dtype=torch.bool, device=device)
-        ends, clusters = (torch.empty(count, points, size, device=device) for size in (2, CLUSTER))
-        labels, seen = (
-            torch.empty(count, *size, dtype=torch.int32, device=device) for size in ((points,), (2, TRACKS))
-        )
-        inputs = self._scans(lidar, pose, imu, rows, due)
-        inputs += [_by_track(state.contiguous()), ends, labels, clusters, seen, _by_track(after), moves, readings]
-        wp.launch(follow, count, inputs, **launch_options(device))
-        position, velocity, radius = _by_track(after)[..., 1:6].split((2, 2, 1), -1)
-        return after, Tracks(position, velocity, radius[..., 0], moves, readings)
-
-
-def _by_track(state: Tensor) -> Tensor:
-    """Returns the numbers of each track, ``[N, TRACKS, STATE]``."""
-    return state.view(len(state), TRACKS, STATE)
+        clusters = torch.empty(count, points, CLUSTER, device=device)
+        seen = torch.empty(count, 2, TRACKS, dtype=torch.int32, device=device)
+        wp.launch(follow, count, [scans, before, clusters, seen, after, moves, readings], **launch_options(device))
+        position, velocity, radius = after[..., 1:6].split((2, 2, 1), -1)
+        return Tracks(position, velocity, radius[..., 0], moves, readings)
 
 
 def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:

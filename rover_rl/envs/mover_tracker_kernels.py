@@ -1,13 +1,13 @@
 """Warp kernel that follows what moves in lidar scans: see :class:`~rover_rl.envs.mover_tracker.MoverTracker`.
 
-A scan is a ring of readings, counterclockwise. Neighboring readings on one object are a cluster. It counts as the front
+Neighboring readings on one object are a cluster: see :mod:`~rover_rl.envs.scan_tracker_kernels`. It counts as the front
 of a disc, whose edges lie halfway between the outermost beams on it and those beside it. An edge is real if the beam
-beside it goes on beyond it. Else something nearer hides the rest. A negative reading is one that no beam covers, which
-may be of something nearer.
+beside it goes on beyond it. Else something nearer hides the rest.
 """
 
 from __future__ import annotations
 
+from rover_rl.envs.scan_tracker_kernels import Scan, Scans, around, direction, first_gap, linked, scan_of
 from rover_rl.sims.native.warp import wp
 
 STATE = wp.constant(17)
@@ -33,11 +33,6 @@ Cluster = wp.types.vector(length=CLUSTER, dtype=wp.float32)
 NOBODY, TOO_WIDE = wp.constant(-1.0), wp.constant(-2.0)
 """Owners of clusters without a track, and of those that are too wide for one."""
 
-GAP, WIDENING = wp.constant(0.15), wp.constant(1.2)
-"""Distance of neighboring readings below which they belong together, m, and what is added in distances of two beams."""
-STRAIGHT, STRETCH = wp.constant(0.06), wp.constant(4.0)
-"""Distance from the line through two readings up to which the next one lies on the same wall, in distances of the two,
-and the largest ratio of the distances of the three."""
 VALLEY = wp.constant(0.15)
 """Depth of the valley of ranges between two objects close to each other, m."""
 MARGIN = wp.constant(0.3)
@@ -96,70 +91,10 @@ FAR = wp.constant(1.0e4)
 """Distance of what does not exist, m."""
 
 
-@wp.struct
-class Scan:
-    """A scan of a row: readings (m), their ends in the world (m), their clusters, and where the lidar is and looks."""
-
-    ranges: wp.array[float]
-    points: wp.array[wp.vec2]
-    labels: wp.array[int]
-    origin: wp.vec2
-    # Number of readings.
-    count: int
-    # Cosine and sine of half the angle between two beams.
-    half: wp.vec2
-    # Largest range that counts, m, angle between two beams and that of the first one, and heading, rad.
-    most: float
-    spacing: float
-    offset: float
-    yaw: float
-
-
-@wp.func
-def around(k: int, count: int):
-    """Returns the number of one of ``count`` readings in the ring, at most once around."""
-    return wp.where(k < 0, k + count, wp.where(k < count, k, k - count))
-
-
-@wp.func
-def goes_on(a: int, b: int, c: int, scan: Scan):
-    """Returns whether three readings lie on a straight wall."""
-    if wp.max(scan.ranges[a], wp.max(scan.ranges[b], scan.ranges[c])) >= scan.most:
-        return False
-    if wp.min(scan.ranges[a], wp.min(scan.ranges[b], scan.ranges[c])) < 0.0:
-        return False
-    step = scan.points[b] - scan.points[a]
-    ahead = scan.points[c] - scan.points[b]
-    known = wp.length(step)
-    length = wp.length(ahead)
-    aside = wp.abs(step[0] * ahead[1] - step[1] * ahead[0])
-    near = length < STRETCH * known and known < STRETCH * length
-    return near and aside < STRAIGHT * known and wp.dot(step, ahead) > 0.0
-
-
-@wp.func
-def linked(k: int, scan: Scan):
-    """Returns whether reading ``k`` and the next one are on one object."""
-    after = around(k + 1, scan.count)
-    near = wp.min(scan.ranges[k], scan.ranges[after])
-    if wp.max(scan.ranges[k], scan.ranges[after]) >= scan.most or near < 0.0:
-        return False
-    if wp.length(scan.points[after] - scan.points[k]) < GAP + WIDENING * scan.spacing * near:
-        return True
-    # Beams that graze a wall end far from each other.
-    return goes_on(around(k - 1, scan.count), k, after, scan) or goes_on(k, after, around(k + 2, scan.count), scan)
-
-
 @wp.func
 def is_real(k: int, beside: int, scan: Scan):
     """Returns 1 if the object of reading ``k`` ends there, and 0 if something nearer hides what is ``beside``."""
     return wp.where(scan.ranges[beside] > scan.ranges[k] and scan.ranges[k] < scan.most - MARGIN, 1.0, 0.0)
-
-
-@wp.func
-def direction(k: int, scan: Scan):
-    """Returns the direction of a beam in the world."""
-    return (scan.points[k] - scan.origin) / wp.max(scan.ranges[k], 1.0e-3)
 
 
 @wp.func
@@ -254,15 +189,6 @@ def cluster_of(number: int, first: int, count: int, scan: Scan):
     cluster[CENTER_Y] = center[1]
     cluster[OWNER] = wp.where(extent < WIDEST, NOBODY, TOO_WIDE)
     return cluster
-
-
-@wp.func
-def first_gap(scan: Scan):
-    """Returns the number of the first reading that is not linked to the one before, or of the last reading."""
-    k = int(0)
-    while k < scan.count - 1 and linked(around(k - 1, scan.count), scan):
-        k += 1
-    return k
 
 
 @wp.func
@@ -643,55 +569,10 @@ def mark_readings(
                     readings[around(int(cluster[FIRST]) + n, scan.count)] = True
 
 
-@wp.func
-def scan_of(
-    ranges: wp.array[float],
-    pose: wp.array[float],
-    imu: wp.array[float],
-    mount: wp.vec2,
-    beams: wp.array[wp.vec2],
-    angles: wp.vec2,
-    most: float,
-    points: wp.array[wp.vec2],
-    labels: wp.array[int],
-):
-    """Returns a row's scan, with no clusters, and sets the ends of its readings."""
-    scan = Scan()
-    scan.ranges = ranges
-    scan.count = ranges.shape[0]
-    scan.points = points
-    scan.labels = labels
-    scan.most = most
-    scan.offset = angles[0]
-    scan.spacing = angles[1]
-    scan.half = wp.vec2(wp.cos(0.5 * angles[1]), wp.sin(0.5 * angles[1]))
-    scan.yaw = imu[2]
-    cos = wp.cos(scan.yaw)
-    sin = wp.sin(scan.yaw)
-    scan.origin = wp.vec2(pose[0] + cos * mount[0] - sin * mount[1], pose[1] + sin * mount[0] + cos * mount[1])
-    for k in range(ranges.shape[0]):
-        u = beams[k][0]
-        v = beams[k][1]
-        labels[k] = -1
-        points[k] = scan.origin + ranges[k] * wp.vec2(cos * u - sin * v, sin * u + cos * v)
-    return scan
-
-
 @wp.kernel
 def follow(
-    due: wp.array[wp.bool],
-    ranges: wp.array2d[float],
-    poses: wp.array2d[float],
-    imus: wp.array2d[float],
-    mounts: wp.array[wp.vec2],
-    robots: wp.array[wp.int64],
-    beams: wp.array[wp.vec2],
-    angles: wp.vec2,
-    most: float,
-    dt: float,
+    scans: Scans,
     befores: wp.array2d[Track],
-    points: wp.array2d[wp.vec2],
-    labels: wp.array2d[int],
     clusters: wp.array2d[Cluster],
     seens: wp.array3d[int],
     states: wp.array2d[Track],
@@ -701,19 +582,8 @@ def follow(
     """Adds a scan to the tracks of each row that is ``due``; thread ``i``.
 
     Args:
-        due: rows whose scan is added. The tracks of the others stay as they are.
-        ranges: readings, ``[N, P]``, m; negative where no beam covers one.
-        poses: x, y and z of the rovers, m.
-        imus: pitch, roll and yaw of the rovers, rad.
-        mounts: positions of the lidars in the base frames of the robots, m.
-        robots: number of each row's robot.
-        beams: directions of the readings in the base frame, ``[P]``.
-        angles: angle of the first reading, and that between two, rad.
-        most: range from which on a reading has not met anything, m.
-        dt: time since the last scan, s.
+        scans: scans of all rows.
         befores: tracks before, ``[N, TRACKS]``.
-        points: memory for the ends of the readings, ``[N, P]``.
-        labels: memory for the clusters of the readings, ``[N, P]``.
         clusters: memory for the clusters, ``[N, P]``.
         seens: memory for the clusters of the tracks, ``[N, 2, TRACKS]``.
         states: tracks, the result.
@@ -721,11 +591,12 @@ def follow(
         readings: which readings belong to one that moves, the result, ``[N, P]``.
     """
     i = wp.tid()
-    if not due[i]:
+    if not scans.due[i]:
         for t in range(states.shape[1]):
             states[i, t] = befores[i, t]
         return
-    scan = scan_of(ranges[i], poses[i], imus[i], mounts[robots[i]], beams, angles, most, points[i], labels[i])
+    scan = scan_of(scans, i)
+    dt = scans.dt
     count = find_clusters(scan, clusters[i])
     for t in range(states.shape[1]):
         states[i, t] = predicted(befores[i, t], dt)

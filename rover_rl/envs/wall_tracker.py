@@ -12,7 +12,7 @@ It is a Warp kernel with a thread for each row. The tracks are one tensor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -44,54 +44,21 @@ class Walls(NamedTuple):
     moves: Tensor
 
 
-class WallTracker(ScanTracker):
-    """Follows long things that move broadside, from scan to scan.
+class WallTracker(ScanTracker[Walls]):
+    """Follows long things that move broadside, from scan to scan: see the module ``wall_tracker``."""
 
-    Args:
-        robot: robot that carries the lidar, or the robots of the rows.
-        lidar: settings of the lidar.
-        interval: time from one scan to the next, s.
-    """
+    tracks = TRACKS
 
-    def __call__(
-        self,
-        state: Tensor,
-        lidar: Tensor,
-        pose: Tensor,
-        imu: Tensor,
-        rows: Tensor | None = None,
-        due: Tensor | None = None,
-    ) -> tuple[Tensor, Walls]:
-        """Adds a scan.
-
-        Args:
-            state: tracks before, ``[N, TRACKS * STATE]``; zeros without any.
-            lidar: lidar readings, ``[N, points]``, m; negative where no beam covers one, so that it is unknown.
-            pose: x, y and z of the rovers, ``[N, 3]``, m.
-            imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
-            rows: numbers of the rows among those of different robots; ``None``: all of them.
-            due: which of the scans are added, bool ``[N]``; ``None``: all.
-
-        Returns:
-            The next state, and what moves: nothing in rows that are not due.
-        """
-        # Importing NVIDIA Warp takes half a second.
+    def _follow(self, scans: Any, before: Tensor, after: Tensor) -> Walls:
         from rover_rl.envs.wall_tracker_kernels import PART, follow_walls
         from rover_rl.sims.native.warp import launch_options, wp
 
-        device, (count, points) = lidar.device, lidar.shape
-        after, moves = torch.empty_like(state), torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
-        ends, parts = (torch.empty(count, points, size, device=device) for size in (2, PART))
-        labels, seen = (torch.empty(count, size, dtype=torch.int32, device=device) for size in (points, TRACKS))
-        inputs = self._scans(lidar, pose, imu, rows, due)
-        inputs += [_by_track(state.contiguous()), ends, labels, parts, seen, _by_track(after), moves]
-        wp.launch(follow_walls, count, inputs, **launch_options(device))
-        return after, _walls(_by_track(after), moves)
-
-
-def _by_track(state: Tensor) -> Tensor:
-    """Returns the numbers of each track, ``[N, TRACKS, STATE]``."""
-    return state.view(len(state), TRACKS, STATE)
+        device, (count, points) = after.device, scans.ranges.shape
+        moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
+        parts = torch.empty(count, points, PART, device=device)
+        seen = torch.empty(count, TRACKS, dtype=torch.int32, device=device)
+        wp.launch(follow_walls, count, [scans, before, parts, seen, after, moves], **launch_options(device))
+        return _walls(after, moves)
 
 
 def _walls(tracks: Tensor, moves: Tensor) -> Walls:

@@ -1,12 +1,12 @@
 """Warp kernel that follows long things which move broadside: see :class:`~rover_rl.envs.wall_tracker.WallTracker`.
 
 A wall is a line with two ends. Its place along the line is not known, as most of it may be hidden: what is followed is
-the distance along its normal. A scan is that of :mod:`~rover_rl.envs.mover_tracker_kernels`.
+the distance along its normal. Scans are those of :mod:`~rover_rl.envs.scan_tracker_kernels`.
 """
 
 from __future__ import annotations
 
-from rover_rl.envs.mover_tracker_kernels import Scan, around, direction, first_gap, linked, scan_of
+from rover_rl.envs.scan_tracker_kernels import Scan, Scans, around, direction, first_gap, linked, scan_of
 from rover_rl.sims.native.warp import wp
 
 STATE = wp.constant(20)
@@ -495,19 +495,8 @@ def start_tracks(states: wp.array[Track], parts: wp.array[Part], count: int, pla
 
 @wp.kernel
 def follow_walls(
-    due: wp.array[wp.bool],
-    ranges: wp.array2d[float],
-    poses: wp.array2d[float],
-    imus: wp.array2d[float],
-    mounts: wp.array[wp.vec2],
-    robots: wp.array[wp.int64],
-    beams: wp.array[wp.vec2],
-    angles: wp.vec2,
-    most: float,
-    dt: float,
+    scans: Scans,
     befores: wp.array2d[Track],
-    points: wp.array2d[wp.vec2],
-    labels: wp.array2d[int],
     parts: wp.array2d[Part],
     seens: wp.array2d[int],
     states: wp.array2d[Track],
@@ -516,31 +505,21 @@ def follow_walls(
     """Adds a scan to the tracks of each row that is ``due``; thread ``i``.
 
     Args:
-        due: rows whose scan is added. The tracks of the others stay as they are.
-        ranges: readings, ``[N, P]``, m; negative where no beam covers one.
-        poses: x, y and z of the rovers, m.
-        imus: pitch, roll and yaw of the rovers, rad.
-        mounts: positions of the lidars in the base frames of the robots, m.
-        robots: number of each row's robot.
-        beams: directions of the readings in the base frame, ``[P]``.
-        angles: angle of the first reading, and that between two, rad.
-        most: range from which on a reading has not met anything, m.
-        dt: time since the last scan, s.
+        scans: scans of all rows.
         befores: tracks before, ``[N, TRACKS]``.
-        points: memory for the ends of the readings, ``[N, P]``.
-        labels: memory for the clusters of the readings, ``[N, P]``.
         parts: memory for the straight parts, ``[N, P]``.
         seens: memory for the parts of the tracks, ``[N, TRACKS]``.
         states: tracks, the result.
         moves: which tracks move, the result.
     """
     i = wp.tid()
-    if not due[i]:
+    if not scans.due[i]:
         for t in range(states.shape[1]):
             states[i, t] = befores[i, t]
         return
-    scan = scan_of(ranges[i], poses[i], imus[i], mounts[robots[i]], beams, angles, most, points[i], labels[i])
-    plane = plane_of(poses[i], imus[i])
+    scan = scan_of(scans, i)
+    plane = plane_of(scans.poses[i], scans.imus[i])
+    dt = scans.dt
     count = find_parts(scan, parts[i])
     for t in range(states.shape[1]):
         states[i, t] = predicted(befores[i, t], dt)

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.space_time import Plans, SpaceTimePlanner, fixed_struct, moving_struct, window
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
+from rover_rl.envs.scan_tracker import in_world
 from rover_rl.envs.seen_map.scans import SIZE, goal_positions
 from rover_rl.envs.seen_map.seen_map import SEEN_DISTANCES, SEEN_FRAME
 from rover_rl.envs.sensors.movers import movers_of
@@ -30,7 +31,6 @@ from rover_rl.sims.robots.slip import estimated_yaw_gain
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
 THICK = 0.08  # half of the thickness of a wall that moves, m
-_AWAY = 1e6  # coordinate of movers that do not exist, m
 
 
 class PredictivePolicy(TensorDictModuleBase):
@@ -79,7 +79,7 @@ class PredictivePolicy(TensorDictModuleBase):
         frame = torch.cat((tensordict[SEEN_FRAME], pose.new_full((count, 2), float(SIZE))), -1)
         fixed = fixed_struct(rows, frame, tensordict[SEEN_DISTANCES].contiguous())
         movers = torch.cat((_of_movers(tensordict[MOVERS]), _of_walls(tensordict[WALLS])), 1)
-        # Those that exist first.
+        # Those that exist first, as the kernels read no others.
         order = (movers[..., 8] == 0).to(torch.int8).sort(dim=-1, stable=True).indices
         movers = movers.gather(1, order[..., None].expand_as(movers))
         planner = self._planner
@@ -109,18 +109,10 @@ def _predicted(movers: Tensor, pose: Tensor, imu: Tensor, instants: list[float])
     """Returns where movers ``[N, M, 9]`` in the base frame will be, as the kernels read it.
 
     Args:
-        movers: what :func:`_of_movers` and :func:`_of_walls` return. The radius is 0 where there is none.
+        movers: what :func:`_of_movers` and :func:`_of_walls` return. Those that do not exist are last.
         pose, imu: pose and attitude of the rovers.
         instants: times from now, s.
     """
-    cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
-
-    def turned(pairs: Tensor) -> Tensor:
-        x, y = pairs.unbind(-1)
-        return torch.stack((cos * x - sin * y, sin * x + cos * y), -1)
-
-    exists = movers[..., 8:] > 0
-    place, velocity, along = (turned(movers[..., k : k + 2]) for k in (0, 2, 4))
-    place = (pose[:, None, :2] + place).masked_fill(~exists, _AWAY)
-    yaw = torch.atan2(along[..., 1], along[..., 0])
+    place, velocity, along = (in_world(movers[..., k : k + 2], imu) for k in (0, 2, 4))
+    place, yaw = pose[:, None, :2] + place, torch.atan2(along[..., 1], along[..., 0])
     return moving_struct([place + time * velocity for time in instants], [yaw] * len(instants), movers[..., 6:])

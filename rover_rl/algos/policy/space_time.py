@@ -165,7 +165,8 @@ def moving_struct(places: list[Tensor], yaw: list[Tensor], form: Tensor) -> Any:
     Args:
         places: x and y at each instant, ``[N, M, 2]`` each, m.
         yaw: headings at each instant, ``[N, M]`` each, rad.
-        form: half the length and width of boxes, and the radius of other movers, ``[N, M, 3]``, m.
+        form: half the length and width of boxes, and the radius of other movers, ``[N, M, 3]``, m. Those without any
+            do not exist, and are last.
     """
     from rover_rl.algos.policy.space_time_kernels import Moving
     from rover_rl.sims.native.warp import wp

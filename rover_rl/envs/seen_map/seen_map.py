@@ -18,6 +18,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE, LidarConfig, RobotLike
+from rover_rl.envs.scan_tracker import in_world
 from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
@@ -243,14 +244,8 @@ class SeenMap:
 
         Half of the robot's width and a margin are added to the radius, which is negative where there is no mover.
         """
-        cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
         radius = torch.where(movers[..., 4] > 0, movers[..., 4] + self._sides[self._fleet.index], -1.0)
-        place, velocity = (
-            torch.stack(
-                (cos * movers[..., k] - sin * movers[..., k + 1], sin * movers[..., k] + cos * movers[..., k + 1]), -1
-            )
-            for k in (0, 2)
-        )
+        place, velocity = (in_world(movers[..., k : k + 2], imu) for k in (0, 2))
         return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]
 
     def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
