@@ -110,6 +110,12 @@ class Drive:
     """Topic of the point cloud of a 3D lidar, for policies that read one."""
     joint_topic: str = Connection.joint_topic
     """Topic of the motor torques, for policies that read effort."""
+    contact_topic: str | None = Connection.contact_topic
+    """Topic of Gazebo's contact sensor, for policies that read contact (docs/forces.md)."""
+    model: str = Ros2Settings.model
+    """Name of the rover in Gazebo, by which its contacts are known."""
+    mover_names: tuple[str, ...] = Ros2Settings.mover_names
+    """What the names of movers in Gazebo contain, in lower case, for contacts with them."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False

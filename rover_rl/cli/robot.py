@@ -13,7 +13,7 @@ from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
-from rover_rl.envs.sensors.suite import DEPTH, EFFORT, HEIGHTS, LIDAR3D, own_sensors
+from rover_rl.envs.sensors.suite import CONTACT, DEPTH, EFFORT, HEIGHTS, LIDAR3D, own_sensors
 from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
@@ -62,6 +62,8 @@ class RobotCommand:
     """Publish a point cloud too, that of the sensor lidar3d. A robot whose --env has 3D lidars publishes theirs."""
     effort: bool = False
     """Publish the torques of the wheel motors too, which the sensor effort reads."""
+    contact: bool = False
+    """Publish the contacts too, which the sensor contact reads."""
     lidar_view: float | None = None
     """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
@@ -79,6 +81,8 @@ class RobotCommand:
     """Topic that the sensor_msgs/PointCloud2 is published to. Default: /points."""
     joint_topic: str | None = None
     """Topic that the sensor_msgs/JointState is published to. Default: /joint_states."""
+    contact_topic: str | None = None
+    """Topic that the ros_gz_interfaces/Contacts is published to. Default: /contacts."""
     cmd_vel_topic: str | None = None
     """Topic that commands are received from, geometry_msgs/Twist. Default: /cmd_vel."""
     odometry_topic: str = Ros2Settings.odometry_topic
@@ -137,7 +141,7 @@ class RobotCommand:
         topics = {"scan_topic": self.scan_topic, "imu_topic": self.imu_topic, "cmd_vel_topic": self.cmd_vel_topic}
         topics |= {"camera_topic": self.camera_topic, "color_topic": self.color_topic}
         topics |= {"elevation_topic": self.elevation_topic, "points_topic": self.points_topic}
-        topics |= {"joint_topic": self.joint_topic}
+        topics |= {"joint_topic": self.joint_topic, "contact_topic": self.contact_topic}
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
@@ -145,6 +149,7 @@ class RobotCommand:
         # The flag alone is the depth camera.
         asked = [] if self.camera is None else [*(self.camera or (DEPTH,))]
         asked += [LIDAR3D] * self.points + [HEIGHTS] * self.elevation_map + [EFFORT] * self.effort
+        asked += [CONTACT] * self.contact
         there = own_sensors(config.sensors)
         changes["sensors"] = (*config.sensors, *(name for name in asked if name not in there))
         described = replace(config, connection=connection, robot_options=self.robot_options, **changes)

@@ -738,7 +738,9 @@ def _check_requirements(
         needs |= dict.fromkeys(sensor.needs, need)
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
-            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
+            live = capability == "contact_force" and "live" in simulator.capabilities
+            hint = "; on ROS 2, name the topic: Connection(contact_topic=...), or --contact-topic" if live else ""
+            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}{hint}")
     if config.action.max_sideways and "live" in simulator.capabilities:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
     if config.compensate_delay and "live" in simulator.capabilities and not config.late_scans:

@@ -19,12 +19,13 @@ from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.color_camera import ColorCamera
-from rover_rl.envs.sensors.forces import WheelEffort
+from rover_rl.envs.sensors.forces import ContactSensor, WheelEffort
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.served import Report
 
@@ -40,8 +41,8 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras, 3D lidars and motor
-            torques, and for height scans elevation maps without errors.
+            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras, 3D lidars, motor
+            torques and contact forces, and for height scans elevation maps without errors.
 
     Attributes:
         env: the environment.
@@ -60,10 +61,12 @@ class ServedRover:
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
         self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
         efforts = [sensor for sensor in sensors if isinstance(sensor, WheelEffort)]
-        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars, *efforts)
+        contacts = [sensor for sensor in sensors if isinstance(sensor, ContactSensor)]
+        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars, *efforts, *contacts)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
         self._wheels = self.env.robot.drive.wheels if efforts else ()
+        self._outline = footprint(self.env.robot) if contacts else None
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
 
@@ -84,7 +87,7 @@ class ServedRover:
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        report = report._replace(images={"depth": depth, "colors": colors}, wheels=self._wheels)
+        report = report._replace(images={"depth": depth, "colors": colors}, wheels=self._wheels, outline=self._outline)
         report = report._replace(points=points, ground=ground)
         return report if is_new else report._replace(ranges=None)
 
@@ -116,8 +119,8 @@ class ServedRover:
             "angular_velocity": sensed.angular_velocity,
             "stamp": stamp,
         }
-        if (torque := env.rover_state.wheel_torque) is not None:
-            told["wheel_torque"] = torque
+        felt = {"wheel_torque": env.rover_state.wheel_torque, "contact_force": env.rover_state.contact_force}
+        told |= {name: value for name, value in felt.items() if value is not None}
         late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)

@@ -23,6 +23,8 @@ class Connection:
             received if a sensor asks for it.
         points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
         joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, likewise.
+        contact_topic: Topic of the contacts, a ``ros_gz_interfaces/Contacts``. ``None``: contacts are not received, and
+            a sensor that asks for them is refused, since silence means that there is none.
     """
 
     scan_topic: str = "/scan"
@@ -34,6 +36,7 @@ class Connection:
     elevation_topic: str = "/elevation_map"
     points_topic: str = "/points"
     joint_topic: str = "/joint_states"
+    contact_topic: str | None = None
 
     @property
     def image_topics(self) -> dict[str, str]:

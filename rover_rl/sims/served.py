@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
+from rover_rl.sims.robots.footprint import Footprint
 
 ImageKind: TypeAlias = Literal["depth", "colors"]
 """What an image shows: distances along the optical axis, ``[rows, columns]``, m, or red, green and blue from 0 to 1,
@@ -28,6 +29,7 @@ class Report(NamedTuple):
         points: points of each 3D lidar in its frame, ``[planes, beams, 3]``, m, by its topic; NaN for no return.
         ground: elevation map of each height scan, by its topic.
         wheels: joints of the wheels whose motor torques ``state`` has. Empty: it has none.
+        outline: outline of the robot, whose contact forces ``state`` has. ``None``: it has none.
     """
 
     time: float
@@ -38,6 +40,7 @@ class Report(NamedTuple):
     points: Mapping[str | None, Tensor] = MappingProxyType({})
     ground: Mapping[str | None, ElevationMap] = MappingProxyType({})
     wheels: tuple[str, ...] = ()
+    outline: Footprint | None = None
 
 
 class Served(Protocol):

@@ -329,7 +329,7 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
 _SEQUENCE: Any = types.sequence
 _ARRAY: Any = types.array
 _BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": types.uint8} | {
-    name: getattr(types, name) for name in ("int32", "uint32", "uint16", "uint8", "float32", "float64")
+    name: getattr(types, name) for name in ("int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
 }
 
 

@@ -26,8 +26,8 @@ except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 requires the package rosbags: pip install "rover_rl[ros2]"') from error
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
-"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map, as in its branches for ROS 2."""
-GRID_MAP_DEFINITIONS = {
+"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map and ros_gz, as in their branches."""
+DEFINITIONS = {
     "grid_map_msgs/msg/GridMapInfo": """
 float64 resolution
 float64 length_x
@@ -43,8 +43,34 @@ std_msgs/Float32MultiArray[] data
 uint16 outer_start_index
 uint16 inner_start_index
 """,
+    "ros_gz_interfaces/msg/Entity": """
+uint64 id
+string name
+uint8 type
+""",
+    "ros_gz_interfaces/msg/JointWrench": """
+std_msgs/Header header
+std_msgs/String body_1_name
+std_msgs/UInt32 body_1_id
+std_msgs/String body_2_name
+std_msgs/UInt32 body_2_id
+geometry_msgs/Wrench body_1_wrench
+geometry_msgs/Wrench body_2_wrench
+""",
+    "ros_gz_interfaces/msg/Contact": """
+Entity collision1
+Entity collision2
+geometry_msgs/Vector3[] positions
+geometry_msgs/Vector3[] normals
+float64[] depths
+JointWrench[] wrenches
+""",
+    "ros_gz_interfaces/msg/Contacts": """
+std_msgs/Header header
+Contact[] contacts
+""",
 }
-for _name, _definition in GRID_MAP_DEFINITIONS.items():
+for _name, _definition in DEFINITIONS.items():
     TYPES.register(get_types_from_msg(_definition, _name))
 
 
@@ -115,6 +141,13 @@ MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
 Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
 GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
 GridMap = message_class("grid_map_msgs/msg/GridMap")
+String = message_class("std_msgs/msg/String")
+UInt32 = message_class("std_msgs/msg/UInt32")
+Wrench = message_class("geometry_msgs/msg/Wrench")
+Entity = message_class("ros_gz_interfaces/msg/Entity")
+JointWrench = message_class("ros_gz_interfaces/msg/JointWrench")
+Contact = message_class("ros_gz_interfaces/msg/Contact")
+Contacts = message_class("ros_gz_interfaces/msg/Contacts")
 
 
 def encode(message: Message) -> bytes:

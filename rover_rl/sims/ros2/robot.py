@@ -17,6 +17,7 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.contacts import contacts_message
 from rover_rl.sims.ros2.elevation_maps import elevation_map_message
 from rover_rl.sims.ros2.image_formats import image_format
 from rover_rl.sims.ros2.joints import joint_state_message
@@ -29,6 +30,8 @@ from rover_rl.sims.worlds import World
 
 COMMAND_LIFETIME = 0.5
 """Simulation time without a command after which the rover stops, as real rovers do, s."""
+CONTACT_TOPIC = "/contacts"
+"""Topic of the contacts, if none is named."""
 RANGE_MIN = 0.15
 """Minimum range of the original's lidar, m."""
 NOT_MEASURED = -1.0
@@ -62,6 +65,7 @@ class RobotNode:
     ) -> None:
         self._rover, self._world = rover, world
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
+        self._model = settings.model
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
         self._command, self._command_age = (0.0, 0.0), 0.0
@@ -139,6 +143,10 @@ class RobotNode:
             self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, "world"))
         if report.wheels and (torque := state.wheel_torque) is not None:
             self._send(connection.joint_topic, joint_state_message(report.wheels, torque[0], stamp))
+        if report.outline and (force := state.contact_force) is not None:
+            place = state.position[0], state.orientation[0]
+            contacts = contacts_message(force[0], report.outline, *place, self._model, stamp)
+            self._send(connection.contact_topic or CONTACT_TOPIC, contacts)
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, "world"), [pose]),

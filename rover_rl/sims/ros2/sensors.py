@@ -105,6 +105,7 @@ class Sensors:
     Attributes:
         topics: topic of each kind of message: ``"scan"``, ``"imu"``, ``"odometry"``, and ``"pose"`` unless the pose
             comes from wheel odometry.
+        silent_topics: kinds of messages whose topics may be silent.
         messages: latest valid value of each kind.
         rejected_scans: number of scans that were ignored.
         pose_frame: name of the frame that poses are in; empty if it is not known.
@@ -114,6 +115,7 @@ class Sensors:
         self, transport: Transport, settings: Ros2Settings, connection: Connection, pose_estimator: PoseEstimator
     ) -> None:
         self.messages = LatestMessages()
+        self.silent_topics: set[str] = set()
         self.rejected_scans = 0
         self.pose_frame = ""
         self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
@@ -171,16 +173,22 @@ class Sensors:
         image: Tensor | None = self.latest_on(topic, of, message, read)
         return image
 
-    def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
+    def latest_on(
+        self, topic: str, what: str, message: Any, read: Callable[[Any], Any], since: float | None = None
+    ) -> Any:
         """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
 
-        The first call subscribes to the topic. ``what`` tells apart what is read from the same topic.
+        The first call subscribes to the topic. ``what`` tells apart what is read from the same topic. With ``since``,
+        the topic may be silent, and only a message counts that has arrived since then, by :func:`time.monotonic`.
         """
         kind = f"{what} {topic}"
         if kind not in self.topics:
             self._readers[kind], self.topics[kind] = {kind: read}, topic
+            if since is not None:
+                self.silent_topics.add(kind)
             self._transport.subscribe(topic, message, partial(self.receive, kind))
-        return self.messages.value(kind, None)
+        latest = self.messages.latest(kind)
+        return None if latest is None or (since is not None and latest.time < since) else latest.value
 
     def receive(self, kind: str, msg: Any) -> bool:
         """Processes a message: see :meth:`Ros2Simulator.receive`."""

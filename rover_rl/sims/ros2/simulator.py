@@ -6,7 +6,7 @@ import logging
 import math
 import time
 import weakref
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,14 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, Report, RoverState, View, beam_angles
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.reports import SIDES
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.contacts import contact_force, read_contacts
 from rover_rl.sims.ros2.ground import LivePoints
 from rover_rl.sims.ros2.images import resized
 from rover_rl.sims.ros2.joints import read_efforts
-from rover_rl.sims.ros2.messages import Clock, JointState
+from rover_rl.sims.ros2.messages import Clock, Contacts, JointState
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
@@ -80,7 +82,7 @@ class Ros2Simulator:
         ImportError: if a package that the transport requires is not installed.
     """
 
-    # It senses no contacts, and reports none. Motor torques are those of its joint states.
+    # The task knows of no contacts. Motor torques are those of its joint states, contact forces those of contact_topic.
     capabilities: frozenset[Capability] = frozenset({"contacts", "lidar", "live", "wheel_torque"})
 
     def __init__(
@@ -97,8 +99,11 @@ class Ros2Simulator:
         self.num_envs = 1
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
-        self._world, self._wheels, self._joint_topic = worlds[0], robot.drive.wheels, connection.joint_topic
-        self._tells_torque = False
+        self._world, self._wheels, self._connection = worlds[0], robot.drive.wheels, connection
+        if connection.contact_topic:
+            self.capabilities = self.capabilities | {"contact_force"}
+        self._reported: Collection[Report] = ()
+        self._step_start = -math.inf
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
         self._limiter = CommandLimiter(settings.min_reversal)
         self._publishers_checked = -math.inf
@@ -205,17 +210,37 @@ class Ros2Simulator:
         return self.state()
 
     def report(self, fields: Collection[Report]) -> None:
-        """Adds the motor torques to the states: see :meth:`~rover_rl.sims.base.Reporter.report`."""
-        self._tells_torque = "wheel_torque" in fields
-        self._torque()
+        """Adds motor torques and contact forces to the states: see :meth:`~rover_rl.sims.base.Reporter.report`."""
+        self._reported = fields
+        topic = self._connection.contact_topic
+        if "contact_force" in fields and topic and Contacts.ros_type not in self._transport.types(topic):
+            _log.warning("nothing publishes %s on %s yet: until then, there is no contact", Contacts.ros_type, topic)
+        self._reports()
 
-    def _torque(self) -> dict[str, Tensor]:
-        """Returns the latest motor torques, if they were asked for; zeros before the first ones."""
-        if not self._tells_torque:
-            return {}
+    def _reports(self) -> dict[str, Tensor]:
+        """Returns the motor torques and contact forces that were asked for."""
+        measure: dict[Report, Callable[[], Tensor]] = {
+            "wheel_torque": self._torque,
+            "contact_force": self._contact_force,
+        }
+        return {field: measure[field]()[None] for field in self._reported}
+
+    def _torque(self) -> Tensor:
+        """Returns the latest motor torques, ``[W]``, N m; zeros before the first ones."""
         read = partial(read_efforts, wheels=self._wheels)
-        torque = self._sensors.latest_on(self._joint_topic, "torques", JointState, read)
-        return {"wheel_torque": torch.zeros(1, len(self._wheels)) if torque is None else torque[None]}
+        torque = self._sensors.latest_on(self._connection.joint_topic, "torques", JointState, read)
+        return torch.zeros(len(self._wheels)) if torque is None else torque
+
+    def _contact_force(self) -> Tensor:
+        """Returns the contact forces of the latest message of the last control step, ``[8]``, N; zeros without one.
+
+        Gazebo sends messages only during a contact.
+        """
+        settings, topic = self.settings, self._connection.contact_topic
+        assert topic is not None
+        read = partial(read_contacts, model=settings.model, mover_names=settings.mover_names)
+        felt = self._sensors.latest_on(topic, "contacts", Contacts, read, since=self._step_start)
+        return torch.zeros(2 * len(SIDES)) if felt is None else contact_force(felt, *self._world_pose())
 
     def scanner(self, beams: int) -> Ros2Scanner:
         """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
@@ -292,9 +317,9 @@ class Ros2Simulator:
             angular_velocity=twist[:, 1:],
             dt=torch.full((1, 1), self._dt),
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
-            # A live rover does not sense contacts. A policy of a task whose collision is the contact drives anyway.
+            # Forces are measured on some rovers only. A policy of a task whose collision is the contact drives anyway.
             contact=torch.zeros(1, 1, dtype=torch.bool),
-            **self._torque(),
+            **self._reports(),
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
@@ -360,6 +385,7 @@ class Ros2Simulator:
             after = scan.number
         self._require_recent_messages()
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
+        self._step_start = self._scan.time if self._scan else -math.inf
         self._scan, self._aligned_scan = scan, self._align(scan.value)
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
@@ -388,7 +414,7 @@ class Ros2Simulator:
     def _require_recent_messages(self) -> None:
         """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
         deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
-        for kind in self._sensors.topics:
+        for kind in [kind for kind in self._sensors.topics if kind not in self._sensors.silent_topics]:
             message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)

@@ -23,7 +23,19 @@ from rover_rl.sims.ros2.dds import (
     domain_id,
     domain_settings,
 )
-from rover_rl.sims.ros2.messages import Clock, Header, LaserScan, Time, Twist
+from rover_rl.sims.ros2.messages import (
+    Clock,
+    Contact,
+    Contacts,
+    Entity,
+    Header,
+    JointWrench,
+    LaserScan,
+    Time,
+    Twist,
+    Vector3,
+    encode,
+)
 from tests.sims.ros2.processes import until
 
 pytestmark = pytest.mark.ros2
@@ -50,6 +62,18 @@ def test_messages_arrive_unchanged(pair, reliable):
     assert received[0].header == scan.header
     assert received[0].range_max == 10.0
     np.testing.assert_array_equal(received[0].ranges, scan.ranges)
+
+
+def test_nested_messages_arrive_unchanged(pair):
+    talker, listener = pair
+    contact = Contact(Entity(2**40, "wall", 5), positions=[Vector3(1.0)], wrenches=[JointWrench()])
+    received: list[Contacts] = []
+    listener.subscribe("/contacts", Contacts, received.append)
+    publish = talker.publisher("/contacts", Contacts, reliable=True)
+    until(lambda: talker.subscribers("/contacts"))
+    publish(Contacts(contacts=[contact]))
+    until(lambda: received)
+    assert encode(received[0]) == encode(Contacts(contacts=[contact]))
 
 
 def test_a_failing_callback_does_not_affect_others(pair, caplog):

@@ -22,6 +22,7 @@ SENT = [
     messages.TwistStamped(HEADER),
     messages.Clock(Time(7)),
     messages.PointCloud2(HEADER, fields=[messages.PointField("x")], is_bigendian=True, data=np.ones(8, np.uint8)),
+    messages.Contacts(HEADER, [messages.Contact(messages.Entity(2**40, "wall", 5), wrenches=[messages.JointWrench()])]),
     messages.GridMap(HEADER, layers=["elevation"], data=[messages.Float32MultiArray(data=np.ones(2, np.float32))]),
 ]
 

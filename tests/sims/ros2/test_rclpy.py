@@ -12,7 +12,18 @@ import numpy as np
 import pytest
 
 from rover_rl.sims.ros2 import messages
-from rover_rl.sims.ros2.messages import Header, LaserScan, Pose, PoseArray, Time, Twist, Vector3
+from rover_rl.sims.ros2.messages import (
+    Contact,
+    Contacts,
+    Entity,
+    Header,
+    LaserScan,
+    Pose,
+    PoseArray,
+    Time,
+    Twist,
+    Vector3,
+)
 from rover_rl.sims.ros2.transport import make_transport
 
 
@@ -104,14 +115,16 @@ def test_published_messages_are_instances_of_ros_classes(ros):
     transport.publisher("/cmd_vel", Twist, reliable=True)(Twist(Vector3(x=0.5)))
     transport.publisher("/scan", LaserScan)(LaserScan(Header(Time(1, 2), "lidar"), ranges=np.ones(3, np.float32)))
     transport.publisher("/poses", PoseArray)(PoseArray(poses=[Pose()]))
+    transport.publisher("/contacts", Contacts)(Contacts(contacts=[Contact(Entity(1, "wall"))]))
     (node,) = Node.made
-    (_, twist), (_, scan), (_, poses) = node.sent
+    (_, twist), (_, scan), (_, poses), (_, contacts) = node.sent
     sensor_msgs, geometry_msgs = (importlib.import_module(f"{name}.msg") for name in ("sensor_msgs", "geometry_msgs"))
     assert type(twist) is geometry_msgs.Twist
     assert twist.linear.x == 0.5
     assert type(scan) is sensor_msgs.LaserScan
     assert (scan.header.stamp.sec, scan.header.frame_id, list(scan.ranges)) == (1, "lidar", [1, 1, 1])
     assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
+    assert type(contacts.contacts[0].collision1) is importlib.import_module("ros_gz_interfaces.msg").Entity
     assert transport.subscribers("/cmd_vel") == 2
     assert transport.types("/scan") == {"sensor_msgs/msg/LaserScan"}
     assert transport.types("/points") == set()
