@@ -45,12 +45,12 @@ def read_contacts(msg: Any, model: str, mover_names: Collection[str]) -> Touches
     Args:
         msg: message. Positions, normals and forces are in the frame of the world (``ExtraContactDataT`` of gz-physics).
         model: name of the rover, one of the parts between ``::`` in the names of its collision shapes.
-        mover_names: what the names of the collision shapes of movers contain, in lower case.
+        mover_names: what the names of the collision shapes of movers contain, in capitals or not.
 
     Raises:
         ValueError: if a contact is not of the rover, lacks a normal or a force, or a number is not finite.
     """
-    rows: list[Tensor] = []
+    numbers: list[float] = []
     moves: list[bool] = []
     for contact in msg.contacts:
         names = contact.collision1.name, contact.collision2.name
@@ -67,11 +67,9 @@ def read_contacts(msg: Any, model: str, mover_names: Collection[str]) -> Touches
             continue  # of two parts of the rover
         for position, normal, wrench in zip(contact.positions, contact.normals, contact.wrenches, strict=True):
             force = (wrench.body_1_wrench if own[0] else wrench.body_2_wrench).force
-            rows.append(
-                read_finite("contact", *(getattr(at, axis) for at in (position, normal, force) for axis in "xyz"))
-            )
-        moves += [any(word in names[own.index(False)].lower() for word in mover_names)] * count
-    points, normals, forces = torch.cat((torch.zeros(0, 9), *(row[None] for row in rows))).split(3, -1)
+            numbers += [getattr(vector, axis) for vector in (position, normal, force) for axis in "xyz"]
+        moves += [any(word.lower() in names[own.index(False)].lower() for word in mover_names)] * count
+    points, normals, forces = read_finite("contact", *numbers).view(-1, 9).split(3, -1)
     length = torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
     if not (length > 0).all():
         raise ValueError("the normal of a contact must not be zero")
