@@ -168,7 +168,7 @@ class PolicyRunner:
         reads_map = _reads(self.policy, SEEN_DISTANCES)
         if reads_map or (reads_route(self.policy) and observation.get(ROUTE, None) is None):
             rows, lidar, robot, device, interval = self._rig(observation)
-            self._seen = SeenMap(rows, lidar, robot, device, interval=interval)
+            self._seen = SeenMap(rows, lidar, robot, device, interval=interval, keep_passed=reads_map)
         if _reads(self.policy, LIDAR_MASK) and observation.get(LIDAR_MASK, None) is None:
             self._views = LidarViews(*self._rig(observation)[:4])
         self._action, self._state = self._decide(observation, self._is_init)
@@ -198,7 +198,7 @@ class PolicyRunner:
         if self._seen is not None:
             self._route = inputs[ROUTE] = self._seen(inputs, due, self._is_init, self._bounds(observation))
             if _reads(self.policy, SEEN_DISTANCES):
-                inputs[SEEN_DISTANCES], inputs[SEEN_FRAME] = self._seen.distances()
+                inputs[SEEN_DISTANCES], inputs[SEEN_FRAME] = self._seen.distances(inputs, self._bounds(observation))
         if _reads(self.policy, SCAN_POSE) and observation.get(SCAN_POSE, None) is None:
             inputs[SCAN_POSE] = scan_pose_now(observation["imu"])
         if _reads(self.policy, BOUNDS):

@@ -51,6 +51,8 @@ class Cells:
     levels: wp.array[wp.uint8]
     # Number of suspected cells around each one.
     doubts: wp.array[wp.int16]
+    # 1 in cells that beams have passed. Empty if that is not kept.
+    passed: wp.array[wp.uint8]
 
 
 @wp.func
@@ -140,6 +142,8 @@ def move_window(before: wp.vec2i, after: wp.vec2i, cells: Cells):
                 x = wp.where(axis == 0, entered, other)
                 y = wp.where(axis == 0, other, entered)
                 cells.heights[address(x, y)] = UNSEEN
+                if cells.passed.shape[0] > 0:
+                    cells.passed[address(x, y)] = wp.uint8(0)
                 if cells.evidence[address(x, y)] > wp.uint8(0):
                     set_evidence(x, y, 0, cells)
 
@@ -152,6 +156,8 @@ def clear_window(cells: Cells):
         cells.heights[cell] = UNSEEN
         cells.levels[cell] = wp.uint8(OPEN)
         cells.doubts[cell] = wp.int16(0)
+        if cells.passed.shape[0] > 0:
+            cells.passed[cell] = wp.uint8(0)
 
 
 @wp.func
@@ -199,6 +205,7 @@ def add_scans(
     heights: wp.array2d[float],
     levels: wp.array2d[wp.uint8],
     doubts: wp.array2d[wp.int16],
+    passes: wp.array2d[wp.uint8],
     first: int,
 ):
     """Adds a scan to each row's map; thread ``t`` does row ``first + t``.
@@ -228,6 +235,7 @@ def add_scans(
     cells.heights = heights[i]
     cells.levels = levels[i]
     cells.doubts = doubts[i]
+    cells.passed = passes[i]
     if cleared[i]:
         clear_window(cells)
     else:
@@ -243,9 +251,11 @@ def add_scans(
             part = float(n + 1) / crossed
             along = int(wp.floor(x + part * beam[0]))
             across = int(wp.floor(y + part * beam[1]))
-            passed = int(cells.evidence[address(along, across)])
-            if passed > 0 and passed <= MOST:
-                set_evidence(along, across, passed - 1, cells)
+            before = int(cells.evidence[address(along, across)])
+            if before > 0 and before <= MOST:
+                set_evidence(along, across, before - 1, cells)
+            if cells.passed.shape[0] > 0:
+                cells.passed[address(along, across)] = wp.uint8(1)
     for k in range(count):
         beam = beams[i, k]
         before = int(cells.evidence[address_at(x + beam[0], y + beam[1])])

@@ -23,6 +23,7 @@ from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
     HALF,
+    NUMBERS,
     OPEN,
     SIZE,
     STATE,
@@ -38,6 +39,7 @@ from rover_rl.envs.seen_map.scans import (
     relative_route,
     route_in_meters,
 )
+from rover_rl.envs.sensors.lidar_mask import WHOLE
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, WALLS
@@ -52,6 +54,8 @@ SEEN_DISTANCES, SEEN_FRAME = "seen_distances", "seen_frame"
 """Names of what :meth:`SeenMap.distances` returns."""
 BOUNDS = "bounds"
 """Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
+KNOWN = 0.2
+"""Distance from the body within which the ground is known to be free, as the rover stands there, m."""
 MOVER_MARGIN = 0.1
 """Free distance between the side of the robot and a mover on a route, m."""
 NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
@@ -98,6 +102,7 @@ class SeenMap:
         device: device of the observations; ``None``: the CPU.
         threads: number of CPU threads. Results do not depend on it.
         interval: time from one scan that is added to the next, s.
+        keep_passed: whether to keep which cells beams have passed, for :meth:`distances`.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
@@ -111,18 +116,23 @@ class SeenMap:
         device: torch.device | str | None = None,
         threads: int = 1,
         interval: float = 0.2,
+        keep_passed: bool = False,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
         self._points, self._directions = lidar.points, reading_directions(lidar).to(device)
+        # Half of a beam, in readings.
+        self._offset = 0.5 * lidar.points / lidar.beams
         self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
         self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
         self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
         # Distance from movers that they keep, m, and their speed, in cells per second.
         self._sides = self._fleet.table(lambda robot: [footprint(robot).half_width + MOVER_MARGIN])
         self._speeds = self._fleet.table(lambda robot: [robot.drive.max_speed / (CELL * map_unit(robot))])
+        # Distance of the farthest corner of the body from its center, m.
+        self._outer = self._fleet.table(lambda robot: [footprint(robot).corner])
         # Unit of the map of the only robot, and of each one.
         self._unit = map_unit(self._fleet.robots[0])
         self._units = self._fleet.table(lambda robot: [map_unit(robot)])
@@ -135,6 +145,7 @@ class SeenMap:
         self._doubts = torch.zeros(rows, cells, dtype=torch.int16, device=device)
         self._boxes = torch.zeros(rows, cells, 4, dtype=torch.uint8, device=device)
         self._heights = torch.full((rows, cells), UNSEEN, device=device)
+        self._passed = torch.zeros(rows, cells if keep_passed else 0, dtype=torch.uint8, device=device)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -217,8 +228,18 @@ class SeenMap:
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
-    def distances(self) -> tuple[Tensor, Tensor]:
+    def distances(
+        self, observation: TensorDictBase | Mapping[str, Tensor], bounds: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns the distances to what has been seen, and where they are.
+
+        Where the lidar does not see now, as behind a rover whose lidar sees ahead, a cell that no beam has passed in
+        the episode counts as an obstacle, but for those within 0.2 m of the body, which stands there. So does what is
+        out of bounds.
+
+        Args:
+            observation: observation that has been added last.
+            bounds: as for a call.
 
         Returns:
             Distances of the middles of the cells to the nearest obstacle, row by row, float32 ``[N, SIZE * SIZE]``, m,
@@ -229,9 +250,29 @@ class SeenMap:
 
         center = self._state[:, :2].int()
         distances = torch.empty_like(self._heights)
-        inputs = [center, self._evidence, self._boxes, distances]
+        inputs = [center, self._evidence, self._boxes, self._closed(observation, bounds), distances]
         wp.launch(find_distances, tuple(distances.shape), inputs, **launch_options(distances.device))
         return distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
+
+    def _closed(self, observation: TensorDictBase | Mapping[str, Tensor], bounds: Tensor | None) -> Tensor:
+        """Returns which cells count as obstacles without evidence, as they are stored, bool ``[N, SIZE * SIZE]``."""
+        from rover_rl.envs.seen_map.distance_kernels import find_closed
+        from rover_rl.sims.native.warp import launch_options, wp
+
+        readings, mask = self._readings[self._fleet.index], observation.get(LIDAR_MASK, None)
+        is_seen = readings[:, NUMBERS:] > 0
+        if mask is not None:
+            is_seen = is_seen & (mask > WHOLE)
+        mount = readings[:, :2] * self._units[self._fleet.index]
+        lidar = observation["pose"][:, :2] + in_world(mount[:, None], observation["imu"])[:, 0]
+        near = (mount.norm(dim=-1, keepdim=True) + self._outer[self._fleet.index] + KNOWN) / self.cell
+        places = torch.cat((lidar / self.cell, observation["imu"][:, 2:], near), -1)
+        area = ((self._unbounded if bounds is None else bounds) / self.cell).contiguous()
+        closed = torch.zeros_like(self._evidence, dtype=torch.bool)
+        inputs = [self._state[:, :2].int(), *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
+        inputs += [is_seen, self._offset, self._passed, closed]
+        wp.launch(find_closed, tuple(closed.shape), inputs, **launch_options(closed.device))
+        return closed
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
         """Returns x and y of the ends of readings in the base frame now, ``[N, points]`` each, m."""
@@ -260,7 +301,7 @@ class SeenMap:
         limits = self._limits[self._fleet.index]
         limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
         scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
-        scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
+        scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts, self._passed]
         crossed = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels]
         plans = [goals, bounds, rows, center, self._levels, self._doubts]
 

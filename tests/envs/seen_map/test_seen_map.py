@@ -113,6 +113,33 @@ def test_what_the_lidar_does_not_see_is_neither_free_nor_occupied() -> None:
     assert is_occupied(seen, -2.0, 0.0)
 
 
+def test_distances_are_to_obstacles_and_to_what_a_lidar_that_sees_ahead_has_never_seen() -> None:
+    front, wall = replace(CENTERED, lidar_view=math.pi), ((2.0, -3.0, 2.0, 3.0),)
+    bounds = torch.tensor([[-9.0, -9.0, 9.0, 1.0]])
+    for robot, behind in ((CENTERED, 0.75), (front, 0.0)):
+        seen = SeenMap(1, LIDAR, robot, keep_passed=True)
+
+        def distance(observation: TensorDict, x: float, y: float, seen: SeenMap = seen) -> float:
+            seen(observation)
+            distances, frame = seen.distances(observation, bounds)
+            column, row = ((torch.tensor((x, y)) - frame[0, :2]) / frame[0, 2]).round().int().tolist()
+            return distances[0].reshape(128, 128)[row, column].item()
+
+        ahead = observed((0.0, 0.0), (3.0, 4.0), wall)
+        assert distance(ahead, 1.625, 0.0) == pytest.approx(0.375, abs=0.08)
+        assert distance(ahead, 0.825, 0.525) == pytest.approx(0.525), "the bounds"
+        assert distance(ahead, 1.0, 2.0) == 0.0
+        assert distance(ahead, 1.0, 0.0) == pytest.approx(0.75)
+        assert distance(ahead, -2.0, 0.0) == pytest.approx(behind)
+        # Around the body, and where it has looked before.
+        assert distance(ahead, -0.2, 0.0) > 0.2
+        distance(observed((0.0, 0.0), (3.0, 4.0), wall, yaw=math.pi), 0.0, 0.0)
+        assert distance(ahead, -2.0, 0.0) == pytest.approx(0.75)
+        # The distances to what has been passed in another episode are forgotten.
+        seen(ahead, renewed=torch.tensor([True]))
+        assert distance(ahead, -2.0, 0.0) == pytest.approx(behind)
+
+
 def test_a_route_leads_around_a_wall_within_bounds() -> None:
     observation = observed((0.0, 0.0), (4.0, 0.0), ((2.0, -3.0, 2.0, 1.0),))
     # The shorter way around, to the left, leads out of the bounds.
