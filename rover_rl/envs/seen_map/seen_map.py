@@ -102,7 +102,7 @@ class SeenMap:
         device: device of the observations; ``None``: the CPU.
         threads: number of CPU threads. Results do not depend on it.
         interval: time from one scan that is added to the next, s.
-        keep_passed: whether to keep which cells beams have passed, for :meth:`distances`.
+        keep_passed: whether to keep which cells beams have passed, which ``distances`` needs.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
