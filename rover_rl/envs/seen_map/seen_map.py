@@ -244,10 +244,15 @@ class SeenMap:
         Returns:
             Distances of the middles of the cells to the nearest obstacle, row by row, float32 ``[N, SIZE * SIZE]``, m,
             at most five cells. And x and y of the first of these points, and the spacing, float32 ``[N, 3]``, m.
+
+        Raises:
+            ValueError: if the map was made without ``keep_passed``.
         """
         from rover_rl.envs.seen_map.distance_kernels import find_distances
         from rover_rl.sims.native.warp import launch_options, wp
 
+        if not self._passed.shape[-1]:
+            raise ValueError("distances need a map that is made with keep_passed=True")
         center = self._state[:, :2].int()
         distances = torch.empty_like(self._heights)
         inputs = [center, self._evidence, self._boxes, self._closed(observation, bounds), distances]

@@ -138,6 +138,8 @@ def test_distances_are_to_obstacles_and_to_what_a_lidar_that_sees_ahead_has_neve
         # The distances to what has been passed in another episode are forgotten.
         seen(ahead, renewed=torch.tensor([True]))
         assert distance(ahead, -2.0, 0.0) == pytest.approx(behind)
+    with pytest.raises(ValueError, match="keep_passed=True"):
+        one_map().distances(observed((0.0, 0.0), (3.0, 4.0)))
 
 
 def test_a_route_leads_around_a_wall_within_bounds() -> None:
