@@ -28,7 +28,7 @@ demo: $(STAMP) ## watch a trained rover drive
 # One thread a worker: the workers share the cores already. Four workers keep two cores busy while some wait for processes
 # and sensors. As many open files as Ubuntu allows by default.
 test: $(STAMP) ## run the tests
-	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 4 $(ARGS)
+	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 4 --dist worksteal $(ARGS)
 
 lint: $(STAMP) ## check style, format and types
 	$(BIN)/ruff check
