@@ -115,7 +115,7 @@ class Drive:
     model: str = Ros2Settings.model
     """Name of the rover in Gazebo, by which its contacts are known."""
     mover_names: tuple[str, ...] = Ros2Settings.mover_names
-    """What the names of movers in Gazebo contain, in capitals or not, for contacts with them."""
+    """What the names of movers in Gazebo contain, in upper or lower case, for contacts with them."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
     """Topic of the velocity command."""
     stamped: bool = False

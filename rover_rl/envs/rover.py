@@ -397,11 +397,11 @@ class RoverEnv(EnvBase):
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         try:
             _check_requirements(self.config, self.fleet, self.simulator, self._has_movers, self.sensors)
+            if fields := {field for sensor in self.sensors.values() for field in sensor.needs}:
+                cast(Reporter, self.simulator).report(fields)
         except ValueError:
             self.simulator.close()
             raise
-        if fields := {field for sensor in self.sensors.values() for field in sensor.needs}:
-            cast(Reporter, self.simulator).report(fields)
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
@@ -738,9 +738,7 @@ def _check_requirements(
         needs |= dict.fromkeys(sensor.needs, need)
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
-            live = capability == "contact_force" and "live" in simulator.capabilities
-            hint = "; on ROS 2, name the topic: Connection(contact_topic=...), or --contact-topic" if live else ""
-            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}{hint}")
+            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
     if config.action.max_sideways and "live" in simulator.capabilities:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
     if config.compensate_delay and "live" in simulator.capabilities and not config.late_scans:

@@ -311,6 +311,9 @@ class Reporter(Protocol):
         """Adds these fields to the states from now on. Before, they cost nothing.
 
         It is called once, right after the simulator is built. The caller resets all rovers next.
+
+        Raises:
+            ValueError: if the simulator was not told where to get a field.
         """
         ...
 

@@ -45,7 +45,7 @@ def read_contacts(msg: Any, model: str, mover_names: Collection[str]) -> Touches
     Args:
         msg: message. Positions, normals and forces are in the frame of the world (``ExtraContactDataT`` of gz-physics).
         model: name of the rover, one of the parts between ``::`` in the names of its collision shapes.
-        mover_names: what the names of the collision shapes of movers contain, in capitals or not.
+        mover_names: what the names of the collision shapes of movers contain, in upper or lower case.
 
     Raises:
         ValueError: if a contact is not of the rover, lacks a normal or a force, or a number is not finite.

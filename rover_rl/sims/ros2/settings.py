@@ -54,7 +54,7 @@ class Ros2Settings:
             person on the terminal; ``"none"``, nothing: episodes start where the rover is; ``"auto"``: ``"topic"`` if a
             node subscribes to ``reset_topic``, else ``"ign"`` or ``"gz"`` if the command is installed, else ``"none"``.
         model: name of the rover in Gazebo.
-        mover_names: what the names of movers in Gazebo contain, in capitals or not. Contacts with them count as such.
+        mover_names: what the names of movers in Gazebo contain, in upper or lower case, for contacts with them.
         reset_topic: topic of ``reset="topic"``.
         reset_timeout: time limit for the rover to come to rest at the start pose, s.
         pose_tolerance: maximum distance from the start pose, m.

@@ -83,7 +83,7 @@ class Ros2Simulator:
     """
 
     # The task knows of no contacts. Motor torques are those of its joint states, contact forces those of contact_topic.
-    capabilities: frozenset[Capability] = frozenset({"contacts", "lidar", "live", "wheel_torque"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "contact_force", "lidar", "live", "wheel_torque"})
 
     def __init__(
         self,
@@ -100,8 +100,6 @@ class Ros2Simulator:
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
         self._world, self._wheels, self._connection = worlds[0], robot.drive.wheels, connection
-        if connection.contact_topic:
-            self.capabilities = self.capabilities | {"contact_force"}
         self._reported: Collection[Report] = ()
         self._step_start = -math.inf
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
@@ -210,11 +208,22 @@ class Ros2Simulator:
         return self.state()
 
     def report(self, fields: Collection[Report]) -> None:
-        """Adds motor torques and contact forces to the states: see :meth:`~rover_rl.sims.base.Reporter.report`."""
+        """Adds motor torques and contact forces to the states: see :meth:`~rover_rl.sims.base.Reporter.report`.
+
+        Raises:
+            ValueError: for contact forces without ``connection.contact_topic``.
+        """
         self._reported = fields
         topic = self._connection.contact_topic
-        if "contact_force" in fields and topic and Contacts.ros_type not in self._transport.types(topic):
-            _log.warning("nothing publishes %s on %s yet: until then, there is no contact", Contacts.ros_type, topic)
+        if "contact_force" in fields:
+            if not topic:
+                raise ValueError(
+                    "contact forces of a live rover need their topic: "
+                    "set Connection(contact_topic=...), or --contact-topic"
+                )
+            if Contacts.ros_type not in self._transport.types(topic):
+                found = "nothing publishes %s on %s yet: until then, there is no contact"
+                _log.warning(found, Contacts.ros_type, topic)
         self._reports()
 
     def _reports(self) -> dict[str, Tensor]:
@@ -414,7 +423,9 @@ class Ros2Simulator:
     def _require_recent_messages(self) -> None:
         """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
         deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
-        for kind in [kind for kind in self._sensors.topics if kind not in self._sensors.silent_topics]:
+        for kind in self._sensors.topics:
+            if kind in self._sensors.silent_topics:
+                continue
             message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)

@@ -142,7 +142,7 @@ def test_foresight_needs_an_environment() -> None:
 
 
 def test_predictive_passes_what_it_sees_moving() -> None:
-    worlds = [crossing(speed, 1.5) for speed in SPEEDS[:2]]
+    worlds = [crossing(speed, phase) for speed in SPEEDS[:2] for phase in (0.0, 1.5)]
     assert drive(PredictivePolicy(), worlds) == ["goal_reached"] * len(worlds)
 
 
