@@ -49,6 +49,7 @@ MIN_PATH = 2.0  # smallest length of the shortest path of an episode, m
 FOLDER = Path(__file__).with_name("episode_sets")  # folder of the stored sets
 _FEW_WORLDS = 16  # number of worlds below which episodes are drawn in this process
 _MAX_DRAWS = 100  # largest number of draws per requested episode
+_SEEDS_OF_A_WORLD = 2**32  # distance of the first draws of two worlds with consecutive seeds
 
 
 @dataclass(frozen=True)
@@ -142,9 +143,10 @@ def draw_episodes(
 ) -> EpisodeSet:
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
-    In each world, draw ``i`` is the start and goal of the first episode of an environment with the seed ``seed + i``.
-    The same seed always gives the same episodes, and in one world, a larger ``count`` appends to them. The episodes of
-    several worlds are in the order of the worlds.
+    In the world with the seed ``w``, such as ``"maze:w"``, draw ``i`` is the start and goal of the first episode of an
+    environment with the seed ``seed + 2**32 * w + i``; ``w`` is 0 for a world without a seed. So worlds that differ
+    little have other starts and goals. The same seed always gives the same episodes in a world, whatever the other
+    worlds, and a larger ``count`` appends to them. The episodes of several worlds are in the order of the worlds.
 
     Args:
         world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool. Names without a scale get
@@ -170,13 +172,14 @@ def draw_episodes(
     robots = get_robots(robot)
     world = fitting_worlds(world, *robots)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path, agents=agents)
+    draw = partial(_draw_in, robot=largest_of(robots), count=count, min_path=min_path, agents=agents)
+    sources = [pool.source(index) for index in range(len(pool))]
+    places = [(portable(source), seed + _SEEDS_OF_A_WORLD * _seed_of(source)) for source in sources]
     if len(pool) == 1:
-        drawn = [draw(pool[0])]
+        drawn = [draw(*places)]
     else:
-        sources = [portable(pool.source(index)) for index in range(len(pool))]
         # Processes take longer to start than the episodes of a few worlds take to draw.
-        drawn = over_cores(draw, sources, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
+        drawn = over_cores(draw, places, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
     start, goal, shortest = (torch.cat(part) for part in zip(*drawn, strict=True))
     index = torch.arange(len(pool)).repeat_interleave(count)
     name = world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
@@ -189,22 +192,27 @@ def portable(world: str | World) -> str | World:
     return world if is_built_in else get_world(world)
 
 
+def _seed_of(world: str | World) -> int:
+    """Returns the seed of a world by its name, 0 for a world without one."""
+    return WorldName.parse(world).seed or 0 if isinstance(world, str) else 0
+
+
 @single_threaded()
 def _draw_in(
-    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float, agents: int
+    place: tuple[str | World, int], *, robot: Robot, count: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
-    place, goal_radius = get_world(world), TaskConfig().success_distance
+    """Draws starts, goals and shortest paths of ``count`` episodes in a world from a seed on: see `draw_episodes`."""
+    world, seed, goal_radius = get_world(place[0]), place[1], TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for first in range(seed, seed + _MAX_DRAWS * count, count):
-        start, goal = _draw(place, robot, count, first, agents)
-        shortest = shortest_paths(place, robot, start, goal, goal_radius)
+        start, goal = _draw(world, robot, count, first, agents)
+        shortest = shortest_paths(world, robot, start, goal, goal_radius)
         long_enough = (shortest >= min_path).reshape(-1, agents).all(1).repeat_interleave(agents)
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
         if len(shortest) == count:
             return start, goal, shortest
-    raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
+    raise ValueError(f"world {world.name!r} has hardly any shortest path of {min_path:g} m or more")
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tuple[Tensor, Tensor]:

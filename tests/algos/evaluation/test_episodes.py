@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_rl import World
+from rover_rl import RoverEnv, World
 from rover_rl.algos.evaluation.episodes import (
     STORED,
     STORED_WORLDS,
@@ -45,6 +45,22 @@ def test_a_seed_always_gives_the_same_episodes() -> None:
     assert_same(draw_episodes(FIELD, 3, seed=1), episodes)
     assert_same(draw_episodes(FIELD, 5, seed=1).first(3), episodes)
     assert not torch.equal(draw_episodes(FIELD, 3, seed=50).goal, episodes.goal)
+
+
+def test_each_world_of_a_range_has_its_own_starts_whatever_the_others() -> None:
+    several = draw_episodes("field:10000-10002@0.5", 2, seed=1)
+    assert len(several.start.unique(dim=0)) == len(several.goal.unique(dim=0)) == 6
+    assert (several.start[::2, :2] - several.start[:1, :2]).norm(dim=1)[1:].min() > 0.5
+    assert_same(draw_episodes("field:10001@0.5", 2, seed=1), several.part(2, 4))
+
+
+def test_a_draw_is_the_first_episode_of_an_environment() -> None:
+    drawn = draw_episodes("maze:3", 2, seed=5, min_path=0)
+    env = RoverEnv(world_n="maze:3", num_envs=2, seed=5 + 2**32 * 3, backend="warp")
+    start, goal = env.reset()["pose"][:, :2], env.goal
+    torch.testing.assert_close(start, drawn.start[:, :2], rtol=0, atol=0.05)  # It settles on the ground.
+    torch.testing.assert_close(goal, drawn.goal)
+    env.close()
 
 
 def test_only_short_paths_are_skipped() -> None:
