@@ -69,6 +69,8 @@ class Drive:
     """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
     """Lidar reading below which the drive ends, m."""
+    patience: float = 30.0
+    """Longest time to wait, before the drive to a goal, for whatever is nearer than --clearance to go, s."""
     seconds: float = 60.0
     """Time limit for each goal, s."""
     max_speed: float | None = None
@@ -189,6 +191,7 @@ class Drive:
                     goal,
                     seconds=self.seconds,
                     clearance=self.clearance,
+                    patience=self.patience,
                     allow_unseen=self.allow_unseen,
                     watch=on_step,
                     log=log,
@@ -216,7 +219,7 @@ class Drive:
             raise ValueError("say where to drive: --goal X Y, --goals FILE or --random COUNT")
         check_positive(MAX_SECONDS, seconds=self.seconds)
         check_at_least(0, MAX_SECONDS, wait=self.wait)
-        check_at_least(0, MAX_NUMBER, clearance=self.clearance)
+        check_at_least(0, MAX_NUMBER, clearance=self.clearance, patience=self.patience)
         check_at_least(0, MAX_COUNT, random=self.random)
         check_seed(self.seed)
         self._settings()

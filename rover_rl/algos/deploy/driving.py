@@ -70,13 +70,15 @@ def drive_to(
     *,
     seconds: float = 60.0,
     clearance: float = 0.0,
+    patience: float = 30.0,
     allow_unseen: bool = False,
     watch: Callable[[Moment], None] = lambda moment: None,
     log: DriveLog | None = None,
 ) -> str:
     """Drives to one goal and stops the rover at the end of the drive, also after an error.
 
-    A policy with memory decides at the times at which it did in training, whatever the rate of the scans.
+    A policy with memory decides at the times at which it did in training, whatever the rate of the scans. While
+    something is nearer than ``clearance``, such as a person who stands at the rover, the drive does not begin.
 
     Args:
         env: environment of a live rover, with ``end_on_goal``.
@@ -85,6 +87,8 @@ def drive_to(
         goal: x, y, m.
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
+        patience: longest time to wait for the beginning of the drive, s. If something is still too near after it, the
+            drive ends.
         allow_unseen: whether to accept a lidar with a smaller field of view than in training: than the robot's, or
             than the least that the training drew.
 
@@ -118,7 +122,7 @@ def drive_to(
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
-            tensordict = env.reset(goal=torch.tensor([goal]))
+            tensordict = _begin(env, rover, goal, clearance, patience, watch)
             if log is not None:
                 log.begin(env.rover_state, env.scan, goal)
             while not ending:
@@ -141,6 +145,23 @@ def drive_to(
         if log is not None:
             log.end(ending or STOPPED)
     return ending
+
+
+def _begin(
+    env: RoverEnv,
+    rover: Ros2Simulator,
+    goal: tuple[float, float],
+    clearance: float,
+    patience: float,
+    watch: Callable[[Moment], None],
+) -> TensorDictBase:
+    """Begins an episode, with a rover at rest, as soon as nothing is too near, or the patience is at its end."""
+    place = torch.tensor([goal])
+    tensordict, first = env.reset(goal=place), env.rover_state.stamp
+    while tensordict["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
+        watch(_moment(rover, tensordict, 0.0))
+        tensordict = env.reset(goal=place)
+    return tensordict
 
 
 def _moment(rover: Ros2Simulator, tensordict: TensorDictBase, seconds: float) -> Moment:

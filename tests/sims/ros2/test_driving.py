@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
-from rover_rl.sims.ros2.messages import Twist
+from rover_rl.sims.ros2.messages import LaserScan, Twist
 from rover_rl.sims.worlds import get_world
 from tests.algos.policy.memories import CountingPolicy
 from tests.sims.ros2.wire import SimulatedRobot, Wire
@@ -53,12 +54,38 @@ def test_a_drive_ends_and_stops_at_its_goal(started, wire):
 
 
 def test_an_obstacle_that_is_too_close_or_the_time_limit_ends_the_drive(env, wire):
-    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=20.0) == TOO_NEAR
+    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=20.0, patience=0.0) == TOO_NEAR
     assert stopped(wire)
     moments: list[Moment] = []
     assert drive_to(env, ScriptedPolicy(), GOAL, seconds=0.2, watch=moments.append) == TIME_LIMIT
     assert stopped(wire)
     assert [moment.seconds for moment in moments] == pytest.approx([0.05, 0.1, 0.15, 0.2])
+
+
+def test_a_drive_begins_when_who_stands_at_the_rover_has_gone(env, wire):
+    near = iter([0.15] * 40)
+
+    def someone_stands_there(scan: LaserScan) -> LaserScan:
+        return replace(scan, ranges=[next(near, scan.ranges[0]), *scan.ranges[1:]])
+
+    wire.tamper["/scan"] = someone_stands_there
+    moments: list[Moment] = []
+    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=moments.append) == "goal"
+    waiting = [moment for moment in moments if moment.seconds == 0]
+    assert len(waiting) > 1
+    assert {(moment.command, round(moment.nearest, 2)) for moment in waiting} == {((0.0, 0.0), 0.15)}
+    assert all(moment.nearest > 0.2 for moment in moments[len(waiting) :])
+
+
+def test_a_drive_ends_if_who_stands_at_the_rover_stays(started, wire):
+    robot, env = started
+    wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[0.15, *scan.ranges[1:]])
+    moments: list[Moment] = []
+    before = robot.rover.env.rover_state.stamp
+    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, patience=2.0, watch=moments.append) == TOO_NEAR
+    assert 2.0 <= (robot.rover.env.rover_state.stamp - before).item() < 3.0
+    assert torch.dist(robot.position[:2], torch.tensor(START[:2])) < 0.05
+    assert len([moment for moment in moments if moment.seconds == 0]) > 1
 
 
 def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal_to_goal(env, wire):
@@ -123,7 +150,7 @@ def test_a_log_is_evaluated(log, env, tmp_path, capsys):
     with log.open("a") as file:
         file.write('{"position": [1.0, ')  # an incomplete line
     with DriveLog(log, "inspect", "other", 60.0) as more:
-        drive_to(env, ScriptedPolicy(), (-23.0, -24.0), clearance=20.0, log=more)
+        drive_to(env, ScriptedPolicy(), (-23.0, -24.0), clearance=20.0, patience=0.0, log=more)
     first, second = read_drives(log)  # policies are evaluated separately
     assert (first.endings, second.name, second.endings) == (["goal", STOPPED], "other", [TOO_NEAR])
 
