@@ -122,9 +122,10 @@ def drive_to(
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
-            tensordict = _begin(env, rover, goal, clearance, patience, watch)
+            tensordict = env.reset(goal=torch.tensor([goal]))
             if log is not None:
                 log.begin(env.rover_state, env.scan, goal)
+            tensordict = _wait_for_room(env, rover, tensordict, clearance, patience, watch)
             while not ending:
                 before = env.rover_state
                 due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
@@ -147,20 +148,19 @@ def drive_to(
     return ending
 
 
-def _begin(
+def _wait_for_room(
     env: RoverEnv,
     rover: Ros2Simulator,
-    goal: tuple[float, float],
+    tensordict: TensorDictBase,
     clearance: float,
     patience: float,
     watch: Callable[[Moment], None],
 ) -> TensorDictBase:
-    """Begins an episode, with a rover at rest, as soon as nothing is too near, or the patience is at its end."""
-    place = torch.tensor([goal])
-    tensordict, first = env.reset(goal=place), env.rover_state.stamp
+    """Begins the episode again, with a rover at rest, until nothing is too near or the patience is at its end."""
+    first = env.rover_state.stamp
     while tensordict["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
         watch(_moment(rover, tensordict, 0.0))
-        tensordict = env.reset(goal=place)
+        tensordict = env.reset(goal=env.goal)
     return tensordict
 
 

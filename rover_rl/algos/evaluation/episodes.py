@@ -201,7 +201,11 @@ def _seed_of(world: str | World) -> int:
 def _draw_in(
     place: tuple[str | World, int], *, robot: Robot, count: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Draws starts, goals and shortest paths of ``count`` episodes in a world from a seed on: see `draw_episodes`."""
+    """Draws the episodes of a world from a seed on, both in ``place``: see :func:`draw_episodes`.
+
+    Returns:
+        Starts ``[count, 3]``, goals ``[count, 2]`` and lengths of the shortest paths ``[count]``.
+    """
     world, seed, goal_radius = get_world(place[0]), place[1], TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for first in range(seed, seed + _MAX_DRAWS * count, count):

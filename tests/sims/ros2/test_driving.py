@@ -88,6 +88,20 @@ def test_a_drive_ends_if_who_stands_at_the_rover_stays(started, wire):
     assert len([moment for moment in moments if moment.seconds == 0]) > 1
 
 
+def test_a_drive_that_is_stopped_while_it_waits_is_logged_as_stopped(env, wire, tmp_path):
+    def interrupt(moment: Moment) -> None:
+        assert moment.seconds == 0
+        raise KeyboardInterrupt
+
+    wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[0.15, *scan.ranges[1:]])
+    path = tmp_path / "drive.jsonl"
+    with DriveLog(path, "inspect", "scripted", 60.0) as log, pytest.raises(KeyboardInterrupt):
+        drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=interrupt, log=log)
+    assert stopped(wire)
+    (drives,) = read_drives(path)
+    assert drives.endings == [STOPPED]
+
+
 def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal_to_goal(env, wire):
     policy = CountingPolicy()
     runner = PolicyRunner(policy)
