@@ -32,6 +32,7 @@ from rover_rl.sims.warp.simulator import GPU_LIDAR_LANES
 MODULES = (
     "rover_rl.sims.warp.kernels.dynamics",
     "rover_rl.sims.warp.kernels.lidar",
+    "rover_rl.sims.warp.kernels.placing",
     "rover_rl.sims.scenes.ray_kernels",
     "rover_rl.envs.seen_map.scan_kernels",
     "rover_rl.envs.seen_map.route_kernels",

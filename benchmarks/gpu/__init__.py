@@ -9,6 +9,7 @@ if the machine goes away, and ``gpu.png``. A section that fails is reported with
 - ``machine``: GPU, versions, and measured ceilings: memory bandwidth, float32 arithmetic, and the cost of a launch.
 - ``speed``: steps per second of physics, lidar and whole environment, by number of rovers, beams and worlds, and memory
   per rover.
+- ``steps``: what the device does in a step of the environment, kernel by kernel, and how many launches the host makes.
 - ``tuning``: the kernels with other block sizes and numbers of lidar threads per rover.
 - ``kernels``: time of each kernel beside what its arithmetic and its bytes need at the measured ceilings. With Nsight
   Compute (``ncu``), also divergence, occupancy and what warps wait for.
@@ -30,7 +31,7 @@ from rich.console import Group
 from benchmarks.options import Options
 from rover_rl.files import write_json
 
-SECTIONS = ("machine", "speed", "kernels", "training", "tuning", "processors")
+SECTIONS = ("machine", "speed", "steps", "kernels", "training", "tuning", "processors")
 """Sections in the order in which they run: what matters most comes first."""
 
 

@@ -25,8 +25,9 @@ from rover_rl.envs.seen_map.mover_kernels import close_ways
 from rover_rl.envs.seen_map.route_kernels import plan_routes
 from rover_rl.envs.seen_map.scan_kernels import add_scans
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
+from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.kernels.placing import place
 from rover_rl.sims.warp.simulator import GPU_BLOCK_SIZE
 
 KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_scans, close_ways, plan_routes)}

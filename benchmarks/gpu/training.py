@@ -33,7 +33,7 @@ LEAST_MINIBATCH = 2048
 
 
 class Phase(NamedTuple):
-    """What the device has done in a phase of training.
+    """What the device has done in a while.
 
     Attributes:
         wall: duration, s.
@@ -87,13 +87,13 @@ def _measure(config: TrainingConfig, device: torch.device) -> dict[str, Any]:
         shares = {}
         if device.type == "cuda":
             collected: list[TensorDictBase] = []
-            collection = _profiled(lambda: collected.append(next(batches)))
-            shares = shares_of(collection, _profiled(lambda: update(collected[0])))
+            collection = profiled(lambda: collected.append(next(batches)))
+            shares = shares_of(collection, profiled(lambda: update(collected[0])))
     return {"steps_per_s": rate, "minibatch": config.algorithm.minibatch, "clock": run.stopwatch.shares(), **shares}
 
 
-def _profiled(work: Callable[[], object]) -> Phase:
-    """Runs a phase of training under PyTorch's profiler."""
+def profiled(work: Callable[[], object]) -> Phase:
+    """Runs work under PyTorch's profiler, and returns what the device has done in it."""
     with profile(activities=[ProfilerActivity.CUDA]) as profiler:
         started = perf_counter()
         work()

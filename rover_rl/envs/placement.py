@@ -147,6 +147,7 @@ def scattered(drawn: Tensor, rows: Tensor | slice, count: int) -> Tensor:
 
 def _draw_bin(bits: Tensor, allowed: Tensor) -> Tensor:
     """Draws one of the heading bins that are set in ``allowed [N]`` (bit masks) for each row: int64 ``[N]``."""
-    rank = ((allowed[:, None] >> torch.arange(HEADINGS, device=allowed.device)) & 1).cumsum(1)
-    number = to_index(bits, rank[:, -1])
-    return (rank > number[:, None]).to(torch.uint8).argmax(1)
+    # A sum along the rows of memory would be slow on a GPU.
+    rank = ((allowed >> torch.arange(HEADINGS, device=allowed.device)[:, None]) & 1).cumsum(0)
+    number = to_index(bits, rank[-1])
+    return (rank > number).to(torch.uint8).argmax(0)

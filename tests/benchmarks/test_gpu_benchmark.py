@@ -56,6 +56,11 @@ def test_a_rehearsal_on_the_cpu_measures_everything(
         assert row["physics"] > row["environment"] > 0
         assert row["lidar"] > row["environment"]
         assert row["step_s"] > 0
+    assert [(row["rovers"], row["part"]) for row in results["steps"]] == [
+        *((8, "reset"), (8, "step")),
+        *((16, "reset"), (16, "step")),
+    ]
+    assert all(row["wall_s"] > 0 for row in results["steps"])
     assert all(row["steps_per_s"] > 0 for row in results["training"])
     assert {row["map"] for row in results["training"]} == {True, False}
     assert {row["lanes"] for row in results["tuning"]} == {1, 8}
@@ -65,7 +70,9 @@ def test_a_rehearsal_on_the_cpu_measures_everything(
     assert (tmp_path / "gpu.png").stat().st_size > 1000
     told = shown(gpu.table(results))
     assert "failed" not in told
-    assert all(title in told for title in ("Machine", "Steps/s", "Kernels", "PPO", "other settings", "CPU of"))
+    assert all(
+        title in told for title in ("Machine", "Steps/s", "A step of", "Kernels", "PPO", "other settings", "CPU of")
+    )
 
 
 def test_a_section_that_fails_does_not_end_the_others(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,8 +23,8 @@ class StepClock(Transform):
 
     - ``("clock", "worker")``: index of the process;
     - ``("clock", "simulator")``: time spent in the simulator (physics and lidar), s;
-    - ``("clock", "environment")``: time spent in steps of the environment, including the simulator and the transforms
-      before this one, s.
+    - ``("clock", "environment")``: time spent in steps and resets of the environment, including the simulator and, in
+      steps, the transforms before this one, s.
 
     The times are part of the data, so that they are also available from collectors in other processes. On a GPU, each
     measurement synchronizes with the device, unless the times are summed per batch.
@@ -45,13 +45,14 @@ class StepClock(Transform):
             self._events = {1: [], 2: []}
         self._started: Any = 0.0
         for part, method in ((env.simulator, "step"), (env.simulator, "reset"), (env.scanner, "scan")):
-            setattr(part, method, self._timed(getattr(part, method)))
+            setattr(part, method, self._timed(1, getattr(part, method)))
+        env._reset = self._timed(2, env._reset)  # type: ignore[method-assign]
 
-    def _timed(self, method: Callable[..., Any]) -> Callable[..., Any]:
+    def _timed(self, index: int, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
             started = self._now()
             result = method(*args, **kwargs)
-            self._add(1, started)
+            self._add(index, started)
             return result
 
         return call

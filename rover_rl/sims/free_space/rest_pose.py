@@ -7,13 +7,13 @@ from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 CLEARANCE = 5e-4
 """Gap between the lowest wheel and the ground, which avoids initial penetration, m."""
+RIM_ANGLE, RIM_POINTS = 1.2, 13
+"""Largest angle of the tested points of a wheel's rim from straight down (rad), and their number."""
 
 
 class Ground(Protocol):
@@ -25,40 +25,20 @@ class Ground(Protocol):
 
 
 class Stance(NamedTuple):
-    """Where a robot touches the ground, in its base frame, float64. Those of rows have a dimension ``[N]`` in front.
+    """Where a robot touches the ground, in its base frame, float64.
 
     Attributes:
-        hubs: x, y of the centers of the wheels, ``[W, 2]``, m. A wheel that a robot lacks is its first one again.
+        hubs: x, y of the centers of the wheels, ``[W, 2]``, m.
         middle: mean of them, ``[2]``.
-        arms: offsets of the hubs from it, ``[W, 2]``; 0 for a wheel that the robot lacks.
-        spread: sum of the squares of the arms, ``[2]``.
-        present: 1 for a wheel, 0 for one that the robot lacks, ``[W]``.
         rims: points on the lower half of the wheels' rims, ``[P, 3]``, m.
     """
 
     hubs: Tensor
     middle: Tensor
-    arms: Tensor
-    spread: Tensor
-    present: Tensor
     rims: Tensor
 
 
-class Stances:
-    """Stances of the robots of a fleet, by index."""
-
-    def __init__(self, fleet: Fleet) -> None:
-        wheels, device = max(len(robot.wheels.hubs) for robot in fleet.robots), fleet.index.device
-        stances = [_stance(robot, device, wheels) for robot in fleet.robots]
-        self._only = stances[0] if len(stances) == 1 else None
-        self._stances = Stance(*map(torch.stack, zip(*stances, strict=True)))
-
-    def of_rows(self, index: Tensor) -> Stance:
-        """Returns the stances of the robots at indices (int64 ``[N]``); that of the only robot for all rows."""
-        return self._only or Stance(*(part[index] for part in self._stances))
-
-
-def rest_on_ground(ground: Ground, robot: Robot | Stance, poses: Tensor) -> tuple[Tensor, Tensor]:
+def rest_on_ground(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the poses of rovers that stand on the ground.
 
     A rover is aligned with the plane fitted to the ground below its wheels, and raised until no wheel is below the
@@ -66,7 +46,7 @@ def rest_on_ground(ground: Ground, robot: Robot | Stance, poses: Tensor) -> tupl
 
     Args:
         ground: ground below the rovers.
-        robot: robot that defines the wheels, or the stances of the rows.
+        robot: robot that defines the wheels.
         poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
 
     Returns:
@@ -74,7 +54,7 @@ def rest_on_ground(ground: Ground, robot: Robot | Stance, poses: Tensor) -> tupl
         are float64, so that a result does not depend on the size of the batch.
     """
     poses = poses.double()
-    stance = robot if isinstance(robot, Stance) else _stance(robot, poses.device)
+    stance = _stance(robot, poses.device)
     height, rotation = ground_frame(ground, stance, poses)
     position = torch.cat((poses[:, :2], height[:, None]), -1)
     rims = position[:, None] + (rotation[:, None] @ stance.rims[..., None]).squeeze(-1)
@@ -88,40 +68,34 @@ def ground_frame(ground: Ground, stance: Stance, poses: Tensor) -> tuple[Tensor,
 
     Returns its height at x, y, ``[N]`` (m), and the rotation of a rover on it, ``[N, 3, 3]``.
     """
-    hubs = stance.hubs
+    hubs, arms = stance.hubs, stance.hubs - stance.middle
     xy, yaw = poses[:, :2], poses[:, 2]
     ahead = torch.stack((yaw.cos(), yaw.sin()), -1)
     left = torch.stack((-yaw.sin(), yaw.cos()), -1)
     below = xy[:, None] + hubs[..., :1] * ahead[:, None] + hubs[..., 1:] * left[:, None]
     heights = ground.height_at(below)
     # Least squares. The wheels' x and y are uncorrelated, so the slopes are separate regressions.
-    slopes = (heights[..., None] * stance.arms).sum(1) / stance.spread
+    slopes = (heights[..., None] * arms).sum(1) / (arms**2).sum(0)
     up = torch.cat((-slopes[:, :1] * ahead - slopes[:, 1:] * left, torch.ones_like(slopes[:, :1])), -1)
     up = up / up.norm(dim=-1, keepdim=True)
     forward = torch.cat((ahead, slopes[:, :1]), -1)
     forward = forward - (forward * up).sum(-1, keepdim=True) * up
     forward = forward / forward.norm(dim=-1, keepdim=True)
     rotation = torch.stack((forward, torch.linalg.cross(up, forward), up), -1)
-    mean = (heights * stance.present).sum(1) / stance.present.sum(-1)
-    return mean - (slopes * stance.middle).sum(-1), rotation
+    return heights.mean(1) - (slopes * stance.middle).sum(-1), rotation
 
 
 @lru_cache(maxsize=16)
-def _stance(robot: Robot, device: torch.device, wheels: int | None = None) -> Stance:
-    """Returns the stance of a robot, padded to ``wheels`` wheels. A copy to a GPU waits for its other work."""
+def _stance(robot: Robot, device: torch.device) -> Stance:
+    """Returns the stance of a robot. A copy to a GPU waits for its other work."""
     centers = torch.tensor(robot.wheels.hubs, dtype=torch.float64, device=device)
-    added = (wheels or len(centers)) - len(centers)
-    hubs, middle = centers[:, :2], centers[:, :2].mean(0)
-    arms, present = pad(hubs - middle, (0, 0, 0, added)), pad(torch.ones_like(hubs[:, 0]), (0, added))
-    rims = _rims(robot, centers)
-    rims = torch.cat((rims, rims[:1].expand(added * len(rims) // len(centers), 3)))
-    hubs = torch.cat((hubs, hubs[:1].expand(added, 2)))
-    return Stance(hubs, middle, arms, (arms**2).sum(0), present, rims)
+    hubs = centers[:, :2]
+    return Stance(hubs, hubs.mean(0), _rims(robot, centers))
 
 
 def _rims(robot: Robot, hubs: Tensor) -> Tensor:
     """Returns points on the lower half of the rims of wheels at ``hubs [W, 3]`` in the base frame: ``[P, 3]``, m."""
-    angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=hubs.device)
+    angle = torch.linspace(-RIM_ANGLE, RIM_ANGLE, RIM_POINTS, dtype=torch.float64, device=hubs.device)
     across = torch.tensor(
         (-robot.wheels.width / 2, 0.0, robot.wheels.width / 2), dtype=torch.float64, device=hubs.device
     )

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
-from rover_rl.sims.free_space.rest_pose import Stances, rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
@@ -22,17 +21,17 @@ from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.scenes.table import SceneTable
-from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
+from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.kernels.placing import place
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import Obstacle, Terrain, World
-from rover_rl.sims.worlds.table import TerrainTable, WorldTable
+from rover_rl.sims.worlds.table import WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
@@ -79,7 +78,6 @@ class WarpSimulator:
         self.control_dt = self.settings.control_dt
         self.fleet = Fleet.of(robot, count, self.device)
         self._drive = SimulatedDrives.of(self.fleet, self.control_dt)
-        self._stances = Stances(self.fleet)
         self._renderers: dict[Robot, RendererCache] = {}
 
         inertial_models = [read_inertial_model(each) for each in self.fleet.robots]
@@ -88,9 +86,8 @@ class WarpSimulator:
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
         self._scenes = SceneTable(self._worlds.capacity, self._models.reach, self._wp_device)
-        self._terrains = TerrainTable(self.device)
         self.enter_worlds()
-        self._poses = wp.from_torch(self._buffers.poses)
+        self._poses = wp.from_torch(self._buffers.poses, dtype=wp.vec3)
         self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
         self._movers: MoverField | None = None
@@ -184,7 +181,6 @@ class WarpSimulator:
         with wp.ScopedStream(self._stream):
             for slot, world in self._entered().items():
                 self._scenes[slot] = world
-                self._terrains[slot] = world.terrain
         self._buffers.scene.copy_(self._worlds.slots)
 
     def prepare_world(self, world: World) -> None:
@@ -197,21 +193,12 @@ class WarpSimulator:
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
-        self._set_rest_poses(mask, poses)
+        self._buffers.poses.copy_(poses)
         self._buffers.active.copy_(mask)
-        inputs = [self._models.models, self._buffers.rovers, self._poses]
+        inputs = [self._scenes.scenes, self._models.models, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
         self._drive.reset(mask)
         return self.state()
-
-    def _set_rest_poses(self, mask: Tensor, poses: Tensor) -> None:
-        """Computes the resting poses of the rovers of ``mask`` on the ground of their worlds."""
-        # On the CPU, computes only the rows of the mask. On a GPU, selecting rows would synchronize with the device.
-        chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
-        ground = self._terrains.of(self._buffers.scene[chosen].long())
-        position, rotation = rest_on_ground(ground, self._stances.of_rows(self.fleet.index[chosen]), poses[chosen])
-        target = self._buffers.poses
-        target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         """Sets the dynamics of the rovers of ``mask``: see :meth:`Simulator.set_dynamics`."""

@@ -23,7 +23,7 @@ class StateBuffers:
 
     Attributes:
         rovers: Warp arrays for the kernels.
-        poses: poses of the base frames for the next placement, position (m) and quaternion (x, y, z, w), ``[N, 7]``.
+        poses: planar poses of the base frames for the next placement: x, y (m) and yaw (rad), ``[N, 3]``.
         scene: index of each rover's world in the array of scenes, int32 ``[N]``.
         robot: index of each rover's robot in the array of models, int32 ``[N]``.
         target_speeds: target speed of each motor, ``[N, M]``, rad/s.
@@ -44,7 +44,7 @@ class StateBuffers:
         wheels = max(len(model.hubs) for model in models)
         motors = max(len(robot.drive.motors) for robot in fleet.robots)
         steering = max(len(robot.drive.steering) for robot in fleet.robots)
-        self.poses = zeros(count, 7)
+        self.poses = zeros(count, 3)
         self.scene, self.robot = zeros(count, dtype=torch.int32), fleet.index.int()
         self.target_speeds, self.target_angles = zeros(count, motors), zeros(count, steering)
         self.active = torch.ones(count, dtype=torch.bool, device=device)

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -188,5 +189,7 @@ def test_training_on_a_gpu_continues_where_it_was(config: TrainingConfig, tmp_pa
     first = run(config, tmp_path)
     again = run(config, tmp_path, first.folder, total_steps=512, name=first.folder.name)
     assert (first.steps, again.steps) == (256, 512)
-    actor = Checkpoint.load(again.checkpoint).make_actor()
-    assert len(evaluate(actor, draw_episodes("maze", 2, 0), seconds=1).endings) == 2
+    checkpoint = Checkpoint.load(again.checkpoint)
+    env = replace(checkpoint.env, device="cpu")
+    found = evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), env=env, seconds=1)
+    assert len(found.endings) == 2

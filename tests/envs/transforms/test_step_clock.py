@@ -15,8 +15,9 @@ def test_the_clock_goes_with_the_data() -> None:
     assert simulator.dtype == torch.float64
     assert (simulator == simulator[:1]).all()
     assert (simulator.diff(dim=1) > 0).all()
-    # A reset costs the simulator time outside of steps; each step is longer than what the simulator does in it.
+    # Each step is longer than what the simulator does in it, and so is the reset before the first.
     assert (environment.diff(dim=1) > simulator.diff(dim=1)).all()
+    assert (environment > simulator).all()
 
 
 def test_the_environment_stays_one_by_its_specs() -> None:

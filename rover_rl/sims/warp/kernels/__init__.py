@@ -10,6 +10,7 @@ Modules:
     convex: penetration of a box or wheel into a convex obstacle.
     contacts: collision detection and the constraint rows of a contact.
     dynamics: constraint solver and time integration.
+    placing: placement at rest on the ground.
     scan_plane: plane of a scan, and how far the lidar sees in it.
     lidar: planar lidar scan.
 

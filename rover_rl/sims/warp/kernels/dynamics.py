@@ -428,30 +428,3 @@ def write_base_state(model: RobotModel, rovers: RoverArrays, row: int):
     # Robots with fewer motors than others of the batch have their angles in the same columns.
     for joint in range(rovers.angles.shape[1]):
         rovers.base_state[row, 7 + rovers.target_speeds.shape[1] + joint] = rovers.angles[row, joint]
-
-
-@wp.kernel
-def place(models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array2d[float]):
-    """Places the active rovers at rest, with no stored impulses; thread ``t`` places rover ``t``.
-
-    ``poses`` are those of the base frames: position (m) and quaternion (x, y, z, w), ``[N, 7]``.
-    """
-    row = wp.tid()
-    if not rovers.active[row]:
-        return
-    orientation = wp.quat(poses[row, 3], poses[row, 4], poses[row, 5], poses[row, 6])
-    base = wp.vec3(poses[row, 0], poses[row, 1], poses[row, 2])
-    rovers.position[row] = base + wp.quat_rotate(orientation, rovers.center[row])
-    rovers.orientation[row] = orientation
-    rovers.velocity[row] = wp.vec3(0.0, 0.0, 0.0)
-    rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, 0.0)
-    for n in range(rovers.wheel_spins.shape[1]):
-        rovers.wheel_spins[row, n] = 0.0
-    for n in range(rovers.impulses.shape[1]):
-        rovers.impulses[row, n] = 0.0
-    for joint in range(rovers.angles.shape[1]):
-        rovers.angles[row, joint] = 0.0
-    rovers.contact[row] = False
-    rovers.mover_contact[row] = False
-    clear_reports(rovers, row)
-    write_base_state(models[rovers.robot[row]], rovers, row)
