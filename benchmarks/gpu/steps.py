@@ -16,8 +16,7 @@ from rich.console import Group
 from rich.table import Table
 
 from benchmarks.gpu.speed import MANY_ROVERS, Drive, driving
-from benchmarks.gpu.timing import timed
-from benchmarks.gpu.training import profiled
+from benchmarks.gpu.timing import profiled, timed
 from benchmarks.options import Options
 from rover_rl.algos.train.collectors import with_new_episodes
 

@@ -6,8 +6,11 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
+from torch.autograd import DeviceType
+from torch.profiler import ProfilerActivity, profile
 
 WARM_UP = 3
 """Number of calls before the measurement. The first one compiles kernels."""
@@ -28,6 +31,18 @@ class Timing:
     wall: float
     device: float
     host: float
+
+
+class Phase(NamedTuple):
+    """What a GPU does during some work.
+
+    Attributes:
+        wall: duration, s.
+        kernels: name and duration (s) of each kernel and copy.
+    """
+
+    wall: float
+    kernels: list[tuple[str, float]]
 
 
 def timed(
@@ -68,6 +83,17 @@ def timed(
     wall = (time.perf_counter() - started) / count
     on_device = [first.elapsed_time(last) / 1000 for first, last in events] or host
     return Timing(wall=wall, device=statistics.median(on_device), host=statistics.median(host))
+
+
+def profiled(work: Callable[[], object]) -> Phase:
+    """Runs work under PyTorch's profiler, and returns what the GPU does during it."""
+    with profile(activities=[ProfilerActivity.CUDA]) as profiler:
+        started = time.perf_counter()
+        work()
+        torch.cuda.synchronize()
+        wall = time.perf_counter() - started
+    events = [event for event in profiler.events() if event.device_type == DeviceType.CUDA]
+    return Phase(wall, [(event.name, event.time_range.elapsed_us() * 1e-6) for event in events])
 
 
 def _wait(device: torch.device) -> None:

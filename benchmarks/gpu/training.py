@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from rich.table import Table
 from tensordict import TensorDictBase
-from torch.autograd import DeviceType
-from torch.profiler import ProfilerActivity, profile
 
 from benchmarks.gpu.kernels import KERNELS
+from benchmarks.gpu.timing import Phase, profiled
 from benchmarks.options import Options
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.train.ppo import PPOLearner
@@ -30,18 +28,6 @@ MINIBATCHES = 4
 """Number of minibatches that a batch is divided into."""
 LEAST_MINIBATCH = 2048
 """Least number of decisions of a minibatch."""
-
-
-class Phase(NamedTuple):
-    """What the device has done in a while.
-
-    Attributes:
-        wall: duration, s.
-        kernels: name and duration (s) of each kernel and copy.
-    """
-
-    wall: float
-    kernels: list[tuple[str, float]]
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[dict[str, Any]]:
@@ -90,17 +76,6 @@ def _measure(config: TrainingConfig, device: torch.device) -> dict[str, Any]:
             collection = profiled(lambda: collected.append(next(batches)))
             shares = shares_of(collection, profiled(lambda: update(collected[0])))
     return {"steps_per_s": rate, "minibatch": config.algorithm.minibatch, "clock": run.stopwatch.shares(), **shares}
-
-
-def profiled(work: Callable[[], object]) -> Phase:
-    """Runs work under PyTorch's profiler, and returns what the device has done in it."""
-    with profile(activities=[ProfilerActivity.CUDA]) as profiler:
-        started = perf_counter()
-        work()
-        torch.cuda.synchronize()
-        wall = perf_counter() - started
-    events = [event for event in profiler.events() if event.device_type == DeviceType.CUDA]
-    return Phase(wall, [(event.name, event.time_range.elapsed_us() * 1e-6) for event in events])
 
 
 def shares_of(collection: Phase, update: Phase) -> dict[str, float]:

@@ -58,19 +58,11 @@ def lowest_gap(scene: Scene, model: RobotModel, base: wp.vec3, rotation: wp.mat3
     return gap
 
 
-@wp.kernel
-def place(scenes: wp.array[Scene], models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array[wp.vec3]):
-    """Places the active rovers at rest on the ground, with no stored impulses; thread ``t`` places rover ``t``.
-
-    ``poses`` are planar poses of the base frames: x, y (m) and yaw (rad), ``[N]``.
-    """
-    row = wp.tid()
-    if not rovers.active[row]:
-        return
-    scene = scenes[rovers.scene[row]]
-    model = models[rovers.robot[row]]
-    at = wp.vec2(poses[row][0], poses[row][1])
-    ahead = wp.vec2(wp.cos(poses[row][2]), wp.sin(poses[row][2]))
+@wp.func
+def pose_at_rest(scene: Scene, model: RobotModel, pose: wp.vec3) -> wp.transform:
+    """Pose of the base frame of a rover at rest on the ground, for a planar pose: x, y (m) and yaw (rad)."""
+    at = wp.vec2(pose[0], pose[1])
+    ahead = wp.vec2(wp.cos(pose[2]), wp.sin(pose[2]))
     plane = fitted_plane(scene, model, at, ahead)
     east = -plane[1] * ahead[0] + plane[2] * ahead[1]
     north = -plane[1] * ahead[1] - plane[2] * ahead[0]
@@ -83,8 +75,22 @@ def place(scenes: wp.array[Scene], models: wp.array[RobotModel], rovers: RoverAr
     orientation = wp.quat_from_matrix(rotation)
     if orientation[3] < 0.0:
         orientation = -orientation
+    return wp.transform(base, orientation)
 
-    rovers.position[row] = base + wp.quat_rotate(orientation, rovers.center[row])
+
+@wp.kernel
+def place(scenes: wp.array[Scene], models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array[wp.vec3]):
+    """Places the active rovers at rest on the ground, with no stored impulses; thread ``t`` places rover ``t``.
+
+    ``poses`` are planar poses of the base frames: x, y (m) and yaw (rad), ``[N]``.
+    """
+    row = wp.tid()
+    if not rovers.active[row]:
+        return
+    model = models[rovers.robot[row]]
+    pose = pose_at_rest(scenes[rovers.scene[row]], model, poses[row])
+    orientation = wp.transform_get_rotation(pose)
+    rovers.position[row] = wp.transform_get_translation(pose) + wp.quat_rotate(orientation, rovers.center[row])
     rovers.orientation[row] = orientation
     rovers.velocity[row] = wp.vec3(0.0, 0.0, 0.0)
     rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, 0.0)
