@@ -112,29 +112,31 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
     wide, ahead, behind = body.half_width + kept, body.ahead + kept, body.behind + kept
     solid = gap > 0
     beside = solid & (y.abs() < wide)
-    lengths = [
+    straight = (
         (x - ahead).masked_fill(~beside | (x < 0), math.inf).amin(-1),
         (-x - behind).masked_fill(~beside | (x > 0), math.inf).amin(-1),
-    ]
-    for ratio in RADII:
-        radius = ratio * body.radius
-        for side in (1.0, -1.0):
-            aside = radius - side * y
-            distance = _length(x, aside).clamp(min=1e-6)
-            angle = angle_of(torch.stack((aside, x), -1))
-            inner, outer = radius - wide, radius + wide
-            at_side = (inner / distance).clamp(-1, 1).acos()
-            at_other = -(outer / distance).clamp(max=1).acos()
-            reached = solid & (distance > inner)
-            swung = solid & (distance > outer)
-            for gear, front, back in ((1.0, ahead, behind), (-1.0, behind, ahead)):
-                entry = torch.minimum(at_side, (front / distance).clamp(max=1).asin())
-                turn = (gear * angle - entry).remainder(_TURN)
-                turn = turn.masked_fill(~reached | (distance > _length(front, outer)), _TURN)
-                swing = (gear * angle - at_other).remainder(_TURN)
-                swing = swing.masked_fill(~swung | (distance > _length(back, outer)), _TURN)
-                lengths.append((radius * torch.minimum(turn, swing)).amin(-1))
-    return torch.stack(lengths, -1)
+    )
+    # Bent arcs, [N, B, P] each: a radius and a side in each of the B rows.
+    x, solid, wide, ahead, behind = (part[:, None] for part in (x, solid, wide, ahead, behind))
+    side = x.new_tensor((1.0, -1.0)).repeat(len(RADII))[:, None]
+    radius = x.new_tensor(RADII).repeat_interleave(2)[:, None] * body.radius[:, None]
+    aside = radius - side * y[:, None]
+    distance = _length(x, aside).clamp(min=1e-6)
+    angle = angle_of(torch.stack((aside, x.expand_as(aside)), -1))
+    inner, outer = radius - wide, radius + wide
+    at_side = (inner / distance).clamp(-1, 1).acos()
+    at_other = -(outer / distance).clamp(max=1).acos()
+    reached = solid & (distance > inner)
+    swung = solid & (distance > outer)
+    bent = []
+    for gear, front, back in ((1.0, ahead, behind), (-1.0, behind, ahead)):
+        entry = torch.minimum(at_side, (front / distance).clamp(max=1).asin())
+        turn = (gear * angle - entry).remainder(_TURN)
+        turn = turn.masked_fill(~reached | (distance > _length(front, outer)), _TURN)
+        swing = (gear * angle - at_other).remainder(_TURN)
+        swing = swing.masked_fill(~swung | (distance > _length(back, outer)), _TURN)
+        bent.append((radius * torch.minimum(turn, swing)).amin(-1))
+    return torch.cat((torch.stack(straight, -1), torch.stack(bent, -1).flatten(1)), -1)
 
 
 def drive_to(

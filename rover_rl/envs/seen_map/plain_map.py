@@ -54,6 +54,8 @@ _DIGITS = (1.0, 16.0, 256.0, 4096.0, 65536.0)
 The sides are ``PARTS - 1 - first`` and ``last`` along x, and along y, as for the kernels."""
 _STEPS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 """Columns and rows from a cell to its neighbors, in the order of the kernels."""
+_HALFWAY = (STRETCH + 1) // 2
+"""Largest distance from a cell to those that it is halfway between, in columns and rows."""
 _SWEEPS = 4
 """Sweeps over all cells from one check of the end to the next."""
 
@@ -223,15 +225,18 @@ def _with_scan(codes: Tensor, walls: Tensor, scan: Scan) -> Tensor:
 
 def _walls(heights: Tensor) -> Tensor:
     """Returns the cells halfway between two whose heights differ too much: see ``close_steep`` in ``scan_kernels``."""
-    around, closed = F.pad(heights, (STRETCH,) * 4, value=UNSEEN), torch.zeros_like(heights, dtype=torch.bool)
+    padded, near = F.pad(heights, (_HALFWAY,) * 4, value=UNSEEN), range(2 * _HALFWAY + 1)
+    rows = [padded.narrow(0, row, SIZE) for row in near]
+    around = {(row, column): rows[row].narrow(1, column, SIZE) for row, column in product(near, repeat=2)}
+    seen = {place: cells > UNSEEN for place, cells in around.items()}
+    closed = torch.zeros_like(heights, dtype=torch.bool)
     for offset in product(range(-STRETCH, STRETCH + 1), repeat=2):
         distance = math.hypot(*offset)
-        if distance <= STRETCH:
+        if 0 < distance <= STRETCH:
             # The cell halfway, rounded to the higher one.
-            row, column = (STRETCH - int(math.copysign((abs(part) + 1) // 2, part)) for part in offset)
-            lower = around[row:, column:][:SIZE, :SIZE]
-            higher = around[row + offset[0] :, column + offset[1] :][:SIZE, :SIZE]
-            closed = closed | ((lower > UNSEEN) & (higher - lower > math.tan(MAX_TILT) * CELL * (distance + 1.0)))
+            row, column = (_HALFWAY - int(math.copysign((abs(part) + 1) // 2, part)) for part in offset)
+            rise = around[row + offset[0], column + offset[1]] - around[row, column]
+            closed = closed | (seen[row, column] & (rise > math.tan(MAX_TILT) * CELL * (distance + 1.0)))
     return closed
 
 
