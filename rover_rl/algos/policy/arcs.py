@@ -116,11 +116,11 @@ def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
         (x - ahead).masked_fill(~beside | (x < 0), math.inf).amin(-1),
         (-x - behind).masked_fill(~beside | (x > 0), math.inf).amin(-1),
     )
-    # Bent arcs, [N, B, P] each: a radius and a side in each of the B rows.
+    # Bent arcs, [N, B, P] each: with each radius, to the left and to the right. Tensors of constants would have to be
+    # copied from the host to a GPU.
     x, solid, wide, ahead, behind = (part[:, None] for part in (x, solid, wide, ahead, behind))
-    side = x.new_tensor((1.0, -1.0)).repeat(len(RADII))[:, None]
-    radius = x.new_tensor(RADII).repeat_interleave(2)[:, None] * body.radius[:, None]
-    aside = radius - side * y[:, None]
+    radius = torch.stack([ratio * body.radius for ratio in RADII for _ in ("left", "right")], 1)
+    aside = radius - torch.stack((y, -y) * len(RADII), 1)
     distance = _length(x, aside).clamp(min=1e-6)
     angle = angle_of(torch.stack((aside, x.expand_as(aside)), -1))
     inner, outer = radius - wide, radius + wide
