@@ -12,6 +12,7 @@ from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.native.shapes import make_hull, make_mesh, terrain_strips
 from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.region import expanded
 
 STATIC, ROVERS = 1, 2
 """Collision groups. Rovers collide with the world and not with one another."""
@@ -76,11 +77,9 @@ def _add_ground(client: int, world: World) -> list[int]:
     if terrain.is_flat:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         return [_add_static(client, plane, _ground_frame(np.array((0.0, 0.0, 1.0))), terrain.heights[0, 0].item())]
-    (x_low, x_high), (y_low, y_high) = world.bounds
-    area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
     bodies = []
     # A heightfield would align with the axes of the rotated frame, so the ground is a mesh.
-    for strip in terrain_strips(terrain, area):
+    for strip in terrain_strips(terrain, expanded(world.bounds, GROUND_MARGIN)):
         vertices, faces = (part.numpy() for part in terrain.mesh(*strip))
         a, b, c = (vertices[faces[:, corner]] for corner in range(3))
         frame = _ground_frame(np.cross(b - a, c - a).sum(0))
@@ -120,9 +119,16 @@ def set_contact(client: int, body: int, link: int, friction: float, settings: Bu
     )
 
 
-def add_mesh_bodies(client: int, world: World) -> None:
-    """Adds terrain and obstacles as concave triangle meshes, the targets of the lidar rays."""
-    meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain)]
+def add_mesh_bodies(client: int, world: World, reach: float) -> None:
+    """Adds terrain and obstacles as concave triangle meshes, the targets of the lidar rays.
+
+    Args:
+        client: Bullet client.
+        world: world whose geometry is added.
+        reach: length of the rays, m. Terrain that no ray reaches from the ground of :func:`load_world` is left out.
+    """
+    area = expanded(world.bounds, GROUND_MARGIN + reach)
+    meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain, area)]
     if world.obstacles:
         offsets = torch.tensor([0] + [len(o.vertices) for o in world.obstacles]).cumsum(0)
         faces = torch.cat([o.faces + offset for o, offset in zip(world.obstacles, offsets[:-1], strict=True)])

@@ -42,9 +42,9 @@ class Lidar:
 
     def __init__(self, world: World, robot: Robot, angles: np.ndarray) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
-        add_mesh_bodies(self.client, world)
         self._mount = np.array(robot.lidar_position)
         self._range = robot.lidar_range
+        add_mesh_bodies(self.client, world, self._range)
         self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
         self._solids = SolidTest(world)
         # Reused buffers: new memory would have to be paged in for every scan.

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.worlds import Obstacle, Terrain, World
+from rover_rl.sims.worlds import Obstacle, World
+from rover_rl.sims.worlds.region import expanded
 
 GROUND_MARGIN = 3.0
 """Width of the ground for contacts beyond a world's bounds, m."""
@@ -61,21 +62,22 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
 
 
-def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
+def add_ground_tiles(spec: mujoco.MjSpec, world: World, reach: float) -> None:
     """Adds the ground for lidar rays: a plane of its extent if it is flat, tiles of triangles otherwise.
 
     Rays against a height field take 40 times as long, because MuJoCo tests all cells of the rectangle that the ray
-    spans.
+    spans. Ground that no ray of length ``reach`` (m) meets from the ground of :func:`add_ground` is left out.
     """
+    terrain = world.terrain
     if terrain.is_flat:
         center = (*((low + high) / 2 for low, high in terrain.extent), terrain.heights[0, 0].item())
         size = (*((high - low) / 2 for low, high in terrain.extent), 1)
         _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, pos=center, size=size)
         return
     step = max(1, round(TILE / terrain.cell))
-    rows, columns = terrain.heights.shape
-    for row in range(0, rows - 1, step):
-        for column in range(0, columns - 1, step):
+    rows, columns = terrain.covering(expanded(world.bounds, GROUND_MARGIN + reach))
+    for row in range(rows.start // step * step, rows.stop - 1, step):
+        for column in range(columns.start // step * step, columns.stop - 1, step):
             part = slice(row, row + step + 1), slice(column, column + step + 1)
             vertices, faces = (array.numpy() for array in terrain.mesh(*part))
             # A vertex of no triangle: MuJoCo computes the convex hull of every mesh, which fails for a flat one.

@@ -19,15 +19,16 @@ class Scene:
 
     Args:
         world: world to scan.
+        reach: length of the rays, m.
 
     Attributes:
         model: MuJoCo model of the geometry.
         solids: test for points inside the solids of the world.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, reach: float) -> None:
         spec = mujoco.MjSpec()
-        add_ground_tiles(spec, world.terrain)
+        add_ground_tiles(spec, world, reach)
         add_obstacles(spec, world)
         self.model = spec.compile()
         self.solids = SolidTest(world)

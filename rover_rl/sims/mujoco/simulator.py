@@ -112,7 +112,7 @@ class MujocoSimulator:
 
     def scanner(self, beams: int) -> MujocoScanner:
         """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
-        scenes = {world: Scene(world) for world in dict.fromkeys(self._worlds)}
+        scenes = {world: Scene(world, self._robot.lidar_range) for world in dict.fromkeys(self._worlds)}
         angles = beam_angles(beams)
         shares = (share for shares in self._threads for share in shares)
         lidars = {share: Lidar(scenes[share.world], self._robot, angles.numpy()) for share in shares}

@@ -21,24 +21,16 @@ MESH_CELLS = 60_000
 """Maximum number of cells in one strip of a terrain mesh. Bullet accepts at most 524,288 indices per mesh."""
 
 
-def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[slice, slice]]:
-    """Splits a terrain into strips that are small enough for one mesh each and share their borders.
-
-    Args:
-        terrain: terrain to split.
-        area: area to cover, m. ``None`` covers all of the terrain.
+def terrain_strips(terrain: Terrain, area: Area) -> list[tuple[slice, slice]]:
+    """Splits the part of a terrain that covers an area into strips, small enough for one mesh each, with common borders.
 
     Returns:
         Rows and columns of each strip.
     """
-    rows, columns = terrain.heights.shape
-    (x_low, x_high), (y_low, y_high) = area or terrain.extent
-    left, right = (int((x - terrain.origin[0]) // terrain.cell) for x in (x_low, x_high))
-    bottom, top = (int((y - terrain.origin[1]) // terrain.cell) for y in (y_low, y_high))
-    across = slice(max(left, 0), min(right + 2, columns))
-    bottom, top = max(bottom, 0), min(top + 1, rows - 1)
-    step = max(1, MESH_CELLS // (across.stop - across.start))
-    return [(slice(row, min(row + step, top) + 1), across) for row in range(bottom, top, step)]
+    rows, columns = terrain.covering(area)
+    step = max(1, MESH_CELLS // (columns.stop - columns.start))
+    last = rows.stop - 1
+    return [(slice(row, min(row + step, last) + 1), columns) for row in range(rows.start, last, step)]
 
 
 def make_hull(client: int, vertices: np.ndarray) -> int:

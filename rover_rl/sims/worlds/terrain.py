@@ -9,6 +9,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from rover_rl.sims.worlds.region import Area
+
 MAX_SLOPE = math.radians(25)
 """Largest slope of ground that rovers drive and start on, rad."""
 
@@ -120,6 +122,17 @@ class Terrain:
         h01, h11 = heights[j + 1, i], heights[j + 1, i + 1]
         height, rise_x, rise_y = interpolate_triangles(u, v, h00, h10, h01, h11)
         return height, rise_x / self.cell, rise_y / self.cell
+
+    def covering(self, area: Area) -> tuple[slice, slice]:
+        """Returns the rows and columns of the part of the grid that covers an area, at least one cell."""
+        columns, rows = (
+            slice(
+                min(max(int((low - start) // self.cell), 0), count - 2),
+                max(min(int((high - start) // self.cell) + 2, count), 2),
+            )
+            for (low, high), start, count in zip(area, self.origin, reversed(self.heights.shape), strict=True)
+        )
+        return rows, columns
 
     def mesh(self, rows: slice = slice(None), columns: slice = slice(None)) -> tuple[Tensor, Tensor]:
         """Returns the triangle mesh of a part of the grid, by slices without a step.
