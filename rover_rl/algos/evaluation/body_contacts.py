@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -45,16 +46,22 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
 
 def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
     """Returns the obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
-    near: list[Tensor] = []
-    for solids in groups_of(world.obstacles):
-        outlines = torch.from_numpy(solids.outlines)
-        center = outlines.mean(1)
-        radius = (outlines - center[:, None]).norm(dim=-1).amax(1)
-        nearest = torch.stack([torch.cdist(part, center).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
-        # The margin covers rounding. Obstacles that are not near are sorted out later.
-        near.append(nearest <= radius + reach + 1e-3)
-    flags = torch.cat(near).tolist() if near else []
-    return [obstacle for obstacle, is_near in zip(world.obstacles, flags, strict=True) if is_near]
+    if not world.obstacles:
+        return []
+    centers, radii = _circles(world)
+    nearest = torch.stack([torch.cdist(part, centers).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
+    # The margin covers rounding. Obstacles that are not near are sorted out later.
+    near = (nearest <= radii + reach + 1e-3).nonzero().squeeze(-1)
+    return [world.obstacles[index] for index in near.tolist()]
+
+
+@lru_cache(maxsize=64)
+def _circles(world: World) -> tuple[Tensor, Tensor]:
+    """Centers ``[N, 2]`` and radii ``[N]`` of the obstacles' bounding circles, seen from above, float64, m."""
+    outlines = [torch.from_numpy(solids.outlines) for solids in groups_of(world.obstacles)]
+    centers = [group.mean(1) for group in outlines]
+    radii = [(g - c[:, None]).norm(dim=-1).amax(1) for g, c in zip(outlines, centers, strict=True)]
+    return torch.cat(centers), torch.cat(radii)
 
 
 def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:

@@ -22,7 +22,7 @@ MESH_CELLS = 60_000
 
 
 def terrain_strips(terrain: Terrain, area: Area) -> list[tuple[slice, slice]]:
-    """Splits the part of a terrain that covers an area into strips, small enough for one mesh each, with common borders.
+    """Splits the part of a terrain that covers an area into strips for one mesh each, which share their borders.
 
     Returns:
         Rows and columns of each strip.

@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import minimize
 
 from rover_rl.sims.drives.skid_steer import SkidSteer
 
@@ -61,6 +60,9 @@ def effective_track(points: np.ndarray, sides: Sequence[int], center: Sequence[f
         # The right wheels roll ahead with speed 1, the left ones back.
         slip = ahead - turn * y + signs, left + turn * x
         return float(loads @ np.sqrt(slip[0] ** 2 + slip[1] ** 2 + _ROUNDING**2))
+
+    # Importing it takes 0.2 seconds, and most programs do without.
+    from scipy.optimize import minimize
 
     tolerances = {"xatol": 1e-6, "fatol": 1e-12}
     least = minimize(power, np.array((0.0, 0.0, 0.5)), method="Nelder-Mead", options=tolerances)
