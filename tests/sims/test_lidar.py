@@ -111,6 +111,17 @@ def test_terrain_blocks_beams(backend):
     assert 2.75 - MOUNT < ranges[0] < 2.85 - MOUNT
 
 
+def test_ground_outside_of_the_bounds_is_seen_as_far_as_the_range(backend):
+    heights = torch.full((321, 321), 3.0)
+    heights[96:225, 96:225] = 0.0  # a step up between 16 and 16.25 m from the middle, on all sides
+    middle = ((-2.0, 2.0), (-2.0, 2.0))
+    world = World("hollow", Terrain(heights, 0.25), spawn_range=middle, bounds=middle)
+    turns = torch.arange(4) * math.pi / 2
+    poses = torch.stack((4.6 * turns.cos(), 4.6 * turns.sin(), turns), -1)
+    ahead = scans(backend, world, poses, 4)[:, 0] + 4.6 + MOUNT
+    assert ((ahead > 16) & (ahead < 16.1)).all()
+
+
 def test_cast_rays_see_what_the_lidars_of_the_simulators_see(backend):
     world = get_world("moon")
     poses = torch.tensor([[0.0, 0.0, 0.3], [2.0, -1.0, 2.0], [-3.0, 2.0, -1.0]])

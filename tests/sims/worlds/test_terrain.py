@@ -70,6 +70,28 @@ def test_heights_and_normals_agree_with_the_mesh(seed, rows, columns, cell):
     assert torch.allclose(terrain.normal_at(centroids[:, :2]), expected, atol=1e-6)
 
 
+@settings(max_examples=50)
+@given(
+    rows=st.integers(2, 30),
+    columns=st.integers(2, 30),
+    cell=st.floats(0.05, 3.0),
+    center=st.tuples(st.floats(-60, 60), st.floats(-60, 60)),
+    size=st.tuples(st.floats(0, 60), st.floats(0, 60)),
+)
+def test_the_part_that_covers_an_area_is_that_of_its_cells(rows, columns, cell, center, size):
+    terrain = Terrain(torch.zeros(rows, columns), cell)
+    area = tuple((middle - side / 2, middle + side / 2) for middle, side in zip(center, size, strict=True))
+    corners = terrain.mesh(*terrain.covering(area))[0][:, :2]
+    for (low, high), (least, most), axis in zip(area, terrain.extent, corners.T, strict=True):
+        start, end = axis.min().item(), axis.max().item()
+        assert end - start > 0.99 * cell
+        if low < most and high > least:
+            assert start <= max(low, least) + 1e-9
+            assert end >= min(high, most) - 1e-9
+            assert start > max(low, least) - 1.01 * cell
+            assert end < min(high, most) + 1.01 * cell
+
+
 def test_strips_of_the_mesh_cover_the_whole_mesh():
     terrain = Terrain(np.random.default_rng(0).uniform(size=(6, 4)), 0.5)
     strips = [terrain.mesh(slice(0, 3)), terrain.mesh(slice(2, 6))]
