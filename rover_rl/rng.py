@@ -8,6 +8,7 @@ sequence (Steele, Lea and Flood, "Fast splittable pseudorandom number generators
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -50,10 +51,17 @@ def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Te
         draw: index of the draw within the stream, ``[N, 1]`` or one for all rows.
         count: number of hashes per row.
     """
-    lane = torch.arange(1, count + 1, dtype=torch.int64, device=keys.device) * _GOLDEN
     offset = draw * _DRAW + _signed(stream * _STREAM % (1 << 64))
-    # Python's integers do not overflow as int64 tensors do.
-    return _mix(keys + (_signed(offset % (1 << 64)) if isinstance(offset, int) else offset) + lane)
+    if isinstance(offset, int):
+        # Python's integers do not overflow as int64 tensors do.
+        offset = _signed(offset % (1 << 64))
+    return _mix(keys + offset + _lanes(count, keys.device))
+
+
+@lru_cache(maxsize=64)
+def _lanes(count: int, device: torch.device) -> Tensor:
+    """Offsets of the hashes of a row in the Weyl sequence, int64 ``[count]``."""
+    return torch.arange(1, count + 1, dtype=torch.int64, device=device) * _GOLDEN
 
 
 def to_index(bits: Tensor, size: Tensor) -> Tensor:

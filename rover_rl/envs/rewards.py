@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, ClassVar
 
 import torch
@@ -62,7 +62,9 @@ class RewardComponent(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         rows = in_rows(next_tensordict)
         outcome = rows.get("outcome")
-        value = torch.where(self._active(outcome.get("phase")), self.value(outcome, rows), 0.0)
+        phase, value = outcome.get("phase"), self.value(outcome, rows)
+        value = value if isinstance(value, Tensor) else _number(value, phase.device)
+        value = torch.where(self._active(phase), value, _number(0.0, phase.device))
         components = next_tensordict.get("reward_components", None)
         if components is None:
             components = unchecked_tensordict({}, next_tensordict.batch_size, next_tensordict.device)
@@ -85,6 +87,12 @@ class RewardComponent(Transform):
         components[self.name] = Unbounded(shape=(*shape, 1), device=device)
         reward_spec["reward_components"] = components
         return reward_spec
+
+
+@lru_cache(maxsize=256)
+def _number(value: float, device: torch.device) -> Tensor:
+    """Returns a number as a tensor. :func:`torch.where` would copy a Python number to the device in every step."""
+    return torch.tensor(value, dtype=torch.float32, device=device)
 
 
 class _ConfiguredComponent(RewardComponent):

@@ -32,8 +32,7 @@ def quaternion_to_euler(quaternion: Tensor) -> Tensor:
     products = (quaternion[..., :, None] * quaternion[..., None, :]).flatten(-2)
     forms = _euler_forms(quaternion.device, quaternion.dtype)
     sines_cosines = (products[..., None, :] * forms).sum(-1)
-    roll = angle_of(sines_cosines[..., 0:2])
-    yaw = angle_of(sines_cosines[..., 2:4])
+    roll, yaw = angle_of(sines_cosines[..., :4].unflatten(-1, (2, 2))).unbind(-1)
     pitch = torch.asin(sines_cosines[..., 4].clamp(-1, 1))
     return torch.stack((roll, pitch, yaw), -1)
 
