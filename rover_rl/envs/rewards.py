@@ -77,6 +77,14 @@ class RewardComponent(Transform):
             return phase != StepEvent.NONE
         return reduce(torch.logical_or, (phase == active for active in self.phases))
 
+    def transform_output_spec(self, output_spec: Composite) -> Composite:
+        """Adds the component to the output spec."""
+        # TorchRL copies the specs of the environment for all transforms at once, and again in each transform. Without
+        # the second copy, the first reset takes 5 instead of 27 ms.
+        output_spec["full_observation_spec"] = self.transform_observation_spec(output_spec["full_observation_spec"])
+        output_spec["full_reward_spec"] = self.transform_reward_spec(output_spec["full_reward_spec"])
+        return output_spec
+
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """Adds the component to the reward spec."""
         # Not those of `parent`, for which TorchRL builds an environment anew in each transform.
@@ -360,6 +368,10 @@ class MoverProximityPenalty(_ConfiguredComponent):
 
 class TotalReward(Transform):
     """Writes the sum of all reward components to ``reward``. Append it after the components."""
+
+    def transform_output_spec(self, output_spec: Composite) -> Composite:
+        """Returns the output spec, in which the environment already has ``reward``."""
+        return output_spec
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         components = next_tensordict.get("reward_components", None)
