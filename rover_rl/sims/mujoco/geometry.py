@@ -76,6 +76,7 @@ def add_ground_tiles(spec: mujoco.MjSpec, world: World, reach: float) -> None:
         return
     step = max(1, round(TILE / terrain.cell))
     rows, columns = terrain.covering(expanded(world.bounds, GROUND_MARGIN + reach))
+    # Tiles begin at multiples of their size, so that they are the same for every reach.
     for row in range(rows.start // step * step, rows.stop - 1, step):
         for column in range(columns.start // step * step, columns.stop - 1, step):
             part = slice(row, row + step + 1), slice(column, column + step + 1)

@@ -124,7 +124,7 @@ class Terrain:
         return height, rise_x / self.cell, rise_y / self.cell
 
     def covering(self, area: Area) -> tuple[slice, slice]:
-        """Returns the rows and columns of the part of the grid that covers an area, at least one cell."""
+        """Returns the rows and columns of the part of the grid that covers an area (m), at least one cell."""
         columns, rows = (
             slice(
                 min(max(int((low - start) // self.cell), 0), count - 2),
