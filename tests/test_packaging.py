@@ -1,8 +1,13 @@
-"""The dependencies in ``pyproject.toml`` and ``requirements.lock``, on every supported system and Python."""
+"""The dependencies in ``pyproject.toml`` and ``requirements.lock``, on every system and Python, and the installation."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
 import sys
+import sysconfig
+import venv
 from itertools import product
 from pathlib import Path
 
@@ -65,3 +70,40 @@ def test_the_lock_holds_one_allowed_version_of_everything_that_is_needed(python)
     for name, requirement in needed.items():
         (version,) = (pin.version for pin in pinned[name].specifier)
         assert version in requirement.specifier, f"{requirement} and {pinned[name]}"
+
+
+@pytest.fixture(scope="module")
+def beside_a_clone(tmp_path_factory):
+    """A folder with a clone named rover_rl and an environment into which pip has installed it for development."""
+    folder = tmp_path_factory.mktemp("beside")
+    clone, environment = folder / "rover_rl", folder / "environment"
+    clone.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, clone)
+    (clone / "rover_rl").symlink_to(ROOT / "rover_rl")
+    venv.create(environment, symlinks=True)
+    python = environment / "bin" / "python"
+    packages = sysconfig.get_path("purelib", vars={"base": str(environment), "platbase": str(environment)})
+    # Sees the packages of the environment of the tests, but not how that has rover_rl: .pth files count in one folder.
+    Path(packages, "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    install = ["install", "-qq", "--no-deps", "--no-build-isolation", "--no-input", "-e", str(clone)]
+    subprocess.run([sys.executable, "-m", "pip", "--python", str(python), *install], check=True)
+    return folder, python
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["beside the clone", "in the clone", "at the root"])
+def test_an_editable_installation_is_found_beside_the_clone_in_it_and_elsewhere(beside_a_clone, place):
+    folder, python = beside_a_clone
+    cwd = {"beside the clone": folder, "in the clone": folder / "rover_rl", "at the root": Path("/")}[place]
+    program = "import rover_rl, gymnasium; from rover_rl import make_env; gymnasium.spec('rover_rl/Rover-v0')"
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    found = subprocess.run(
+        [python, "-c", f"{program}; print(rover_rl.__file__)"],
+        cwd=cwd,
+        env=variables,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert found.stdout.strip() == str(folder / "rover_rl" / "rover_rl" / "__init__.py")
