@@ -1,4 +1,4 @@
-"""The dependencies in ``pyproject.toml`` and ``requirements.lock``, on every system and Python, and the installation."""
+"""The dependencies in ``pyproject.toml`` and ``requirements.lock``, on every system and Python; the installation."""
 
 from __future__ import annotations
 
