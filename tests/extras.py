@@ -11,6 +11,6 @@ BACKENDS = ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)]
 """Backends that simulate."""
 needs_pettingzoo = pytest.mark.skipif(find_spec("pettingzoo") is None, reason="needs rover_rl[multiagent]")
 needs_worlds = pytest.mark.skipif(
-    any(find_spec(module) is None for module in ("coacd", "collada", "defusedxml", "mapbox_earcut", "tifffile")),
+    any(find_spec(module) is None for module in ("coacd", "collada", "mapbox_earcut", "tifffile")),
     reason="needs rover_rl[worlds]",
 )

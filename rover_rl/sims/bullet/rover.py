@@ -29,6 +29,7 @@ from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.description import child
 from rover_rl.sims.robots.meshes import find_mesh
+from rover_rl.tiny_xml import parse_xml
 
 _LINK_SHARE = 1e-3
 """Mass and inertia of the small link, relative to those of the wheel."""
@@ -96,7 +97,7 @@ def roller_joint(wheel: str) -> str:
 @contextmanager
 def bullet_urdf(robot: Robot) -> Iterator[Path]:
     """Provides the URDF of a robot for Bullet: its own if that will do, else a file that is deleted afterwards."""
-    root = ET.parse(robot.urdf).getroot()
+    root = parse_xml(robot.urdf.read_bytes())
     if not robot.drive.rollers and all(link.find("inertial") is not None for link in root.findall("link")):
         yield robot.urdf
         return

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from rover_rl.tiny_xml import parse_xml
+
 _SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
 """URDF attributes with the dimensions of a shape, and how many numbers each has, by kind of shape."""
 
@@ -158,8 +160,8 @@ def _parsed(path: Path) -> ET.Element:
     data = path.read_bytes()
     expand = "expand it first: xacro FILE > robot.urdf"
     try:
-        root = ET.fromstring(data)
-    except ET.ParseError as error:
+        root = parse_xml(data)
+    except ValueError as error:
         raise ValueError(
             f"it is a xacro file; {expand}" if b"<xacro:" in data else f"it is not XML ({error})"
         ) from error
@@ -174,9 +176,8 @@ def _parsed(path: Path) -> ET.Element:
 
 def _xacro(element: ET.Element) -> str:
     """Returns what of an element is xacro: the macro, or the value with an expression. Otherwise nothing."""
-    _, is_macro, name = str(element.tag).partition("xacro}")
-    if is_macro:
-        return f"xacro:{name}"
+    if element.tag.startswith("xacro:"):
+        return element.tag
     return next((value for value in element.attrib.values() if "${" in value or "$(" in value), "")
 
 

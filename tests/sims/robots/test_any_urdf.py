@@ -356,7 +356,7 @@ def test_what_no_drive_fits_is_refused_with_a_reason(tmp_path, make, message):
     [
         (
             '<robot><xacro:include filename="a"/></robot>',
-            "it is a xacro file; expand it first: xacro FILE > robot.urdf",
+            "it is a xacro file, with xacro:include; expand it first: xacro FILE > robot.urdf",
         ),
         (
             '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:wheel name="a"/><link name="a"/></robot>',
@@ -388,3 +388,9 @@ def test_missing_meshes_of_the_body_can_be_skipped(tmp_path):
     mesh = shape("collision", '<mesh filename="package://my/body.stl"/>')
     path = Machine().body(more=mesh).wheels((0.2, -0.2)).write(tmp_path)
     assert read(path, missing="skip").wheels.radius == pytest.approx(0.1)
+
+
+def test_urdfs_are_read_with_the_rules_of_tinyxml(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text("\n<?xml version='1.0'?>\n<robot><!-- ---- --><link name='a'/><gz:x/></robot>")
+    assert [*Description(path).links] == ["a"]

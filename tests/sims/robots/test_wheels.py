@@ -90,7 +90,7 @@ INVALID = [
     ('iyy="0.01008"', 'iyy="0.009"', f"the inertia of {FIRST} is .*0.009.* {OTHER} .*0.01008.* differ by 1%"),
     # Files.
     ("</robot>", "", "it is not XML .no element found"),
-    ("<robot", "<robot><!--", "it is not XML"),
+    ("</robot>", "<!-- </robot>", "it is not XML"),
 ]
 
 

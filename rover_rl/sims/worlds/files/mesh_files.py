@@ -8,6 +8,7 @@ import logging
 import os
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import trimesh
@@ -34,7 +35,11 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
     """Reads a mesh file: a piece for each node with triangles. See :class:`ImportOptions` for ``up`` and ``scale``."""
     data = _read(path)
     kind = path.suffix.lower()
-    unit, axis = _collada_frame(path, data) if kind == ".dae" else (1.0, "y" if kind in (".glb", ".gltf") else "z")
+    unit, axis = 1.0, "y" if kind in (".glb", ".gltf") else "z"
+    if kind == ".dae":
+        root = read_xml(path, data)
+        unit, axis = _collada_frame(path, root)
+        data = _standard_xml(root)
     if kind == ".gltf":
         _check_json(path, data)
     turn = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
@@ -116,14 +121,12 @@ def _check_json(path: Path, data: bytes) -> None:
         raise ValueError(f"{path} names {outside[0]}, which is outside of its folder")
 
 
-def _collada_frame(path: Path, data: bytes) -> tuple[float, str]:
-    """Returns the unit (m) and the axis that points up of a COLLADA file. Its XML is checked on the way."""
-    root = read_xml(path, data)
-    namespace = root.tag.partition("}")[0] + "}" if root.tag.startswith("{") else ""
-    asset = root.find(f"{namespace}asset")
+def _collada_frame(path: Path, root: Element) -> tuple[float, str]:
+    """Returns the unit (m) and the axis that points up of a COLLADA file."""
+    asset = root.find("asset")
     unit, axis = 1.0, "y"
     if asset is not None:
-        element = asset.find(f"{namespace}unit")
+        element = asset.find("unit")
         text = "1" if element is None else element.get("meter", "1")
         try:
             unit = float(text)
@@ -132,5 +135,13 @@ def _collada_frame(path: Path, data: bytes) -> tuple[float, str]:
         if not 1e-6 <= unit <= 1e6:
             raise ValueError(f"the unit of {path} must be a positive number of meters, got {text!r}")
         # COLLADA 1.4.1: without up_axis, y points up.
-        axis = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(asset.find(f"{namespace}up_axis")), "y")
+        axis = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(asset.find("up_axis")), "y")
     return unit, axis
+
+
+def _standard_xml(root: Element) -> bytes:
+    """Returns XML for readers that want all prefixes declared: only extras of the exporters have any."""
+    for element in root.iter():
+        element.tag = element.tag.replace(":", ".")
+        element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
+    return tostring(root)

@@ -72,7 +72,8 @@ class ShapeReader:
         if (scale == 0).any():
             raise ValueError(f"the scale of {name} must not be 0")
         if path not in self._meshes:
-            self._meshes[path] = read_mesh(path)
+            # Gazebo takes the coordinates of a mesh as they are, whichever axis its format has up; the unit counts.
+            self._meshes[path] = read_mesh(path, up="z")
         pieces = self._meshes[path]
         submesh = shape.find("submesh")
         if submesh is not None:

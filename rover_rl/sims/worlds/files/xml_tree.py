@@ -1,28 +1,24 @@
-"""Safe reading of XML: no entities, no external references, bounded size."""
+"""Reading of XML files of bounded size, and of what their elements say."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from rover_rl.sims.worlds.files import optional
+from rover_rl.tiny_xml import parse_xml
 
 MAX_BYTES = 64 * 2**20
 
 
 def read_xml(path: Path, data: bytes | None = None) -> Element:
-    """Parses an XML file, whose content may have been read already. Entities and external references are errors."""
-    parser: Any = optional("defusedxml.ElementTree")
+    """Parses an XML file, whose content may have been read already, as Gazebo does."""
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path} has more than {MAX_BYTES >> 20} MB, which is more than a world has")
     try:
-        return parser.fromstring(path.read_bytes() if data is None else data)
-    except optional("defusedxml.common").DefusedXmlException as error:
-        raise ValueError(f"{path} declares XML entities or external references, which are not read") from error
-    except (parser.ParseError, LookupError, UnicodeError, RecursionError) as error:
+        return parse_xml(path.read_bytes() if data is None else data)
+    except ValueError as error:
         raise ValueError(f"{path} is not valid XML: {error}") from error
 
 

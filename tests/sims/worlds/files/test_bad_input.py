@@ -319,7 +319,6 @@ def test_a_mesh_that_intersects_itself_is_repaired(tmp_path):
 @pytest.mark.parametrize(
     ("module", "write"),
     [
-        ("defusedxml.ElementTree", sdf("")),
         ("coacd", mesh("bad.stl", trimesh.Scene([BOX, corner_wall()]).to_mesh())),
         ("collada", file("bad.dae", "<COLLADA/>")),
         ("tifffile", file("bad.tif", b"")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from PIL import Image
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers import Person
 from tests.extras import needs_worlds
-from tests.sims.worlds.files.scenes import heights_at, inside, with_y_up
+from tests.sims.worlds.files.scenes import heights_at, inside
 
 pytestmark = needs_worlds
 
@@ -236,7 +237,7 @@ def test_meshes_have_scales_and_submeshes(tmp_path):
         cube = trimesh.creation.box(bounds=[(x - 0.5, -0.5, 0), (x + 0.5, 0.5, 1)])
         scene.add_geometry(cube, node_name=name)
     (tmp_path / "meshes").mkdir()
-    with_y_up(scene).export(tmp_path / "meshes" / "two.glb")
+    scene.export(tmp_path / "meshes" / "two.glb")
     shape = "<mesh><uri>meshes/two.glb</uri><scale>1 -2 1</scale></mesh>"
     world = world_of(tmp_path, model(link(shape)))
     assert inside(world, (0.0, 0.9, 0.5), (4.0, 0.9, 0.5), (0.9, 0.0, 0.5)) == [True, True, False]
@@ -334,3 +335,68 @@ def test_movers_that_stand_still_are_told(tmp_path):
     told = " ".join(world.notes)
     assert "models that plugins move in Gazebo stand still: cart (VelocityControl)" in told
     assert "crate" not in told
+
+
+def world_of_text(tmp_path: Path, text: str) -> Path:
+    (tmp_path / "text.sdf").write_text(f"{text}</world></sdf>")
+    return tmp_path / "text.sdf"
+
+
+@pytest.mark.parametrize("head", ["\n<?xml version='1.0'?>", "<!-- ---- --><?xml version='1.0' encoding='UTF-16'?>"])
+def test_worlds_are_read_with_the_rules_of_tinyxml(tmp_path, head):
+    body = model(link(POST) + "<plugin name='R&D' filename='f?a&b'><gz:x/></plugin>")
+    path = world_of_text(tmp_path, f"{head}<sdf version='1.6'><world name='w'>{PLANE.format(size='9 9')}{body}")
+    assert len(World.from_file(path).obstacles) == 1
+
+
+def collada(path: Path, size: tuple[float, float, float], asset: str, head: str = "") -> None:
+    """A box on z = 0 of the coordinates in the file."""
+    cube = trimesh.creation.box(bounds=[(-size[0] / 2, -size[1] / 2, 0), (size[0] / 2, size[1] / 2, size[2])])
+    text = trimesh.exchange.dae.export_collada(cube).decode().partition("<COLLADA")[2]
+    for tag in ("unit", "up_axis"):
+        text = re.sub(rf"<{tag}[^>]*/>|<{tag}.*?</{tag}>", "", text)
+    path.write_text(f"{head}<COLLADA{text.replace('</asset>', f'{asset}</asset>')}")
+
+
+def test_meshes_of_collada_are_read_with_the_rules_of_tinyxml(tmp_path):
+    collada(tmp_path / "box.dae", (1, 1, 1), "<max:x max:y='1'/>", "\n<?xml version='1.0'?><!-- ---- -->")
+    assert len(world_of(tmp_path, model(link("<mesh><uri>box.dae</uri></mesh>"))).obstacles) == 1
+
+
+@pytest.mark.parametrize("tag", ["collision", "visual"])
+@pytest.mark.parametrize(
+    ("asset", "scale", "factor"),
+    [
+        ("", "", (1, 1, 1)),
+        ("<up_axis>Z_UP</up_axis>", "", (1, 1, 1)),
+        ("<up_axis>Y_UP</up_axis>", "<scale>2 1 1</scale>", (2, 1, 1)),
+        ("<up_axis>X_UP</up_axis>", "<scale>1 -2 1</scale>", (1, 2, 1)),
+        ("<unit meter='0.0254' name='inch'/><up_axis>Y_UP</up_axis>", "", (0.0254,) * 3),
+        ("<unit meter='0.01'/>", "<scale>100 100 50</scale>", (1, 1, 0.5)),
+    ],
+)
+def test_meshes_of_collada_keep_their_axes_and_take_their_unit_as_in_gazebo(tmp_path, asset, scale, factor, tag):
+    collada(tmp_path / "box.dae", (2, 1, 3), asset)
+    mesh = link(f"<mesh><uri>box.dae</uri>{scale}</mesh>").replace("collision", tag)
+    (box,) = world_of(tmp_path, model(mesh)).obstacles
+    low, high = box.vertices.min(0).values.numpy(), box.vertices.max(0).values.numpy()
+    np.testing.assert_allclose(high - low, np.array((2, 1, 3)) * factor, atol=1e-6)
+    assert low[2] == pytest.approx(0)
+
+
+@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb", "gltf"])
+def test_meshes_of_worlds_keep_their_axes_as_in_gazebo(tmp_path, kind):
+    cube = trimesh.creation.box(bounds=[(-1, -0.5, 0), (1, 0.5, 3)])
+    for name, content in export_files(cube, kind).items():
+        (tmp_path / name).write_bytes(content)
+    (box,) = world_of(tmp_path, model(link(f"<mesh><uri>box.{kind}</uri></mesh>"))).obstacles
+    assert box.vertices.max(0).values.tolist() == pytest.approx([1, 0.5, 3])
+
+
+def export_files(mesh: trimesh.Trimesh, kind: str) -> dict[str, bytes]:
+    """Returns the files of a mesh, by name."""
+    if kind == "gltf":
+        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene([mesh]))
+        return {"box.gltf" if name == "model.gltf" else name: content for name, content in files.items()}
+    content = mesh.export(file_type=kind)
+    return {f"box.{kind}": content.encode() if isinstance(content, str) else content}
