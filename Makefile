@@ -16,6 +16,7 @@ export PYTHONDONTWRITEBYTECODE :=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+PEER := $(VENV)/peer/.installed
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -27,7 +28,7 @@ demo: $(STAMP) ## watch a trained rover drive
 
 # One thread a worker: the workers share the cores already. Four workers keep two cores busy while some wait for processes
 # and sensors. As many open files as Ubuntu allows by default.
-test: $(STAMP) ## run the tests
+test: $(STAMP) $(PEER) ## run the tests
 	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 4 --dist worksteal $(ARGS)
 
 lint: $(STAMP) ## check style, format and types
@@ -56,3 +57,11 @@ $(STAMP): requirements.lock pyproject.toml
 	@$(PIP) install -r requirements.lock
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
+
+# ROS 2's own rclpy, for tests, which skip those that need it where it cannot be installed.
+$(PEER): tests/sims/ros2/peers/requirements.txt | $(STAMP)
+ifeq ($(shell uname -sm),Linux x86_64)
+	@echo "Installing rclpy into $(@D)"
+	@$(BIN)/python -m venv $(@D) && $(@D)/bin/python -m pip --disable-pip-version-check -qq install -r $< && touch $@ \
+		|| echo "note: rclpy cannot be installed: no tests with it" >&2
+endif

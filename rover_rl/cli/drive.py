@@ -126,7 +126,7 @@ class Drive:
     """Direction in which the lidar's zero angle points, rad. The default, pi, is backward: the original rover's lidar
     is mounted turned by 180 degrees, so that its first beam, at -pi, points forward. Most others face forward: 0."""
     transport: TransportName = Ros2Settings.transport
-    """ROS 2 transport: dds needs no ROS installation, rclpy uses the ROS that is sourced."""
+    """ROS 2 transport: dds needs no ROS installation, rclpy that of PyPI or of a sourced ROS."""
     seed: int = 0
     """Seed of the random goals."""
     log: Path = Path("runs/drive.jsonl")

@@ -1,4 +1,4 @@
-"""ROS 2 transport through ROS 2's own client library, rclpy. Supports every ROS middleware; requires a sourced ROS."""
+"""ROS 2 transport through ROS 2's own client library, rclpy, and the middleware that it uses."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ try:
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 except ImportError as error:
     raise ImportError(
-        "transport='rclpy' requires ROS 2's Python library: source ROS first (/opt/ros/.../setup.bash), and use the "
-        "Python that it was built for; transport='dds' requires no ROS"
+        "transport='rclpy' requires ROS 2's Python library: on Linux on x86-64, pip install ros-jazzy-rclpy "
+        "ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-rosgraph-msgs; or source an "
+        "installed ROS (/opt/ros/.../setup.bash), and use the Python that it was built for. transport='dds' requires "
+        "neither"
     ) from error
 
 from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher

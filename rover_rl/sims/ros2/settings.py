@@ -29,7 +29,7 @@ class Ros2Settings:
         >>> env = RoverEnv(backend=Ros2Settings(pose="wheels", reset="manual", lidar_yaw=0.0))  # doctest: +SKIP
 
     Args:
-        transport: ROS 2 client: ``"dds"`` requires no ROS (extra ``ros2``); ``"rclpy"`` requires a sourced ROS.
+        transport: ROS 2 client: ``"dds"`` (extra ``ros2``), or ROS 2's own ``"rclpy"``, from PyPI or a sourced ROS.
         odometry_topic: topic of the wheels' ``nav_msgs/Odometry``: velocities, and the pose with ``pose="wheels"``.
         pose: source of the pose: ``"pose_array"``, the first pose of a ``geometry_msgs/PoseArray`` with the heading of
             the IMU, as in the original; ``"pose_stamped"`` or ``"odometry"``, pose and heading of a localizer's

@@ -29,6 +29,14 @@ def domain() -> dict[str, str]:
     return {"ROS_DOMAIN_ID": str(5 * block), "ROS_LOCALHOST_ONLY": "1"}
 
 
+@pytest.fixture(scope="session")
+def peer() -> str:
+    """Path of a Python with ROS 2's own rclpy."""
+    from tests.sims.ros2.peer import find_peer
+
+    return find_peer()
+
+
 @pytest.fixture
 def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Puts this process in that domain. Returns its environment variables, for processes that it starts."""

@@ -1,158 +1,205 @@
-"""``transport="rclpy"`` with a fake of ROS's own library, which no package index provides."""
+"""ROS 2's own rclpy in other processes: with ``rover-rl robot``, with the DDS layer, and as ``transport="rclpy"``."""
 
 from __future__ import annotations
 
-import importlib
+import math
+import os
 import sys
-import threading
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from rover_rl.sims.ros2 import messages
-from rover_rl.sims.ros2.messages import (
-    Contact,
-    Contacts,
-    Entity,
-    Header,
-    LaserScan,
-    Pose,
-    PoseArray,
-    Time,
-    Twist,
-    Vector3,
-)
+from rover_rl.sims.ros2.dds import DdsTransport
+from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
 from rover_rl.sims.ros2.transport import make_transport
+from tests.sims.ros2.peer import Peer, RosNode
+from tests.sims.ros2.processes import Command, start_robot, until
+
+pytestmark = [pytest.mark.ros2, pytest.mark.slow]
+
+TOPICS = {
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/imu/data": "sensor_msgs/msg/Imu",
+    "/odometry/wheels": "nav_msgs/msg/Odometry",
+    "/rover/pose_array": "geometry_msgs/msg/PoseArray",
+    "/clock": "rosgraph_msgs/msg/Clock",
+}
+TWIST = "geometry_msgs/msg/Twist"
 
 
-class ShutDown(Exception):
-    pass
+@pytest.fixture(scope="module")
+def environment(domain) -> dict[str, str]:
+    """Environment variables of processes in a domain of these tests."""
+    return {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
 
 
-class Executor:
-    def __init__(self, context: Any) -> None:
-        self._stop = threading.Event()
+@pytest.fixture(scope="module")
+def robot(environment) -> Iterator[Callable[[], Command]]:
+    """Starts ``rover-rl robot`` in place of the last one, which is killed."""
+    with ExitStack() as stack:
 
-    def add_node(self, node: Any) -> None: ...
+        def start() -> Command:
+            stack.close()
+            robot = start_robot(environment, "--world", "maze")
+            stack.callback(robot.kill)
+            return robot
 
-    def spin(self) -> None:
-        self._stop.wait()
-        raise ShutDown
-
-    def shutdown(self) -> None:
-        self._stop.set()
-
-
-class Context:
-    open = False
-
-    def try_shutdown(self) -> None:
-        self.open = False
+        start()
+        yield start
 
 
-class Node:
-    made: list[Node]
+@pytest.fixture(scope="module")
+def start_original(peer, environment) -> Iterator[Callable[[], RosNode]]:
+    """Starts a node with the subscriptions of RoboTerrain's ``RoverEnv``."""
+    with ExitStack() as stack:
 
-    def __init__(self, name: str, context: Context) -> None:
-        assert context.open
-        self.name, self.context = name, context
-        self.topics: dict[str, tuple[type, Any]] = {}
-        self.sent: list[tuple[str, Any]] = []
-        self.receivers: dict[str, Any] = {}
-        Node.made.append(self)
+        def start() -> RosNode:
+            node = RosNode(peer, environment, "turtlebot_controller")
+            stack.callback(node.kill)
+            for topic, kind in TOPICS.items():
+                best_effort = topic == "/rover/pose_array"
+                node.subscribe(topic, kind, reliable=not best_effort, depth=1 if best_effort else 10)
+            return node
 
-    def create_subscription(self, kind: type, topic: str, receive: Any, qos: Any) -> None:
-        self.topics[topic], self.receivers[topic] = (kind, qos), receive
-
-    def create_publisher(self, kind: type, topic: str, qos: Any) -> Any:
-        self.topics[topic] = (kind, qos)
-        return SimpleNamespace(
-            publish=lambda message: self.sent.append((topic, message)), get_subscription_count=lambda: 2
-        )
-
-    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
-        return [SimpleNamespace(topic_type=self.topics[topic][0].ros_type)] if topic in self.topics else []
-
-    def destroy_node(self) -> None: ...
+        yield start
 
 
-@pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fakes a sourced ROS. Its message classes differ from the package's, and have the same fields."""
-    Node.made = []
-
-    def module(name: str, **content: Any) -> None:
-        made = ModuleType(name)
-        vars(made).update(content)
-        monkeypatch.setitem(sys.modules, name, made)
-
-    module(
-        "rclpy",
-        init=lambda context: setattr(context, "open", True),
-        create_node=lambda name, context: Node(name, context),
-    )
-    module("rclpy.context", Context=Context)
-    module("rclpy.executors", SingleThreadedExecutor=Executor, ExternalShutdownException=ShutDown)
-    module(
-        "rclpy.qos",
-        DurabilityPolicy=SimpleNamespace(VOLATILE="volatile"),
-        ReliabilityPolicy=SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort"),
-        HistoryPolicy=SimpleNamespace(KEEP_LAST="keep last"),
-        QoSProfile=SimpleNamespace,
-    )
-    kinds = [kind for kind in vars(messages).values() if isinstance(kind, type) and hasattr(kind, "ros_type")]
-    for package in {kind.ros_type.split("/")[0] for kind in kinds}:
-        own = {kind.__name__: type(kind.__name__, (kind,), {}) for kind in kinds if kind.ros_type.startswith(package)}
-        module(package)
-        module(f"{package}.msg", **own)
-    monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
+@pytest.fixture(scope="module")
+def original(robot, start_original) -> RosNode:
+    return start_original()
 
 
-def test_published_messages_are_instances_of_ros_classes(ros):
-    transport = make_transport("rclpy", "rover")
-    transport.publisher("/cmd_vel", Twist, reliable=True)(Twist(Vector3(x=0.5)))
-    transport.publisher("/scan", LaserScan)(LaserScan(Header(Time(1, 2), "lidar"), ranges=np.ones(3, np.float32)))
-    transport.publisher("/poses", PoseArray)(PoseArray(poses=[Pose()]))
-    transport.publisher("/contacts", Contacts)(Contacts(contacts=[Contact(Entity(1, "wall"))]))
-    (node,) = Node.made
-    (_, twist), (_, scan), (_, poses), (_, contacts) = node.sent
-    sensor_msgs, geometry_msgs = (importlib.import_module(f"{name}.msg") for name in ("sensor_msgs", "geometry_msgs"))
-    assert type(twist) is geometry_msgs.Twist
-    assert twist.linear.x == 0.5
-    assert type(scan) is sensor_msgs.LaserScan
-    assert (scan.header.stamp.sec, scan.header.frame_id, list(scan.ranges)) == (1, "lidar", [1, 1, 1])
-    assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
-    assert type(contacts.contacts[0].collision1) is importlib.import_module("ros_gz_interfaces.msg").Entity
-    assert transport.subscribers("/cmd_vel") == 2
-    assert transport.types("/scan") == {"sensor_msgs/msg/LaserScan"}
-    assert transport.types("/points") == set()
-    qos = {topic: qos for topic, (_, qos) in node.topics.items()}
-    assert (qos["/cmd_vel"].reliability, qos["/cmd_vel"].depth) == ("reliable", 1)
-    assert (qos["/scan"].reliability, qos["/scan"].durability) == ("best effort", "volatile")
-    transport.close()
+def speeds(node: RosNode) -> list[float]:
+    return [odometry["twist"]["twist"]["linear"]["x"] for _, odometry in node.received("/odometry/wheels")]
 
 
-def test_subscriptions_are_best_effort_by_default(ros):
-    received: list[Any] = []
-    transport = make_transport("rclpy", "rover")
-    transport.subscribe("/scan", LaserScan, received.append)
-    (node,) = Node.made
-    kind, qos = node.topics["/scan"]
-    assert qos.reliability == "best effort"
-    transport.subscribe("/rover/set_pose", PoseArray, received.append, reliable=True)
-    assert node.topics["/rover/set_pose"][1].reliability == "reliable"
-    node.receivers["/scan"](kind())
-    assert len(received) == 1
-    transport.close()
-    transport.close()
-    assert not node.context.open
-    assert not [thread for thread in threading.enumerate() if "spins rclpy" in thread.name]
+def drives(node: RosNode) -> bool:
+    """Whether the robot follows the node's command."""
+    node.publish("/cmd_vel", TWIST, {"linear": {"x": -0.5}})
+    return any(speed < -0.3 for speed in speeds(node))
 
 
-def test_without_ros_the_error_says_what_to_do(monkeypatch):
+def hears_all(node: RosNode) -> bool:
+    return all(node.count(topic) for topic in TOPICS)
+
+
+def test_the_topics_of_a_robot_have_the_types_quality_and_rates_of_the_page(original):
+    until(lambda: hears_all(original))
+    for topic, kind in TOPICS.items():
+        (publisher,) = original.publishers(topic)
+        assert publisher["type"] == kind
+        assert (publisher["reliability"], publisher["durability"]) == ("RELIABLE", "VOLATILE")
+    for topic, kind in (("/cmd_vel", TWIST), ("/rover/set_pose", "geometry_msgs/msg/PoseStamped")):
+        (subscription,) = original.subscriptions(topic)
+        assert subscription["type"] == kind
+        assert subscription["reliability"] == ("BEST_EFFORT" if topic == "/cmd_vel" else "RELIABLE")
+    for topic in ("/scan", "/imu/data", "/odometry/wheels"):
+        original.received(topic)
+        until(lambda topic=topic: original.count(topic) > 20)
+        stamps = [message["header"]["stamp"] for _, message in original.received(topic)]
+        times = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]
+        # A message that is late by more than the ten that are kept is lost.
+        assert np.median([later - earlier for earlier, later in pairwise(times)]) == pytest.approx(0.05)
+
+
+def test_the_original_environment_reads_and_drives_the_robot(original):
+    until(lambda: drives(original))
+    until(lambda: hears_all(original))
+    _, scan = original.received("/scan")[-1]
+    assert len(scan["ranges"]) == 128
+    assert (scan["range_min"], scan["range_max"]) == pytest.approx((0.15, 12.0))
+    # The first beam points straight ahead: its lidar is turned by half a turn.
+    assert scan["angle_min"] == pytest.approx(-math.pi)
+    _, poses = original.received("/rover/pose_array")[-1]
+    assert len(poses["poses"]) == 1
+    until(lambda: abs(speeds(original)[-1:][0]) < 0.01 if original.count("/odometry/wheels") else False)
+
+
+def test_either_side_may_crash_and_come_back(robot, original, start_original):
+    until(lambda: drives(original))
+    robot()
+    for topic in TOPICS:
+        original.received(topic)
+    until(lambda: drives(original))
+    until(lambda: hears_all(original))
+    original.kill()
+    again = start_original()
+    until(lambda: hears_all(again))
+    until(lambda: abs(speeds(again)[-1]) < 0.01 if again.count("/odometry/wheels") else False)
+    until(lambda: drives(again))
+
+
+@pytest.mark.parametrize("peer_first", [True, False])
+def test_messages_are_exchanged_unchanged_with_a_node(peer, domain, peer_first):
+    scan = LaserScan(Header(Time(3, 4), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
+    received: list[LaserScan] = []
+
+    def start_peer() -> RosNode:
+        node = RosNode(peer, {**os.environ, **domain})
+        stack.callback(node.kill)
+        node.subscribe("/cmd_vel", TWIST)
+        fields = {"header": {"stamp": {"sec": 3, "nanosec": 4}, "frame_id": "lidar"}, "range_max": 10.0}
+        node.publish("/scan", TOPICS["/scan"], fields | {"ranges": scan.ranges.tolist()}, rate=20.0)
+        return node
+
+    with ExitStack() as stack:
+        early = start_peer() if peer_first else None
+        transport = DdsTransport("rover_rl", domain)
+        stack.callback(transport.close)
+        transport.subscribe("/scan", LaserScan, received.append)
+        publish = transport.publisher("/cmd_vel", Twist, reliable=True)
+        node = early or start_peer()
+        until(lambda: received and transport.subscribers("/cmd_vel"))
+        assert transport.types("/scan") == {TOPICS["/scan"]}
+        assert (received[0].header, received[0].range_max) == (scan.header, 10.0)
+        np.testing.assert_array_equal(received[0].ranges, scan.ranges)
+        # More than once: the other side may not know this one yet.
+        until(lambda: publish(Twist(Vector3(x=0.5), Vector3(z=-0.25))) or node.count("/cmd_vel"))
+        _, twist = node.received("/cmd_vel")[0]
+        zero = {"x": 0.0, "y": 0.0, "z": 0.0}
+        assert twist == {"linear": {**zero, "x": 0.5}, "angular": {**zero, "z": -0.25}}
+
+
+def test_the_transport_rclpy_sends_receives_and_drives_a_robot(peer, environment, robot):
+    with ExitStack() as stack:
+        program = Peer(peer, environment, "transport")
+        stack.callback(program.kill)
+        node = RosNode(peer, environment)
+        stack.callback(node.kill)
+        topics = {"/own/twist": TWIST, "/own/scan": TOPICS["/scan"], "/own/poses": TOPICS["/rover/pose_array"]}
+        for topic, kind in topics.items():
+            node.subscribe(topic, kind, reliable=kind == TWIST)
+        node.publish("/own/given", TOPICS["/scan"], {"ranges": [1.0, 2.0]}, rate=20.0)
+        assert program.read() == "up"
+        program.write("go")
+        result = program.read()
+        assert (result["subscribers"], result["types"]) == (1, [[TOPICS["/scan"]], []])
+        assert (result["class"], result["ranges"]) == ("sensor_msgs", [1.0, 2.0])
+        until(lambda: all(node.count(topic) for topic in topics))
+        (_, twist), (_, scan), (_, poses) = (node.received(topic)[0] for topic in topics)
+        assert twist["linear"]["x"] == 0.5
+        assert (scan["header"]["stamp"]["nanosec"], scan["header"]["frame_id"]) == (2, "lidar")
+        assert scan["ranges"] == list(range(640))
+        assert [pose["position"]["y"] for pose in poses["poses"]] == [2.0]
+        assert poses["poses"][0]["orientation"]["w"] == 1.0
+        publishers = [node.publishers(topic)[0] for topic in topics]
+        assert [each["type"] for each in publishers] == [*topics.values()]
+        assert [each["reliability"] for each in publishers] == ["RELIABLE", "BEST_EFFORT", "BEST_EFFORT"]
+        subscriptions = [node.subscriptions(topic)[0] for topic in ("/own/given", "/own/set_pose")]
+        assert [each["reliability"] for each in subscriptions] == ["BEST_EFFORT", "RELIABLE"]
+        assert {each["durability"] for each in (*publishers, *subscriptions)} == {"VOLATILE"}
+        program.write("drive")
+        result = program.read()
+    assert not result["threads"]
+    assert result["moved"] > 0.5
+    assert result["speed"] > 0.9
+
+
+def test_without_rclpy_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
-    with pytest.raises(ImportError, match="source ROS first"):
+    with pytest.raises(ImportError, match="pip install ros-jazzy-rclpy"):
         make_transport("rclpy", "rover")
