@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
+import logging
 import math
 import warnings
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,12 +15,15 @@ from PIL import Image, UnidentifiedImageError
 from rover_rl.option_names import written
 from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Contents, Grid
+from rover_rl.sims.worlds.files.geotiff import GeoTags, is_missing, read_tags
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
 from rover_rl.sims.worlds.names import TIFF_SUFFIXES
 
 MAX_PIXELS = 36_000_000
 FAR = 1000.0
 """Distance from the origin beyond which a georeferenced grid is moved to the origin, m."""
+# What tifffile says of odd tags is no news to users: they are read here.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 class Elevations(NamedTuple):
@@ -28,49 +31,58 @@ class Elevations(NamedTuple):
 
     Attributes:
         values: numbers ``[rows, columns]``, float64, NaN where there is no data.
-        white: the largest number of the file's type, 1 for floats.
-        cell: spacing of a georeferenced file along x and y, m.
-        corner: position of the middle of the first value of a georeferenced file, m.
+        white: the largest number of unsigned integers, 1 for other types.
+        tags: what a GeoTIFF says of them.
     """
 
     values: np.ndarray
     white: float
-    cell: tuple[float, float] | None = None
-    corner: tuple[float, float] | None = None
+    tags: GeoTags | None = None
 
 
 def read_elevation(path: Path, options: ImportOptions) -> Contents:
     """Reads an elevation model. The first row is in the north, at the largest y.
 
-    A GeoTIFF has its own spacing and position; if it is far away (in UTM coordinates, for example), its middle is moved
-    to the origin. Other files need ``pixel``, and are centered. With ``height``, integers are scaled so that white is
-    that high, and numbers of a float file are multiplied by it.
+    A GeoTIFF has its own spacing, position and units; if it is far away (in UTM coordinates, for example), its middle
+    is moved to the origin. Other files need ``pixel``, and are centered. With ``height``, unsigned integers are scaled
+    so that white is that high, and other numbers are multiplied by it.
     """
-    found = read_elevations(path)
-    cell = (options.pixel, options.pixel) if options.pixel else found.cell
+    found, contents = read_elevations(path), Contents(path.name.partition(".")[0])
+    tags, values = found.tags or GeoTags(1.0, 0.0), found.values
     pixel, height = written("pixel"), written("height")
+    if tags.no_meters and not options.pixel:
+        raise ValueError(f"{path.name} {tags.no_meters}, or give {pixel}, the size of a pixel in meters")
+    cell = (options.pixel, options.pixel) if options.pixel else tags.cell
     if cell is None:
         raise ValueError(f"{path.name} does not say how large it is; give {pixel}, the size of a pixel in meters")
-    if found.white != 1.0 and options.height is None:
+    if found.white != 1 and found.tags is None and options.height is None:
         raise ValueError(f"{path.name} does not say how high it is; give {height}, the elevation of white in meters")
-    contents = Contents(path.name.partition(".")[0])
-    values = found.values[::-1] / found.white * (1.0 if options.height is None else options.height)
+    if found.white != 1 and options.height is not None:
+        values = values / found.white * options.height
+    else:
+        values = (tags.scale * values + tags.offset) * (1.0 if options.height is None else options.height)
+        contents.notes += tags.notes
+    # Rows begin in the south, and columns in the west.
+    values = np.ascontiguousarray(values[:: -1 if cell[1] > 0 else 1, :: 1 if cell[0] > 0 else -1])
     rows, columns = values.shape
-    width, depth, highest = (columns - 1) * cell[0], (rows - 1) * cell[1], np.nanmax(np.abs(values))
+    width, depth, highest = (columns - 1) * abs(cell[0]), (rows - 1) * abs(cell[1]), np.nanmax(np.abs(values))
     if max(width, depth, highest) > MAX_SIZE:
         raise ValueError(
             f"{path.name} spans {width:.3g} x {depth:.3g} m with heights up to {highest:.3g} m; at most {MAX_SIZE:g} m "
             f"are supported, so check {pixel} and {height}"
         )
     origin = (-width / 2, -depth / 2)
-    if found.corner is not None and not options.pixel:
-        west, south = found.corner[0], found.corner[1] - depth
+    if tags.corner is not None and not options.pixel:
+        west, south = (
+            tags.corner[0] + min(0.0, cell[0]) * (columns - 1),
+            tags.corner[1] - max(0.0, cell[1]) * (rows - 1),
+        )
         if max(abs(west), abs(west + width), abs(south), abs(south + depth)) <= FAR:
             origin = (west, south)
         else:
             middle = f"({west + width / 2:.2f}, {south + depth / 2:.2f})"
             contents.notes.append(f"ground: the middle of the map, {middle}, is at the origin")
-    contents.grids.append(Grid(values, cell, origin))
+    contents.grids.append(Grid(values, (abs(cell[0]), abs(cell[1])), origin))
     return contents
 
 
@@ -145,45 +157,39 @@ def _read_array(path: Path) -> Elevations:
 
 
 def _read_tiff(path: Path) -> Elevations:
+    """Reads the first band of a TIFF. Values that a mask or an alpha band hides, or that are no data, are NaN."""
     tifffile: Any = optional("tifffile")
     data = path.read_bytes()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages[0]
             _check_pixels(path, page.shape)
-            values = np.asarray(page.asarray())
-            tags = {tag.name: tag.value for tag in page.tags.values()}
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path} is a TIFF that cannot be read: {error}") from error
+            tags = {tag.code: tag.value for tag in page.tags.values()}
+            bands = np.moveaxis(page.asarray(), page.axes.index("S"), 0) if "S" in page.axes else [page.asarray()]
+            values, meaning = bands[0], read_tags(path.name, tags)
+            hidden = is_missing(values, tags)
+            extra = zip(bands[::-1], page.extrasamples[::-1], strict=False)
+            alphas = [band for band, kind in extra if kind in (1, 2)]
+            for alpha in alphas:
+                hidden |= alpha == 0
+            for mask in file.pages[1:]:
+                if mask.is_mask and mask.shape == values.shape:
+                    hidden |= mask.asarray() == 0
+    except ImportError:
+        raise
     # The reader raises errors of all kinds for a damaged file.
     except Exception as error:
-        raise ValueError(f"{path} is a damaged TIFF: {str(error)[:200]}") from error
-    if values.ndim == 3 and values.shape[-1] == 1:
-        values = values[..., 0]
+        if str(path) in str(error):
+            raise
+        if "imagecodecs" in str(error):
+            optional("imagecodecs")
+        helps = f"gdal_translate -co COMPRESS=DEFLATE {path.name} new.tif helps if GDAL can read it"
+        raise ValueError(f"{path} is a TIFF that cannot be read: {str(error)[:200]}; {helps}") from error
     if values.ndim != 2 or values.dtype.kind not in "uif":
-        raise ValueError(f"{path} must have one band of numbers, got shape {values.shape} of {values.dtype}")
+        raise ValueError(f"{path} must have bands of numbers, got shape {values.shape} of {values.dtype}")
     heights = values.astype(float)
-    no_data = str(tags.get("GDAL_NODATA", "")).strip(" \0")
-    with suppress(ValueError):
-        heights[values == float(no_data)] = np.nan
-    return Elevations(heights, white_of(values), *_georeference(path, tags))
-
-
-def _georeference(path: Path, tags: dict[str, Any]) -> tuple[Any, Any]:
-    """Returns the spacing and the position of the first value, from the tags of GeoTIFF 1.0."""
-    scale, tie = tags.get("ModelPixelScaleTag"), tags.get("ModelTiepointTag")
-    if scale is None:
-        return None, None
-    if not all(0 < float(side) < math.inf for side in scale[:2]):
-        raise ValueError(f"the pixel scale of {path} must be positive, got {scale[:2]}")
-    dx, dy = float(scale[0]), float(scale[1])
-    if tie is None or len(tie) < 6:
-        return (dx, dy), None
-    keys = list(tags.get("GeoKeyDirectoryTag", ()))
-    # Key 1025, GTRasterType: 2 means that a value belongs to a point, otherwise to the area of a pixel.
-    points = any(keys[k] == 1025 and keys[k + 3] == 2 for k in range(4, len(keys) - 3, 4))
-    half = 0.0 if points else 0.5
-    column, row, _, x, y, _ = (float(value) for value in tie[:6])
-    return (dx, dy), (x + (half - column) * dx, y - (half - row) * dy)
+    heights[hidden] = np.nan
+    count = len(bands) - len(alphas)
+    if meaning is not None and count > 1:
+        meaning = meaning._replace(notes=(f"ground: the first of {count} bands", *meaning.notes))
+    return Elevations(heights, white_of(values), meaning)
