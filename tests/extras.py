@@ -10,5 +10,5 @@ needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="needs rov
 BACKENDS = ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)]
 """Backends that simulate."""
 needs_pettingzoo = pytest.mark.skipif(find_spec("pettingzoo") is None, reason="needs rover_rl[multiagent]")
-_WORLDS = ("coacd", "collada", "imagecodecs", "mapbox_earcut", "pyproj", "tifffile")
+_WORLDS = ("coacd", "collada", "mapbox_earcut", "tifffile")
 needs_worlds = pytest.mark.skipif(any(find_spec(name) is None for name in _WORLDS), reason="needs rover_rl[worlds]")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rover_rl.sims.worlds import World
-from tests.extras import needs_worlds
 
-pytestmark = needs_worlds
+for module in ("imagecodecs", "pyproj", "tifffile"):
+    pytest.importorskip(module, reason="needs rover_rl[worlds]")
 
 ROWS, COLUMNS = np.mgrid[0:33, 0:41]
 HEIGHTS = 100.0 + np.rint(5 * np.sin(COLUMNS / 9) + 4 * np.cos(ROWS / 7))
