@@ -85,12 +85,14 @@ class RobotCommand:
     """Topic that the ros_gz_interfaces/Contacts is published to. Default: /contacts."""
     cmd_vel_topic: str | None = None
     """Topic that commands are received from, geometry_msgs/Twist. Default: /cmd_vel."""
+    stamped: bool = False
+    """Receive TwistStamped instead of Twist."""
     odometry_topic: str = Ros2Settings.odometry_topic
     """Topic that the wheel odometry is published to, nav_msgs/Odometry."""
     pose_topic: str = Ros2Settings.pose_topic
     """Topic that the geometry_msgs/PoseArray is published to."""
     reset_topic: str = Ros2Settings.reset_topic
-    """Topic that poses to move the rover to are received from, geometry_msgs/PoseStamped."""
+    """Topic that poses to move the rover to are received from, geometry_msgs/PoseStamped in the frame world."""
 
     def __call__(self) -> int:
         """Runs the robot until it is interrupted."""
@@ -117,13 +119,16 @@ class RobotCommand:
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
         settings = Ros2Settings(
-            odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
+            odometry_topic=self.odometry_topic,
+            pose_topic=self.pose_topic,
+            reset_topic=self.reset_topic,
+            command="twist_stamped" if self.stamped else "twist",
         )
         view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
         lidar, kind = replace(described.lidar, beams=self.lidar_beams), replace(robot, lidar_view=view)
         rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
         try:
-            node = RobotNode(rover, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
+            node = RobotNode(rover, transport, robot.lidar_range, settings, connection, tuple(start), view)
             print(
                 f"Rover in {described.world_names[0]} on ROS 2: publishes {connection.scan_topic}, receives "
                 f"{connection.cmd_vel_topic}",

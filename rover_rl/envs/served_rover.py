@@ -25,8 +25,10 @@ from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
+from rover_rl.sims.movers.overlap import check_standing
+from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.rotations import quaternion_product
+from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.served import Report
 
 MAP_CELL = 0.1
@@ -36,8 +38,8 @@ MAP_CELL = 0.1
 class ServedRover:
     """A rover among the movers of its world, with the noise, delays and errors of an environment.
 
-    What it reports has the stamp of its time, however late it arrives. Lost scans never arrive. The commands are not
-    limited, as whoever drives the rover limits them.
+    What it reports has the stamp of its time, however late it arrives. Lost scans never arrive. The commands are
+    limited to what the robot's drive can do, as the base of a real rover limits them.
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
@@ -52,7 +54,8 @@ class ServedRover:
     def __init__(self, config: EnvConfig) -> None:
         lidar = replace(config.lidar, points=min(config.lidar.points, config.lidar.beams), period=1)
         one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
-        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig()}
+        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig(apply=True, min_reversal=0.0)}
+        plain["randomization"] = replace(config.randomization, limits=(1.0, 1.0))
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
         self._depth = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
@@ -74,6 +77,25 @@ class ServedRover:
         """Moves the rover to a pose: x, y (m) and yaw (rad), at rest. Delays and the like are drawn anew."""
         steps = self.env.reset(start=torch.tensor([pose]))["outcome", "steps"]
         self._report(steps)
+
+    def move_to(self, pose: tuple[float, float, float]) -> None:
+        """Does the same as :meth:`reset`, if the rover can stand there.
+
+        What moves begins anew, too.
+
+        Raises:
+            ValueError: if it cannot: off the terrain, in an obstacle, or where something that moves begins. It stays.
+        """
+        env = self.env
+        check_standing(env.worlds[0], env.robot, pose)
+        state = env.rover_state
+        x, y, yaw = (*state.position[0, :2].tolist(), quaternion_to_euler(state.orientation)[0, 2].item())
+        self.reset(pose)
+        try:
+            check_standing(env.worlds[0], env.robot, pose, parts_of(env.movers, 0))
+        except ValueError:
+            self.reset((x, y, yaw))
+            raise
 
     def step(self, command: tuple[float, float]) -> Report:
         """Takes a step with a command, m/s and rad/s, and returns what arrives from the sensors after it."""

@@ -56,6 +56,10 @@ class Served(Protocol):
         """Moves the rover to a pose: x, y (m) and yaw (rad), at rest."""
         ...
 
+    def move_to(self, pose: tuple[float, float, float]) -> None:
+        """Does the same as :meth:`reset`; raises ``ValueError`` if the rover cannot stand there, and leaves it."""
+        ...
+
     def step(self, command: tuple[float, float]) -> Report:
         """Takes a step with a command: forward speed, m/s, and yaw rate, rad/s."""
         ...

@@ -1,4 +1,4 @@
-"""Outlines of the parts of movers, seen from above."""
+"""Corners of the parts of movers, and their outlines, seen from above."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from rover_rl.sims.worlds.movers.shapes import KINDS, Part
 
 
 def outlines(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -> list[np.ndarray]:
-    """Returns the outline of each part from above, ``[corners, 2]``, m.
+    """Returns the outline of each part from above, ``[corners, 2]``, m. The arguments are those of :func:`corners`."""
+    seen = (points[:, :2] for points in corners(kind, half, position, orientation))
+    return [points[ConvexHull(points).vertices] for points in seen]
+
+
+def corners(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -> list[np.ndarray]:
+    """Returns the corners of each part, ``[corners, 3]``, m.
 
     Args:
         kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, ``[P]``.
@@ -19,9 +25,8 @@ def outlines(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) 
         position: center, ``[P, 3]``, m.
         orientation: unit quaternion (x, y, z, w), ``[P, 4]``.
     """
-    found = []
-    for number, size, center, turn in zip(kind.tolist(), (2 * half).tolist(), position, orientation, strict=True):
-        corners = Rotation.from_quat(turn.numpy()).apply(Part(KINDS[number], tuple(size), (0.0, 0.0, 0.0)).corners())
-        seen = corners[:, :2] + center[:2].numpy()
-        found.append(seen[ConvexHull(seen).vertices])
-    return found
+    return [
+        Rotation.from_quat(turn.numpy()).apply(Part(KINDS[number], tuple(size), (0.0, 0.0, 0.0)).corners())
+        + center.numpy()
+        for number, size, center, turn in zip(kind.tolist(), (2 * half).tolist(), position, orientation, strict=True)
+    ]

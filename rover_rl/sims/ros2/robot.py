@@ -5,6 +5,7 @@ It replaces a real rover or Gazebo in tests and first trials. Every ROS 2 tool c
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -24,10 +25,13 @@ from rover_rl.sims.ros2.joints import joint_state_message
 from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import Transport
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
 from rover_rl.sims.served import Report, Served
-from rover_rl.sims.worlds import World
 
+FRAME = "world"
+"""Frame of the poses."""
+TYPES_PERIOD = 1.0
+"""Time between two looks at the types of the messages that others send, s."""
 COMMAND_LIFETIME = 0.5
 """Simulation time without a command after which the rover stops, as real rovers do, s."""
 CONTACT_TOPIC = "/contacts"
@@ -37,14 +41,15 @@ RANGE_MIN = 0.15
 NOT_MEASURED = -1.0
 """First entry of a covariance that marks a quantity as not measured (``sensor_msgs/Imu``)."""
 
+_log = logging.getLogger(__name__)
+
 
 class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
 
     Args:
-        rover: the rover, in ``world``.
+        rover: the rover.
         transport: transport to publish and subscribe on.
-        world: world, on whose terrain reset poses must be.
         lidar_range: maximum range of the lidar, m.
         settings: topics of odometry, pose and reset, and the direction of the lidar.
         connection: topics of scan, IMU and command.
@@ -56,20 +61,19 @@ class RobotNode:
         self,
         rover: Served,
         transport: Transport,
-        world: World,
         lidar_range: float,
         settings: Ros2Settings = Ros2Settings(),  # noqa: B008  (it is frozen)
         connection: Connection = Connection(),  # noqa: B008
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
     ) -> None:
-        self._rover, self._world = rover, world
+        self._rover = rover
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._model = settings.model
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
         self._command, self._command_age = (0.0, 0.0), 0.0
-        self._reset_pose: tuple[float, float, float] | None = start
+        self._reset_pose: tuple[float, float, float] | None = None
         self._yaw = start[2]
         # Pose relative to the start by wheel odometry, the integral of the wheels' velocities.
         self._odometry = (0.0, 0.0, 0.0)
@@ -86,9 +90,18 @@ class RobotNode:
         }
         self._transport, self._connection = transport, connection
         self._publish_on: dict[str, Callable[[Any], None]] = {}
-        transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
+        self._reset_topic = settings.reset_topic
+        self._types_checked = -math.inf
+        self._log = ThrottledLogger(_log)
+        rover.reset(start)
+        self._receives = {
+            connection.cmd_vel_topic: ros.TwistStamped if settings.command == "twist_stamped" else ros.Twist,
+            settings.reset_topic: ros.PoseStamped,
+        }
+        command, reset = self._receives.items()
+        transport.subscribe(*command, self._receive_command)
         # Reliable, as a reset pose is sent only once.
-        transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
+        transport.subscribe(*reset, self._receive_reset_pose, reliable=True)
 
     def run(self, rate: float, stop: threading.Event) -> None:
         """Steps the simulator until ``stop`` is set, at ``rate`` times real time."""
@@ -100,31 +113,67 @@ class RobotNode:
 
     def step(self) -> float:
         """Runs one control step with the latest command, publishes the state, and returns the step's duration, s."""
+        self._check_types()
         with self._lock:
             reset_pose, self._reset_pose = self._reset_pose, None
-            if reset_pose is not None:  # a reset discards earlier commands
-                self._command = (0.0, 0.0)
+        if reset_pose is not None:
+            self._move_to(reset_pose)
+        with self._lock:
             command = self._command if self._command_age < COMMAND_LIFETIME else (0.0, 0.0)
             self._command_age += self._rover.control_dt
-        if reset_pose is not None:
-            self._rover.reset(reset_pose)
-            self._yaw = reset_pose[2]
         self._publish_report(self._rover.step(command))
         return self._rover.control_dt
 
     def _receive_command(self, msg: Any) -> None:
-        read_finite("command", msg.linear.x, msg.angular.z)
+        twist = getattr(msg, "twist", msg)
+        linear, angular = twist.linear, twist.angular
+        speed, *others, yaw_rate = numbers = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        read_finite("command", *numbers)
+        if any(others):
+            self._log.warning(
+                "others",
+                "%s: only linear.x and angular.z move the robot, and the rest of a command is ignored",
+                self._connection.cmd_vel_topic,
+            )
         with self._lock:
-            self._command, self._command_age = (msg.linear.x, msg.angular.z), 0.0
+            self._command, self._command_age = (speed, yaw_rate), 0.0
 
     def _receive_reset_pose(self, msg: Any) -> None:
-        position, orientation, _ = read_pose(msg.pose)
+        try:
+            if (frame := msg.header.frame_id) not in ("", FRAME):
+                raise ValueError(f"its frame_id must be {FRAME!r}, the frame of the world, or empty, got {frame!r}")
+            position, orientation, _ = read_pose(msg.pose)
+        except ValueError as error:
+            self._refuse(error)
+            return
         x, y, _ = position.tolist()
-        extent = self._world.terrain.extent
-        if not all(low <= value <= high for value, (low, high) in zip((x, y), extent, strict=True)):
-            raise ValueError(f"a reset pose must be on the world's terrain, {extent}, got {x}, {y}")
         with self._lock:
             self._reset_pose = (x, y, yaw_of(orientation))
+
+    def _move_to(self, pose: tuple[float, float, float]) -> None:
+        try:
+            self._rover.move_to(pose)
+        except ValueError as error:
+            self._refuse(error)
+            return
+        self._yaw = pose[2]
+        with self._lock:
+            self._command = (0.0, 0.0)  # a reset discards earlier commands
+
+    def _refuse(self, error: ValueError) -> None:
+        reason = str(error)
+        self._log.warning(reason, "%s: ignored a pose, and the rover stays where it is: %s", self._reset_topic, reason)
+
+    def _check_types(self) -> None:
+        """Warns of publishers whose messages never arrive, as they are of another type."""
+        if time.monotonic() < self._types_checked + TYPES_PERIOD:
+            return
+        self._types_checked = time.monotonic()
+        for topic, kind in self._receives.items():
+            if others := other_types(self._transport, topic, kind):
+                hint = "; with --stamped, it receives geometry_msgs/TwistStamped" if kind is ros.Twist else ""
+                own = kind.ros_type.replace("/msg/", "/")
+                self._log.warning(topic, "%s: ignored %s: the robot receives %s%s", topic, others, own, hint)
 
     def _publish_report(self, report: Report) -> None:
         """Publishes what has arrived. The scan comes last, as subscribers wait for it."""
@@ -140,7 +189,7 @@ class RobotNode:
         for topic, points in report.points.items():
             self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
         for topic, ground in report.ground.items():
-            self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, "world"))
+            self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, FRAME))
         if report.wheels and (torque := state.wheel_torque) is not None:
             self._send(connection.joint_topic, joint_state_message(report.wheels, torque[0], stamp))
         if report.outline and (force := state.contact_force) is not None:
@@ -149,7 +198,7 @@ class RobotNode:
             self._send(connection.contact_topic or CONTACT_TOPIC, contacts)
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
-            ros.PoseArray(ros.Header(stamp, "world"), [pose]),
+            ros.PoseArray(ros.Header(stamp, FRAME), [pose]),
             self._imu(state, stamp, orientation),
             self._wheel_odometry(state, stamp),
             *([] if report.ranges is None else [self._scan(report.ranges, scan_time)]),

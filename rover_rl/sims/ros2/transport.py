@@ -73,6 +73,14 @@ def make_transport(name: TransportName, node: str) -> Transport:
     return getattr(import_module(f"{__package__}.{name}"), TRANSPORTS[name])(node)
 
 
+def other_types(transport: Transport, topic: str, kind: Any) -> str:
+    """Returns the types of a topic other than that of messages of class ``kind``; empty if it has no other.
+
+    Publishers and subscribers of different types do not meet.
+    """
+    return " and ".join(sorted(transport.types(topic) - {kind.ros_type})).replace("/msg/", "/")
+
+
 class CommandPublisher:
     """Publishes a rover's velocity commands; with ``kind="none"``, it sends nothing.
 

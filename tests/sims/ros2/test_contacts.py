@@ -43,7 +43,7 @@ def test_a_live_rover_feels_the_contacts_of_a_simulated_one(wire):
     wall, mover = box((3.0, 0.0, 1.0), (1.0, 10.0, 2.0)), going(Box(0.4, 1.2, 0.6), (2.1, 0.3), (2.1, -1.0), 2.0)
     world, start = World("pushed", Terrain.flat((24.0, 24.0)), [wall], movers=[mover]), (2.15, -1.0, 0.2)
     robot = ServedRover(EnvConfig(world=world, seed=0, backend="warp", sensors=("contact",)))
-    wire.rovers.append(RobotNode(robot, wire, world, 12.0, start=start).step)
+    wire.rovers.append(RobotNode(robot, wire, 12.0, start=start).step)
     env = RoverEnv(world_n=world, backend=LIVE, seed=0, sensors=["contact"], connection=CONNECTION)
     env.reset()
     most = torch.zeros(8)

@@ -162,7 +162,7 @@ def test_another_size_takes_the_nearest_pixels():
 def _live(wire, *sensors, cameras=(CAMERA,)) -> RoverEnv:
     """Starts a robot with cameras on the wire, and the environment that drives it with sensors."""
     rover = ServedRover(EnvConfig(world=WORLD, seed=0, backend="warp", sensors=cameras))
-    node = RobotNode(rover, wire, WORLD, 12.0)
+    node = RobotNode(rover, wire, 12.0)
     wire.rovers.append(node.step)
     backend = Ros2Settings(reset="none", settle=0.05, step_timeout=1.0)
     return RoverEnv(world_n=WORLD, backend=backend, seed=0, sensors=sensors)

@@ -20,7 +20,7 @@ LIVE = Ros2Settings(reset="none", settle=0.05, step_timeout=20.0)
 def test_a_live_rover_reads_the_torques_of_a_simulated_one(wire):
     world, start = get_world("hills:3"), (1.0, 2.0, 0.7)
     robot = ServedRover(EnvConfig(world=world, seed=0, backend="warp", sensors=("effort",)))
-    wire.rovers.append(RobotNode(robot, wire, world, 12.0, start=start).step)
+    wire.rovers.append(RobotNode(robot, wire, 12.0, start=start).step)
     env = RoverEnv(world_n=world, backend=LIVE, seed=0, sensors=["effort"])
     env.reset()
     for _ in range(15):

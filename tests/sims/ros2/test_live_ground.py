@@ -40,7 +40,7 @@ def test_a_live_rover_on_hills_reads_what_a_simulated_one_does(wire):
     by_points = replace(HEIGHTS, name="by_points", topic="/points", mount=LIDAR.mount)
     config = EnvConfig(world=world, seed=0, backend="warp", sensors=(HEIGHTS, LIDAR))
     robot = ServedRover(config)
-    wire.rovers.append(RobotNode(robot, wire, world, 12.0, start=start).step)
+    wire.rovers.append(RobotNode(robot, wire, 12.0, start=start).step)
     env, still = RoverEnv(world_n=world, backend=LIVE, seed=0, sensors=[HEIGHTS, LIDAR, by_points]), RoverEnv(config)
     env.reset()
     x, y, _ = env.rover_state.position[0].tolist()

@@ -16,7 +16,7 @@ from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
 from rover_rl.sims.ros2.transport import make_transport
 from tests.sims.ros2.peer import Peer, RosNode
-from tests.sims.ros2.processes import Command, start_robot, until
+from tests.sims.ros2.processes import start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
@@ -36,19 +36,26 @@ def environment(domain) -> dict[str, str]:
     return {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
 
 
+class Robot:
+    """``rover-rl robot`` in a process that may be killed and started again."""
+
+    def __init__(self, environment: dict[str, str]) -> None:
+        self._environment = environment
+        self.start()
+
+    def start(self) -> None:
+        self.process = start_robot(self._environment, "--world", "maze")
+
+    def restart(self) -> None:
+        self.process.kill()
+        self.start()
+
+
 @pytest.fixture(scope="module")
-def robot(environment) -> Iterator[Callable[[], Command]]:
-    """Starts ``rover-rl robot`` in place of the last one, which is killed."""
-    with ExitStack() as stack:
-
-        def start() -> Command:
-            stack.close()
-            robot = start_robot(environment, "--world", "maze")
-            stack.callback(robot.kill)
-            return robot
-
-        start()
-        yield start
+def robot(environment) -> Iterator[Robot]:
+    robot = Robot(environment)
+    yield robot
+    robot.process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +125,28 @@ def test_the_original_environment_reads_and_drives_the_robot(original):
     until(lambda: abs(speeds(original)[-1:][0]) < 0.01 if original.count("/odometry/wheels") else False)
 
 
+def test_a_robot_keeps_to_its_limits_and_says_what_it_refuses(peer, environment, robot, original):
+    pose, stamped = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
+    speeds(original)
+    original.publish("/cmd_vel", TWIST, {"linear": {"x": 50.0}}, rate=20.0)
+    until(lambda: original.count("/odometry/wheels") > 30)
+    original.publish("/cmd_vel", TWIST, {})
+    assert 0.8 < max(speeds(original)) < 1.1
+    outside = {"header": {"frame_id": "world"}, "pose": {"position": {"x": 500.0}}}
+    until(
+        lambda: original.publish("/rover/set_pose", pose, outside) and "is not on the terrain" in robot.process.output
+    )
+    other = RosNode(peer, environment)
+    try:
+        other.publish("/cmd_vel", stamped, {})
+        until(lambda: "/cmd_vel: ignored geometry_msgs/TwistStamped" in robot.process.output)
+    finally:
+        other.kill()
+
+
 def test_either_side_may_crash_and_come_back(robot, original, start_original):
     until(lambda: drives(original))
-    robot()
+    robot.restart()
     for topic in TOPICS:
         original.received(topic)
     until(lambda: drives(original))

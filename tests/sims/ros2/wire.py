@@ -175,7 +175,7 @@ class SimulatedRobot:
         kind = replace(get_robot("rover_zero"), lidar_view=view)
         lidar = LidarConfig(beams=128)
         self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, randomization=randomization))
-        self._node = RobotNode(self.rover, wire, world, kind.lidar_range, start=start, view=view)
+        self._node = RobotNode(self.rover, wire, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
         self.poses: dict[float, tuple[torch.Tensor, float]] = {}
         wire.rovers.append(self._step)

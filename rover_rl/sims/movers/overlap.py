@@ -1,0 +1,68 @@
+"""Whether a robot can stand at a pose: on the terrain, and in no obstacle or mover."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+
+from rover_rl.sims.free_space.rest_pose import rest_on_ground
+from rover_rl.sims.movers.company import solids_of
+from rover_rl.sims.movers.outlines import corners
+from rover_rl.sims.movers.parts import Parts
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.obstacles import groups_of
+
+
+def check_standing(world: World, robot: Robot, pose: tuple[float, float, float], movers: Parts | None = None) -> None:
+    """Raises ``ValueError`` if a robot cannot stand at a pose: if it is off the terrain or overlaps with something.
+
+    Args:
+        world: world with the terrain and the obstacles.
+        robot: robot, whose collision shapes count.
+        pose: x, y (m) and yaw (rad).
+        movers: parts of movers, of one row.
+    """
+    position, rotation = (each[0].numpy() for each in rest_on_ground(world, robot, torch.tensor([pose]).double()))
+    body = [
+        (Rotation.from_quat(part.orientation).apply(part.corners()) + part.center) @ rotation.T + position
+        for part in solids_of(robot)
+    ]
+    where = f"x {pose[0]:g} m, y {pose[1]:g} m and yaw {pose[2]:g} rad"
+    points = np.concatenate(body)
+    low, high = points.min(0), points.max(0)
+    extent = world.terrain.extent
+    if any(low[axis] < start or high[axis] > end for axis, (start, end) in enumerate(extent)):
+        (left, right), (bottom, top) = extent
+        raise ValueError(
+            f"at {where}, the rover is not on the terrain, which is x {left:g} to {right:g} m and y {bottom:g} to "
+            f"{top:g} m"
+        )
+    for solid in _obstacles(world, low, high):
+        if any(_overlap(part, solid) for part in body):
+            raise ValueError(f"at {where}, the rover is in an obstacle")
+    if movers is not None:
+        shapes = (movers.kind[0], movers.half[0], movers.position[0], movers.orientation[0])
+        if any(_overlap(part, solid) for part in body for solid in corners(*shapes)):
+            raise ValueError(f"at {where}, the rover is in something that moves")
+
+
+def _obstacles(world: World, low: np.ndarray, high: np.ndarray) -> Iterable[np.ndarray]:
+    """Returns the vertices ``[V, 3]`` of the obstacles whose bounding boxes overlap with a box by its corners."""
+    for solids in groups_of(world.obstacles):
+        vertices = solids.vertices.numpy()
+        near = ((vertices.min(1) <= high) & (vertices.max(1) >= low)).all(-1)
+        yield from vertices[near]
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> bool:
+    """Returns whether the convex hulls of points ``[A, 3]`` and ``[B, 3]`` have a point in common."""
+    # Weights of the points of each, at least 0 and with the sum 1, whose means are the same point.
+    equations = np.zeros((5, len(a) + len(b)))
+    equations[:3] = np.concatenate((a, -b)).T
+    equations[3, : len(a)] = equations[4, len(a) :] = 1
+    return linprog(np.zeros(len(a) + len(b)), A_eq=equations, b_eq=(0, 0, 0, 1, 1)).success

@@ -1,0 +1,188 @@
+"""The node of ``rover-rl robot``: what it obeys, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+
+import pytest
+
+from rover_rl import EnvConfig, LidarConfig, Terrain, World, box, cylinder
+from rover_rl.envs import imperfect
+from rover_rl.envs.served_rover import ServedRover
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.messages import (
+    Header,
+    Odometry,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
+from rover_rl.sims.ros2.robot import RobotNode
+from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+
+# A wall, a thin pole, a bar at a height of 0.8 m, and a man who walks from (-6, 4) to (-6, -4) within a minute.
+SOLIDS = [box((3.0, 0.0, 0.5), (1.0, 4.0, 1.0)), cylinder((-3.0, 0.0, 0.5), 0.005, 1.0), box((0, -4, 0.9), (3, 3, 0.2))]
+WALKS = Mover(Waypoints([(0.0, -6.0, 4.0, 0.0), (60.0, -6.0, -4.0, 0.0)], repeat="once"), Cylinder(0.3, 1.7))
+YARD = World("small_yard", Terrain.flat((20.0, 12.0)), SOLIDS, movers=[WALKS])
+
+
+class Robot:
+    """A simulated robot on the wire, whose sensors are not read."""
+
+    def __init__(self, wire, settings: Ros2Settings = Ros2Settings(), **config) -> None:  # noqa: B008
+        described = EnvConfig(world=YARD, backend="warp", seed=0, lidar=LidarConfig(beams=64))
+        self.rover = ServedRover(replace(described, **config))
+        self._wire = wire
+        self._node = RobotNode(self.rover, wire, 12.0, settings)
+        self._sent = wire.publisher("/cmd_vel", Twist), wire.publisher("/rover/set_pose", PoseStamped)
+
+    @property
+    def place(self) -> list[float]:
+        return self.rover.env.rover_state.position[0].tolist()
+
+    def run(self, steps: int, twist: Twist | None = None) -> list[Odometry]:
+        """Steps with a command, and returns the odometry of each step."""
+        already = len(self._wire.sent.get("/odometry/wheels", []))
+        for _ in range(steps):
+            if twist is not None:
+                self._sent[0](twist)
+            self._node.step()
+        return self._wire.sent["/odometry/wheels"][already:]
+
+    def put(self, x, y, yaw=0.0, frame="world", z=0.0, orientation: Quaternion | None = None) -> None:
+        heading = orientation or Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+        self._sent[1](PoseStamped(Header(frame_id=frame), Pose(Point(x, y, z), heading)))
+        self.run(1)
+
+
+@pytest.fixture
+def robot(wire):
+    robot = Robot(wire)
+    yield robot
+    robot.rover.close()
+
+
+@pytest.mark.parametrize("twist", [(50.0, 0.0), (-1e30, 0.0), (0.0, 1e4), (50.0, -50.0), (1.2, 7.5)])
+@pytest.mark.parametrize("kind", ["rover_zero", "husky", "hunter"])
+def test_no_command_drives_a_robot_beyond_its_limits(wire, kind, twist):
+    robot = Robot(wire, robot=kind)
+    drive = robot.rover.env.robot.drive
+    before = 0.0
+    for odometry in robot.run(30, Twist(Vector3(x=twist[0]), Vector3(z=twist[1]))):
+        speed = odometry.twist.twist.linear.x
+        assert abs(speed) <= 1.05 * drive.max_speed
+        assert abs(odometry.twist.twist.angular.z) <= 1.05 * drive.max_yaw_rate
+        assert abs(speed - before) <= 1.5 * drive.max_linear_acceleration * 0.05
+        before = speed
+    assert abs(before) == pytest.approx(min(abs(twist[0]), drive.max_speed), abs=0.05) or twist[1]
+    robot.rover.close()
+
+
+def test_a_command_within_the_limits_is_obeyed_also_by_a_harsh_robot(wire):
+    robot = Robot(wire)
+    assert robot.run(20, Twist(Vector3(x=-0.7)))[-1].twist.twist.linear.x == pytest.approx(-0.7, abs=0.02)
+    robot.rover.close()
+    config = imperfect(EnvConfig(world=YARD, backend="warp", seed=0), "harsh")
+    harsh = Robot(wire, randomization=replace(config.randomization, limits=(0.2, 0.2)))
+    speeds = [each.twist.twist.linear.x for each in harsh.run(40, Twist(Vector3(x=-0.7)))]
+    assert min(speeds) < -0.5
+    harsh.rover.close()
+
+
+def test_speeds_that_the_robot_cannot_drive_are_named_and_the_rest_is_obeyed(robot, caplog):
+    odometry = robot.run(10, Twist(Vector3(x=-0.5, y=0.4)))
+    assert odometry[-1].twist.twist.linear.x == pytest.approx(-0.5, abs=0.02)
+    assert abs(robot.place[1]) < 0.01
+    assert caplog.text.count("/cmd_vel: only linear.x and angular.z move the robot") == 1
+
+
+def test_a_command_that_is_not_finite_is_refused(robot):
+    robot.run(5, Twist(Vector3(x=-0.5)))
+    for number, part, axis in product((math.nan, math.inf, 1e39), ("linear", "angular"), "xyz"):
+        with pytest.raises(ValueError, match="a command must be finite"):
+            robot.run(1, Twist(**{part: Vector3(**{axis: number})}))
+    assert robot.run(1)[0].twist.twist.linear.x < -0.4
+
+
+REFUSED = {
+    "a wall": ((3.0, 0.0), {}, "the rover is in an obstacle"),
+    "the front in a wall": ((2.25, 1.0), {}, "the rover is in an obstacle"),
+    "a corner in a wall": ((2.2, 1.9), {"yaw": 0.8}, "the rover is in an obstacle"),
+    "a thin pole between the wheels": ((-3.0, 0.02), {}, "the rover is in an obstacle"),
+    "beside the terrain": ((30.0, 0.0), {}, "the rover is not on the terrain, which is x -10 to 10 m and y -6 to 6 m"),
+    "half off the terrain": ((9.9, 0.0), {}, "the rover is not on the terrain"),
+    "far away": ((1e30, 0.0), {}, "the rover is not on the terrain"),
+    "not a number": ((math.nan, 0.0), {}, "a position must be finite"),
+    "no height": ((0.0, 0.0), {"z": math.inf}, "a position must be finite"),
+    "no orientation": ((1.0, 0.0), {"orientation": Quaternion(w=0.0)}, "a finite quaternion other than zero"),
+    "an orientation that is not finite": ((1.0, 0.0), {"orientation": Quaternion(z=math.nan)}, "a finite quaternion"),
+    "another frame": ((1.0, 0.0), {"frame": "map"}, "its frame_id must be 'world', the frame of the world, or empty"),
+    "its own frame": ((1.0, 0.0), {"frame": "base_link"}, "must be 'world', the frame of the world, or empty, got"),
+    "where a mover begins": ((-6.0, 3.9), {}, "the rover is in something that moves"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_pose_where_the_rover_cannot_stand_is_refused_with_a_warning_and_the_rover_stays(robot, caplog, case):
+    robot.run(10, Twist(Vector3(x=-0.3)))
+    robot.run(10, Twist())
+    before = robot.place
+    place, options, reason = REFUSED[case]
+    robot.put(*place, **options)
+    assert "/rover/set_pose: ignored a pose, and the rover stays where it is: " in caplog.text
+    assert reason in caplog.text
+    for _ in range(10):
+        robot.run(1)
+        assert math.dist(robot.place, before) < 0.01
+
+
+ACCEPTED = {
+    "no frame": ((1.0, 0.5), {"frame": ""}),
+    "beside a wall": ((2.2, 1.0), {}),
+    "at the edge of the terrain": ((9.6, 0.0), {}),
+    "under a bar": ((0.0, -4.0), {}),
+    "in the air": ((1.0, 0.5), {"z": 500.0}),
+    "below the ground": ((1.0, 0.5), {"z": -3.0}),
+    "an orientation of another length": ((1.0, 0.5), {"orientation": Quaternion(z=2.0, w=2.0)}),
+    "upside down": ((1.0, 0.5), {"orientation": Quaternion(x=1.0, w=0.0)}),
+    "where a mover will be": ((-6.0, 0.0), {}),
+}
+
+
+@pytest.mark.parametrize("case", ACCEPTED)
+def test_a_rover_is_put_upright_on_the_ground_where_it_can_stand(robot, caplog, case):
+    (x, y), options = ACCEPTED[case]
+    robot.put(x, y, **options)
+    robot.run(10)
+    assert robot.place == pytest.approx([x, y, 0.0], abs=0.01)
+    assert robot.rover.env.rover_state.orientation[0, :2].abs().max() < 0.01
+    assert not caplog.text
+
+
+def test_each_refused_pose_is_told(robot, caplog):
+    robot.put(3.0, 0.0)
+    robot.put(3.0, 0.0)
+    robot.put(30.0, 0.0)
+    assert caplog.text.count("in an obstacle") == caplog.text.count("not on the terrain") == 1
+
+
+def test_a_robot_receives_stamped_commands_if_asked_and_names_others(wire, monkeypatch, caplog):
+    monkeypatch.setattr("rover_rl.sims.ros2.robot.TYPES_PERIOD", 0.0)
+    robot = Robot(wire)
+    robot.run(1)
+    assert not caplog.text
+    stamped = wire.publisher("/cmd_vel", TwistStamped)
+    robot.run(1)
+    assert "/cmd_vel: ignored geometry_msgs/TwistStamped: the robot receives geometry_msgs/Twist; with" in caplog.text
+    robot.rover.close()
+    wire.receivers["/cmd_vel"].clear()
+    other = Robot(wire, Ros2Settings(command="twist_stamped"))
+    stamped(TwistStamped(twist=Twist(Vector3(x=-0.5))))
+    assert other.run(8)[-1].twist.twist.linear.x == pytest.approx(-0.5, abs=0.02)
+    other.rover.close()
