@@ -94,7 +94,7 @@ def read_elevations(path: Path) -> Elevations:
     elif suffix in TIFF_SUFFIXES:
         found = _read_tiff(path)
     else:
-        gray = read_gray(path)
+        gray, _ = read_picture(path)
         found = Elevations(gray.astype(float), white_of(gray))
     if found.values.ndim != 2 or min(found.values.shape) < 2:
         raise ValueError(f"{path} must hold a grid of at least 2 x 2 heights, got {found.values.shape}")
@@ -115,15 +115,20 @@ def _check_pixels(path: Path, shape: tuple[int, ...]) -> None:
         raise ValueError(f"{path} has {size} values; at most {MAX_PIXELS:,} are supported, so scale it down first")
 
 
-def read_gray(path: Path) -> np.ndarray:
-    """Reads a picture as gray values: ``[rows, columns]``, uint8 or uint16, or float32 of a picture of floats."""
+def read_picture(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Reads a picture as gray values ``[rows, columns]``, and which of them are clear, if it has an alpha channel.
+
+    Values are uint8 or uint16, or float32 of a picture of floats.
+    """
     data = path.read_bytes()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as image:
                 _check_pixels(path, image.size)
-                return _gray(image)
+                see_through = not image.mode.startswith("I") and image.has_transparency_data
+                clear = np.asarray(image.convert("RGBA"))[..., 3] < 255 if see_through else None
+                return _gray(image), clear
     except UnidentifiedImageError as error:
         raise ValueError(f"{path} is no picture that can be read") from error
     except Image.DecompressionBombError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ import yaml
 
 from rover_rl.sims.worlds.files.areas import find_areas
 from rover_rl.sims.worlds.files.contents import Plane
-from rover_rl.sims.worlds.files.elevation import read_gray, white_of
+from rover_rl.sims.worlds.files.elevation import read_picture, white_of
 from rover_rl.sims.worlds.files.hulls import check_triangles
 from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
@@ -24,6 +25,10 @@ MODES = ("trinary", "scale", "raw")
 MAX_BYTES = 2**20
 OCCUPIED, UNKNOWN = 100, 255
 """Values of nav_msgs/OccupancyGrid; UNKNOWN is its -1 as an unsigned byte."""
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+"""A number of yaml-cpp, which reads maps in ROS. Quotes make no difference."""
+_INTEGER = re.compile(r"[-+]?[0-9]+|0x[0-9a-fA-F]+|0o[0-7]+")
+_TRUE, _FALSE = ("y", "yes", "true", "on"), ("n", "no", "false", "off")
 
 
 class _Map(NamedTuple):
@@ -64,7 +69,7 @@ def read_map(path: Path, options: ImportOptions) -> dict[str, Any]:
     """
     settings = _settings(path)
     picture, renamed = _picture(path, settings.image)
-    states = _states(settings, read_gray(picture))
+    states = _states(settings, *read_picture(picture))
     rows, columns = states.shape
     width, depth = columns * settings.resolution, rows * settings.resolution
     if max(width, depth) > MAX_SIZE:
@@ -112,54 +117,69 @@ def _settings(path: Path) -> _Map:
     if text.count(b"&") > 100:
         raise ValueError(f"{path} has YAML anchors, which a map has not")
     try:
-        data = yaml.safe_load(text)
+        # Leaves numbers as text: yaml-cpp takes more for numbers than PyYAML does.
+        data = yaml.load(text, yaml.BaseLoader)
     except (yaml.YAMLError, UnicodeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(data, dict) or not {"image", "resolution", "origin"} <= set(data):
         raise ValueError(f"{path} is no map: it must have image, resolution and origin")
-    image, mode, negate = data["image"], data.get("mode", "trinary"), data.get("negate", 0)
+    image, mode = data["image"], str(data.get("mode", "trinary")).lower()
     if mode not in MODES:
-        raise ValueError(f"mode in {path} must be one of {[*MODES]}, got {mode!r}")
+        raise ValueError(f"mode in {path} must be one of {[*MODES]}, got {data['mode']!r}")
     if not isinstance(image, str) or not image:
         raise ValueError(f"image in {path} must be the name of a file, got {image!r}")
     occupied = _number(path, data, "occupied_thresh", 0.0, 1.0, 0.65)
     free = _number(path, data, "free_thresh", 0.0, 1.0, 0.25)
     if free >= occupied:
         raise ValueError(f"free_thresh in {path} must be below occupied_thresh, got {free:g} and {occupied:g}")
-    if negate not in (0, 1):
-        raise ValueError(f"negate in {path} must be 0 or 1, got {negate!r}")
     resolution = _number(path, data, "resolution", 1e-3, 100.0)
-    return _Map(image, mode, resolution, _origin(path, data["origin"]), bool(negate), occupied, free)
+    return _Map(image, mode, resolution, _origin(path, data["origin"]), _negate(path, data), occupied, free)
 
 
-def _is_number(value: Any, low: float, high: float) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+def _number_in(value: Any, low: float, high: float) -> float | None:
+    """Returns the number in a text. ``None`` if it is none from ``low`` to ``high``."""
+    number = float(value) if isinstance(value, str) and _NUMBER.fullmatch(value) else math.nan
+    return number if low <= number <= high else None
 
 
 def _number(path: Path, data: dict[str, Any], key: str, low: float, high: float, usual: float | None = None) -> float:
-    value: Any = data.get(key, usual)
-    if not _is_number(value, low, high):
-        raise ValueError(f"{key} in {path} must be a number from {low:g} to {high:g}, got {value!r}")
-    return float(value)
+    number = usual if key not in data else _number_in(data[key], low, high)
+    if number is None:
+        raise ValueError(f"{key} in {path} must be a number from {low:g} to {high:g}, got {data[key]}")
+    return number
 
 
 def _origin(path: Path, origin: Any) -> tuple[float, float, float]:
-    numbers = origin if isinstance(origin, list) else []
-    if len(numbers) not in (2, 3) or not all(_is_number(number, -MAX_SIZE, MAX_SIZE) for number in numbers):
-        raise ValueError(f"origin in {path} must be [x, y, yaw] within {MAX_SIZE:g} m, got {origin!r}")
-    x, y, yaw = (*numbers, 0.0)[:3]
-    return float(x), float(y), float(yaw)
+    numbers = [_number_in(number, -MAX_SIZE, MAX_SIZE) for number in origin] if isinstance(origin, list) else []
+    x, y, yaw = (*numbers, 0.0, None, None)[:3] if len(numbers) in (2, 3) else (None, None, None)
+    if x is None or y is None or yaw is None:
+        raise ValueError(f"origin in {path} must be [x, y, yaw] within {MAX_SIZE:g} m, got {origin}")
+    return x, y, yaw
 
 
-def _states(settings: _Map, gray: np.ndarray) -> np.ndarray:
-    """Returns 0 (free), 100 (occupied) or 255 (unknown) of each cell, with rows along +y: ``[rows, columns]``."""
-    gray = gray[::-1]
+def _negate(path: Path, data: dict[str, Any]) -> bool:
+    text = str(data.get("negate", "0"))
+    if _INTEGER.fullmatch(text):
+        return int(text, 0 if text[:2] in ("0x", "0o") else 10) != 0
+    # yaml-cpp knows true, True and TRUE, but not tRUE.
+    if text.lower() in (*_TRUE, *_FALSE) and text in (text.lower(), text.upper(), text.capitalize()):
+        return text.lower() in _TRUE
+    raise ValueError(f"negate in {path} must be 0 or 1, got {text}")
+
+
+def _states(settings: _Map, gray: np.ndarray, clear: np.ndarray | None) -> np.ndarray:
+    """Returns 0 (free), 100 (occupied) or 255 (unknown) of each cell, with rows along +y: ``[rows, columns]``.
+
+    As in map_server, cells that are ``clear``, in part or entirely, are unknown, but for ``raw``.
+    """
+    shade = gray[::-1] / white_of(gray)
     if settings.mode == "raw":
-        return np.where(gray == OCCUPIED, OCCUPIED, np.where(gray > OCCUPIED, UNKNOWN, 0)).astype(np.uint8)
-    shade = gray / white_of(gray)
+        values = np.rint(255 * shade)
+        return np.where(values == OCCUPIED, OCCUPIED, np.where(values > OCCUPIED, UNKNOWN, 0)).astype(np.uint8)
     occupancy = shade if settings.negate else 1.0 - shade
     free = np.where(occupancy < settings.free, 0, UNKNOWN)
-    return np.where(occupancy > settings.occupied, OCCUPIED, free).astype(np.uint8)
+    states = np.where(occupancy > settings.occupied, OCCUPIED, free)
+    return (states if clear is None else np.where(clear[::-1], UNKNOWN, states)).astype(np.uint8)
 
 
 def _wall(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Obstacle:

@@ -238,7 +238,7 @@ CASES: dict[str, Case] = {
     "cut off tiff": (file("bad.tif", b"II*\0\x08\0\0\0"), "TIFF"),
     "empty tiff": (file("bad.tif", b""), "TIFF"),
     # Maps
-    "yaml code": (file("bad.yaml", "image: !!python/object/apply:os.system ['true']\n"), "is not valid YAML"),
+    "yaml code": (file("bad.yaml", "image: !!python/object/apply:os.system ['true']\n"), "is no map"),
     "no map": (file("bad.yaml", "a: 1\n"), "is no map: it must have image, resolution and origin"),
     "a list": (file("bad.yaml", "- 1\n"), "is no map"),
     "broken yaml": (file("bad.yaml", "image: [\n"), "is not valid YAML"),

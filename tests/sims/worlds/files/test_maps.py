@@ -148,6 +148,98 @@ def test_modes_and_thresholds(tmp_path, occupied, free, unseen, changes):
     assert is_wall(World.from_file(path, unknown="wall"), *POINTS)[-1]
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"resolution": "1e-1"},
+        {"resolution": '"0.1"'},
+        {"resolution": "'.1'"},
+        {"resolution": "+0.1"},
+        {"resolution": "1.E-1"},
+        {"origin": "[-1e0, -2., +0]"},
+        {"origin": '["-1.0", "-2", 0e5]'},
+        {"origin": "\n- -1\n- -2\n- 1e-9"},
+        {"free_thresh": "190e-3"},
+        {"occupied_thresh": ".65", "free_thresh": '"0.19"'},
+        {"mode": "Trinary"},
+        {"mode": "SCALE"},
+        {"mode": '"scale"'},
+        *({"negate": negate} for negate in ("0", "+0", '"0"', "0x0", "false", "False", "NO", "off", "n")),
+    ],
+)
+def test_numbers_and_words_are_those_of_yaml_cpp(tmp_path, changes):
+    assert is_wall(World.from_file(write_map(tmp_path, **changes)), *POINTS) == [True, False, True, False, False]
+
+
+@pytest.mark.parametrize("negate", ["1", "2", "0x1", '"1"', "true", "TRUE", "Yes", "on"])
+def test_a_negated_map(tmp_path, negate):
+    path = write_map(tmp_path, np.where(ROOM, 0, 255), negate=negate)
+    assert is_wall(World.from_file(path), *POINTS) == [True, False, True, False, False]
+
+
+@pytest.mark.parametrize(
+    "value", ["1_0", "0x10", ".inf", ".nan", "1e", "1e999", "1:30", "5 cm", "[0.1]", '" 0.1"', "~"]
+)
+def test_what_yaml_cpp_does_not_take_for_a_number_is_refused(tmp_path, value):
+    for changes, expected in (
+        ({"resolution": value}, "resolution in .* must be a number from 0.001 to 100, got"),
+        ({"origin": f"[0, {value}, 0]"}, r"origin in .* must be \[x, y, yaw\] within 10000 m, got"),
+        ({"negate": value if value != "0x10" else "tRUE"}, "negate in .* must be 0 or 1, got"),
+    ):
+        with pytest.raises(ValueError, match=expected):
+            World.from_file(write_map(tmp_path, **changes))
+
+
+STATES = np.where(UNSEEN, 205, np.where(ROOM, 254, 0)).astype(np.uint8)
+
+
+def gray_16(path: Path) -> None:
+    Image.fromarray(STATES.astype(np.uint16) * 257).save(path)
+
+
+def text_pgm(path: Path) -> None:
+    numbers = "\n".join(" ".join(str(257 * int(number)) for number in row) for row in STATES)
+    path.write_text(f"P2\n# map_saver\n60 40 # cells\n65535\n{numbers}\n")
+
+
+def palette(path: Path) -> None:
+    Image.fromarray(STATES).convert("RGB").quantize(4).save(path)
+
+
+def with_alpha(path: Path) -> None:
+    """Hides the unseen corner, whatever its color."""
+    alpha = np.where(UNSEEN, 0, 255).astype(np.uint8)
+    Image.fromarray(np.stack((np.where(UNSEEN, 0, STATES), alpha), -1)).save(path)
+
+
+def with_colors_and_alpha(path: Path) -> None:
+    Image.fromarray(np.stack([np.where(UNSEEN, 255, STATES)] * 3 + [np.where(UNSEEN, 99, 255)], -1).astype("u1")).save(
+        path
+    )
+
+
+@pytest.mark.parametrize("write", [gray_16, text_pgm, palette, with_alpha, with_colors_and_alpha])
+@pytest.mark.parametrize("mode", ["trinary", "scale"])
+def test_pictures_of_all_kinds(tmp_path, write, mode):
+    name = "my map.pgm" if write is text_pgm else "my map.png"
+    path = write_map(tmp_path, image=name, mode=mode)
+    write(tmp_path / name)
+    assert is_wall(World.from_file(path), *POINTS) == [True, False, True, False, False]
+    assert is_wall(World.from_file(path, unknown="wall"), *POINTS) == [True, False, True, False, True]
+
+
+def test_raw_maps_of_16_bit(tmp_path):
+    path = write_map(tmp_path, image="map.png", mode="raw")
+    states = np.where(UNSEEN, 255, np.where(ROOM, 0, 100))
+    Image.fromarray((states * 257).astype(np.uint16)).save(tmp_path / "map.png")
+    assert is_wall(World.from_file(path, unknown="wall"), *POINTS) == [True, False, True, False, True]
+
+
+def test_a_picture_is_found_by_its_absolute_path_and_by_its_name(tmp_path):
+    for image in (tmp_path / "map.pgm", "/home/someone/maps/map.pgm"):
+        assert is_wall(World.from_file(write_map(tmp_path, image=image)), *POINTS)[0]
+
+
 def test_a_renamed_map_finds_its_picture(tmp_path):
     world = World.from_file(write_map(tmp_path, image="old.pgm"))
     assert any("old.pgm does not exist, and map.pgm is taken" in note for note in world.notes)
