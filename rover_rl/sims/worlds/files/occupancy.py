@@ -9,20 +9,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 import yaml
 
+from rover_rl.option_names import written
 from rover_rl.sims.worlds.files.areas import find_areas
 from rover_rl.sims.worlds.files.contents import Plane
 from rover_rl.sims.worlds.files.elevation import read_picture, white_of
-from rover_rl.sims.worlds.files.hulls import check_triangles
+from rover_rl.sims.worlds.files.hulls import MAX_TRIANGLES
 from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
-from rover_rl.sims.worlds.files.rectangles import cover
+from rover_rl.sims.worlds.files.rectangles import cover, slanted_cover
 from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
 from rover_rl.sims.worlds.obstacles import Obstacle, box
 
 MODES = ("trinary", "scale", "raw")
 MAX_BYTES = 2**20
+MAX_PIECES = MAX_TRIANGLES // 12
+"""Largest number of boxes and other pieces of the walls."""
 OCCUPIED, UNKNOWN = 100, 255
 """Values of nav_msgs/OccupancyGrid; UNKNOWN is its -1 as an unsigned byte."""
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -77,9 +81,7 @@ def read_map(path: Path, options: ImportOptions) -> dict[str, Any]:
     if not (states == 0).any():
         raise ValueError(f"{path} has no free cell; check negate and the thresholds")
     walls = (states == OCCUPIED) | ((states == UNKNOWN) & (options.unknown == "wall"))
-    rectangles = cover(walls)
-    check_triangles(12 * len(rectangles))
-    obstacles = [_wall(settings, *rectangle, options.wall_height) for rectangle in rectangles]
+    obstacles, about_walls = _walls(path, settings, walls, options)
     known = states == 0 if options.unknown == "open" else states != OCCUPIED
     centers = settings.points(np.argwhere(known)[:, ::-1] + 0.5)
     corners = settings.points(np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
@@ -89,7 +91,7 @@ def read_map(path: Path, options: ImportOptions) -> dict[str, Any]:
     areas, about = find_areas(terrain, obstacles, options, limits, partial(settings.lookup, known | walls))
     share = float((states == UNKNOWN).mean())
     unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
-    notes = (*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about)
+    notes = (*renamed, f"map: {int(walls.sum()):,} wall cells in {about_walls}", *unknown, *about)
     return {"name": options.name or path.stem, "terrain": terrain, "obstacles": obstacles, **areas, "notes": notes}
 
 
@@ -182,7 +184,44 @@ def _states(settings: _Map, gray: np.ndarray, clear: np.ndarray | None) -> np.nd
     return (states if clear is None else np.where(clear[::-1], UNKNOWN, states)).astype(np.uint8)
 
 
-def _wall(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Obstacle:
+def _walls(path: Path, settings: _Map, walls: np.ndarray, options: ImportOptions) -> tuple[list[Obstacle], str]:
+    """Returns the walls as exact boxes, or if those are too many, as slanted pieces, and a note.
+
+    If these are too many, too, walls become thicker by ``obstacle_error`` at most, if that is two cells or more.
+    """
+    height = options.wall_height
+    rectangles = cover(walls)
+    if len(rectangles) <= MAX_PIECES:
+        return [_box(settings, *rectangle, height) for rectangle in rectangles], f"{len(rectangles):,} boxes"
+    for size in (1, int(options.obstacle_error / settings.resolution + 1e-3)):
+        pieces = _slanted(walls, size)
+        if len(pieces) <= MAX_PIECES:
+            note = f"{len(pieces):,} slanted pieces, within about {settings.resolution * max(1, size):.2g} m"
+            return [_prism(settings.points(piece), height) for piece in pieces], note
+    sizes = (2**k for k in range(1, 20))
+    enough = settings.resolution * next(size for size in sizes if len(_slanted(walls, size)) <= MAX_PIECES)
+    thicker = f"accept {written('obstacle_error')}={enough:g}, with thicker walls, or " if enough <= 1 else ""
+    raise ValueError(
+        f"the walls of {path} are {len(pieces):,} pieces; at most {MAX_PIECES:,} are supported, so {thicker}crop the "
+        "picture or scale it down"
+    )
+
+
+def _slanted(walls: np.ndarray, size: int) -> np.ndarray:
+    """Returns slanted pieces that cover the walls, after joining blocks of ``size`` cells a side."""
+    if size > 1:
+        walls = np.pad(walls, [(0, -side % size) for side in walls.shape])
+        rows, columns = (side // size for side in walls.shape)
+        walls = np.any(walls.reshape(rows, size, columns, size), axis=(1, 3))
+    return max(1, size) * slanted_cover(walls)
+
+
+def _prism(corners: np.ndarray, height: float) -> Obstacle:
+    low, high = (np.column_stack((corners, np.full(len(corners), z))) for z in (0.0, height))
+    return Obstacle(torch.from_numpy(np.concatenate((low, high))))
+
+
+def _box(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Obstacle:
     ((x, y),) = settings.points(np.array([(column + columns / 2, row + rows / 2)]))
     sides = settings.resolution * columns, settings.resolution * rows
     return box((float(x), float(y), height / 2), (*sides, height), yaw=settings.origin[2])

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import Delaunay
 
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.files.rectangles import cover
+from rover_rl.sims.worlds.files import occupancy
+from rover_rl.sims.worlds.files.rectangles import cover, slanted_cover
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.scenes import heights_at, inside
 
@@ -243,6 +247,61 @@ def test_a_picture_is_found_by_its_absolute_path_and_by_its_name(tmp_path):
 def test_a_renamed_map_finds_its_picture(tmp_path):
     world = World.from_file(write_map(tmp_path, image="old.pgm"))
     assert any("old.pgm does not exist, and map.pgm is taken" in note for note in world.notes)
+
+
+def slanted_walls(side: int) -> np.ndarray:
+    """Returns a picture of walls of two cells, 40 cells apart, that are turned by 30 degrees, with gaps for doors."""
+    row, column = np.mgrid[0:side, 0:side] - side / 2
+    across, along = 0.866 * column + 0.5 * row, 0.866 * row - 0.5 * column
+    walls = (across % 40 < 2) & (along % 40 > 12) | (along % 40 < 2) & (across % 40 > 12)
+    return np.where(walls, 0, 254)
+
+
+def test_a_large_map_of_a_turned_building_has_few_slanted_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr(occupancy, "MAX_PIECES", 600)
+    states = slanted_walls(300)
+    world = World.from_file(write_map(tmp_path, states, origin=[0.0, 0.0, 0.0]), spawn_range=((10, 20), (10, 20)))
+    assert 80 < len(world.obstacles) < 400
+    assert any("slanted pieces, within about 0.1 m" in note for note in world.notes)
+    walls = states[::-1] == 0
+    outside, within = (distance_transform_edt(cells) for cells in (~walls, walls))
+    rng = np.random.default_rng(0)
+    for cells, expected in ((walls & (within > 1), True), (outside > 2, False)):
+        chosen = rng.permutation(np.argwhere(cells))[:400]
+        assert inside(world, *((0.1 * x + 0.05, 0.1 * y + 0.05, 0.5) for y, x in chosen)) == [expected] * 400
+
+
+@pytest.mark.parametrize("width", [1, 3])
+@pytest.mark.parametrize("degrees", [0, 10, 45, 80, 135])
+def test_a_slanted_wall_is_few_pieces_without_a_gap(width, degrees):
+    image = Image.new("1", (200, 200))
+    end = 80 * np.array((math.cos(math.radians(degrees)), math.sin(math.radians(degrees))))
+    ImageDraw.Draw(image).line([tuple(100 - end), tuple(100 + end)], 1, width)
+    pieces = slanted_cover(np.asarray(image))
+    assert len(pieces) <= 6
+    hulls = [Delaunay(piece) for piece in pieces]
+    across = np.linspace(-0.7, 0.7, 8)[:, None] * end[::-1] * (1, -1) / 80
+    for point in 100.5 + np.linspace(-0.97, 0.97, 200)[:, None] * end:
+        assert any((hull.find_simplex(point + across) >= 0).any() for hull in hulls)
+
+
+def test_the_advice_for_a_map_of_too_many_pieces_helps(tmp_path, monkeypatch):
+    monkeypatch.setattr(occupancy, "MAX_PIECES", 200)
+    states = np.where(np.random.default_rng(0).random((60, 60)) < 0.2, 0, 254)
+    states[20:40, 20:40] = 254
+    path = write_map(tmp_path, states)
+    with pytest.raises(ValueError, match=r"walls of .*map.yaml are [0-9]+ pieces; at most 200 are supported") as error:
+        World.from_file(path)
+    enough = float(re.search(r"accept obstacle_error=([0-9.]+)", str(error.value))[1])
+    world = World.from_file(path, obstacle_error=enough)
+    assert len(world.obstacles) <= 200
+    row, column = np.argwhere(states == 0).T
+    walls = zip(-1 + 0.1 * (column + 0.5), -2 + 0.1 * (60 - row - 0.5), strict=True)
+    assert np.mean(is_wall(world, *walls)) > 0.9
+    write_map(tmp_path, states[15:40, 15:40])
+    assert len(World.from_file(path).obstacles) <= 200
+    write_map(tmp_path, states.reshape(20, 3, 20, 3).mean((1, 3)), resolution=0.3)
+    assert len(World.from_file(path).obstacles) <= 200
 
 
 def test_rectangles_cover_exactly_the_cells():
