@@ -1,17 +1,50 @@
-"""Atomic file writes, and file errors that name the file."""
+"""Atomic file writes that say who made the file, the refusal to replace other files, and errors that name the file."""
 
 from __future__ import annotations
 
 import errno
 import json
 import os
-from collections.abc import Iterator
+import re
+import zlib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 STANDARD_OUTPUT = Path("standard output")
 """Name of the standard output in error messages."""
+MADE = "rover_rl made this file and may write over it"
+"""Mark in the files that this package writes for users, by which :func:`check_outputs` knows them."""
+MADE_BY = {"made_by": MADE}
+"""The mark in a JSON object."""
+
+_MARK = MADE.encode()
+_PNG_TEXT = b"tEXtComment\0" + _MARK
+_MARKS = {
+    # Before the last chunk of a PNG file, as a chunk of text: length, text, checksum.
+    ".png": (12, len(_PNG_TEXT[4:]).to_bytes(4, "big") + _PNG_TEXT + zlib.crc32(_PNG_TEXT).to_bytes(4, "big")),
+    # Before the last byte of a GIF file, as a comment.
+    ".gif": (1, b"\x21\xfe" + bytes((len(_MARK),)) + _MARK + b"\0"),
+    # Before the last marker of a JPEG file, as a comment.
+    **dict.fromkeys((".jpg", ".jpeg"), (2, b"\xff\xfe" + (len(_MARK) + 2).to_bytes(2, "big") + _MARK)),
+    # In a box that is skipped.
+    ".mp4": (0, (len(_MARK) + 8).to_bytes(4, "big") + b"free" + _MARK),
+    # As the comment of a ZIP archive, in place of the length of none.
+    **dict.fromkeys((".npz", ".pt2"), (2, len(_MARK).to_bytes(2, "little") + _MARK)),
+    **dict.fromkeys((".html", ".htm", ".svg"), (0, b"<!-- " + _MARK + b" -->\n")),
+    ".pdf": (0, b"%" + _MARK + b"\n"),
+}
+"""Number of bytes at the end of a file that the mark comes before, and the mark, by the suffix of the format."""
+_WITHOUT_COMMENTS = {
+    # In the first line, the first name alone is quoted.
+    ".csv": re.compile(rb'"[^",\n]*"(,[^"\n]*)?\r?\n'),
+    # The name of the application.
+    ".rrd": re.compile(rb"RRF2.{0,200}\n\x08rover_rl", re.DOTALL),
+    # The tables of Optuna.
+    ".db": re.compile(rb"SQLite format 3\0.*CREATE TABLE studies", re.DOTALL),
+}
+"""How files of formats without comments begin if this package made them."""
 
 
 def cache_folder() -> Path:
@@ -36,9 +69,57 @@ def written_whole(path: Path) -> Iterator[Path]:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         try:
             yield temporary
+            _mark(temporary)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def _mark(path: Path) -> None:
+    """Marks a file as made by this package, in a way that readers of its format skip."""
+    if path.suffix.lower() not in _MARKS:
+        return
+    before, mark = _MARKS[path.suffix.lower()]
+    with path.open("r+b") as file:
+        file.seek(-before, os.SEEK_END)
+        end = file.read()
+        file.seek(-before, os.SEEK_END)
+        file.write(mark if end == b"\0\0" else mark + end)
+
+
+def check_outputs(*outputs: Path, inputs: Iterable[str | Path] = (), force: bool = False) -> None:
+    """Checks, before any work, that a command writes over no input and over no file that this package did not make.
+
+    Args:
+        outputs: files that the command writes.
+        inputs: what it reads. Words that name no file are ignored.
+        force: whether the user allows it to write over such files.
+
+    Raises:
+        ValueError: if an output is an input, or if two outputs are the same file.
+        FileExistsError: if there is a file that this package did not make.
+    """
+    read = [Path(word) for word in inputs if os.path.exists(word)]
+    for number, path in enumerate(outputs):
+        if any(path.absolute() == other.absolute() for other in outputs[:number]):
+            raise ValueError(f"two results would be written to {path}: name different files")
+        if force or not os.path.lexists(path) or path.is_dir():
+            continue
+        if any(path.exists() and path.samefile(file) for file in read):
+            raise ValueError(f"{path} is read by this command: name another file to write, or add --force")
+        if not _is_marked(path):
+            raise FileExistsError(
+                f"{path} is there already, and rover-rl did not make it: name another place to write to, or add --force"
+            )
+
+
+def _is_marked(path: Path) -> bool:
+    """Whether this package made a file."""
+    if not path.is_file():
+        return False
+    content = path.read_bytes()
+    beginning = _WITHOUT_COMMENTS.get(path.suffix.lower())
+    return _MARK in content or (beginning is not None and beginning.match(content) is not None)
 
 
 @contextmanager

@@ -43,10 +43,10 @@ def test_a_urdf_is_shown_as_it_was_understood(capsys: pytest.CaptureFixture[str]
         "read as skid-steer with 4 wheels",
         "its torque is not known",
         "effective track, measured in warp: 0.8",
-        "drawn in machine.png",
+        "drawn in machine.robot.png",
     ):
         assert words in text
-    with Image.open("machine.png") as picture:
+    with Image.open("machine.robot.png") as picture:
         assert len(set(picture.convert("RGB").resize((200, 128)).getdata())) > 20
 
 

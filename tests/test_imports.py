@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "rover_rl"
 VAGUE_NAMES = {"utils", "helpers", "common"}
 
 LAYERS = (
-    ("checks", "files", "option_names", "plain", "progress", "registry", "rng", "tensordicts"),
+    ("checks", "files", "option_names", "plain", "progress", "registry", "rng", "tensordicts", "tiny_xml"),
     (
         "sims.base",
         "sims.connection",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 import tyro
 
 from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions, resolve_policies
+from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
@@ -28,6 +29,8 @@ class _Benchmark:
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,6 +148,7 @@ class RoboTerrainBenchmark(_Benchmark):
         worlds = benchmark.read_roboterrain(self.data)
         suite = benchmark.RoboTerrain(worlds, self.rovers, self.seconds, self.seed)
         policies = _policies(suite.name, self)
+        check_outputs(*(self.out / f"benchmark{suffix}" for suffix in (".json", ".csv")), force=self.force)
         self.out.mkdir(parents=True, exist_ok=True)
         runs = benchmark.run_roboterrain(suite, policies, self.workers)
         try:
@@ -195,19 +199,21 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchm
     from rover_rl.algos.benchmarks.suite import run_suite
 
     out, policies = options.out, _policies(suite.name, options)
+    pictures = {name: out / f"worst-{re.sub('[:/]', '-', name)}.png" for name in policies}
     # Fails before the runs, which can take minutes.
+    files = (out / "benchmark.json", out / "benchmark.csv", *pictures.values())
+    check_outputs(*files, inputs=[options.data], force=options.force)
     out.mkdir(parents=True, exist_ok=True)
     results = run_suite(suite, policies, options.workers)
-    pictures = {out / f"worst-{re.sub('[:/]', '-', result.name)}.png": result for result in results}
     try:
         write_results(out / "benchmark.json", results)
-        for picture, result in pictures.items():
-            draw_worst_runs(result, picture)
+        for result in results:
+            draw_worst_runs(result, pictures[result.name])
     finally:
         # Prints the results even if a file could not be written.
         print_results(results)
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
-    print("Worst runs: " + ", ".join(map(str, pictures)))
+    print("Worst runs: " + ", ".join(map(str, pictures.values())))
     return 0
 
 

@@ -146,7 +146,7 @@ class Drive:
         endings = []
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
-            from rover_rl.algos.deploy.drive_log import DriveLog
+            from rover_rl.algos.deploy.drive_log import DriveLog, check_log
             from rover_rl.algos.deploy.driving import drive_to
             from rover_rl.algos.evaluation.metrics import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
@@ -154,6 +154,7 @@ class Drive:
             from rover_rl.envs.config import name_of_part
             from rover_rl.sims.ros2.watchdog import Watchdog
 
+            check_log(self.log)
             policy = self._policy()
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings(policy.module)

@@ -13,8 +13,10 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
-from rover_rl.cli.replays import write_worst
+from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
+from rover_rl.files import check_outputs
+from rover_rl.sims.backends import name_of
 from rover_rl.sims.robots import get_robots
 
 if TYPE_CHECKING:
@@ -75,8 +77,10 @@ class Evaluate:
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
     html: Path | None = None
-    """Page to write: the drives of each policy that went worst and two usual ones, with a time slider, in one file that
+    """Page to write: up to 12 drives, the worst of each policy and usual ones, with a time slider, in one file that
     opens offline (needs the extra view)."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
         """Runs the command."""
@@ -87,6 +91,7 @@ class Evaluate:
         from rover_rl.algos.evaluation.results import Evaluation
 
         if self.html is not None:
+            check_page(self.html)
             # Says first if the extra is missing.
             import_module("rover_rl.view")
         check_columns(self.columns)
@@ -97,18 +102,31 @@ class Evaluate:
         if not self.policies:
             raise ValueError(NO_POLICY)
         words = [word for word in self.policies if not word.endswith(LOG)]
+        if self.html is not None and not words:
+            raise ValueError(f"--html shows drives of policies; of a log: rover-rl film LOG{LOG} --html {self.html}")
         policies = resolve_policies(words, self.world, self.environment.given_robot) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
+        requests, imperfections = self._requests(policies, sets, backends)
+        files = _pictures(requests, imperfections, out, len(backends) > 1)
+        of_logs = {
+            out / f"paths-{log.stem}{f'-{number}' if number else ''}.png": [drive]
+            for log, drives in logs.items()
+            for number, drive in enumerate(drives)
+        }
+        tables = [out / f"evaluation{part}" for part in (".json", ".csv", "-summary.csv", "-worlds.csv")]
+        written = [*tables, *dict.fromkeys(filter(None, files)), *of_logs, *([self.html] if self.html else [])]
         # Fails before the evaluation, which can take minutes.
+        check_outputs(*written, inputs=[*self.policies, *self.world], force=self.force)
         out.mkdir(parents=True, exist_ok=True)
-        results = self._evaluate(policies, sets, backends)
-        pictures = _pictures(results, out, len(backends) > 1)
-        for log, drives in logs.items():
-            results += drives
-            for number, drive in enumerate(drives):
-                pictures[out / f"paths-{log.stem}{f'-{number}' if number else ''}.png"] = [drive]
+        results = self._evaluate(requests, imperfections)
+        pictures: dict[Path, list[Evaluation]] = {}
+        for file, result in zip(files, results, strict=True):
+            if file is not None:
+                pictures.setdefault(file, []).append(result)  # type: ignore[arg-type]
+        pictures |= of_logs
+        results += [drive for drives in logs.values() for drive in drives]
         trained = {policy.name: policy.config for policy in policies if policy.config}
         try:
             write_evaluation(out / "evaluation.json", results)
@@ -171,13 +189,13 @@ class Evaluate:
         choose = partial(choose_episodes, robot=env.robot, workers=self.workers, agents=env.agents)
         return {world: choose(world, self.count, self.seed) for world in worlds}
 
-    def _evaluate(
+    def _requests(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
-    ) -> list[Evaluation | EndlessEvaluation]:
-        """Evaluates the policies in each world and backend, with each imperfection."""
+    ) -> tuple[list[GoalRequest | EndlessRequest], list[str]]:
+        """Returns what to evaluate in each world and backend, and with which imperfections."""
         from rover_rl.algos.evaluation.evaluate import usual_seconds
         from rover_rl.algos.evaluation.mover_traces import TRACE
-        from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
+        from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
 
         requests: list[GoalRequest | EndlessRequest] = []
         names: list[str] = []
@@ -195,26 +213,34 @@ class Evaluate:
             for policy, name, settings in runs if self.endless else ():
                 requests.append(EndlessRequest(policy.module, world, {**settings, "jam": self.jam}))
                 names.append(name)
-        results = evaluate_all(requests, self.workers)
         # The name of an environment with exact sensors is needed only beside others.
-        return [
-            replace(result, imperfection=name or EXACT) if self.imperfect else result
-            for result, name in zip(results, names, strict=True)
-        ]
+        return requests, [name or EXACT if self.imperfect else "" for name in names]
+
+    def _evaluate(
+        self, requests: list[GoalRequest | EndlessRequest], imperfections: list[str]
+    ) -> list[Evaluation | EndlessEvaluation]:
+        """Evaluates the policies."""
+        from rover_rl.algos.evaluation.parallel import evaluate_all
+
+        results = evaluate_all(requests, self.workers)
+        return [replace(result, imperfection=name) for result, name in zip(results, imperfections, strict=True)]
 
 
 def _pictures(
-    results: list[Evaluation | EndlessEvaluation], out: Path, several_backends: bool
-) -> dict[Path, list[Evaluation]]:
-    """Returns the evaluations to draw in each picture: one picture per world, backend and imperfection."""
-    from rover_rl.algos.evaluation.results import Evaluation
+    requests: list[GoalRequest | EndlessRequest], imperfections: list[str], out: Path, several_backends: bool
+) -> list[Path | None]:
+    """Returns the picture that each evaluation to a goal is drawn in: one per world, backend and imperfection."""
+    from rover_rl.algos.evaluation.parallel import GoalRequest
 
-    driven = [result for result in results if isinstance(result, Evaluation)]
-    several_worlds = len({evaluation.episodes.name for evaluation in driven}) > 1
-    pictures: dict[Path, list[Evaluation]] = {}
-    for evaluation in driven:
-        world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
-        parts = ("paths", world, backend, evaluation.imperfection)
+    several_worlds = len({request.episodes.name for request in requests if isinstance(request, GoalRequest)}) > 1
+    pictures: list[Path | None] = []
+    for request, imperfection in zip(requests, imperfections, strict=True):
+        if not isinstance(request, GoalRequest):
+            pictures.append(None)
+            continue
+        backend = request.options["env"].backend
+        backend = backend if isinstance(backend, str) else name_of(backend)
+        parts = ("paths", several_worlds and request.episodes.name, several_backends and backend, imperfection)
         name = "-".join(part for part in parts if part).replace(":", "-").replace("*", "x")
-        pictures.setdefault(out / f"{name}.png", []).append(evaluation)
+        pictures.append(out / f"{name}.png")
     return pictures

@@ -13,6 +13,7 @@ from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.experiments.space import Setting, read_space
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.cli.train import FLAT, INTERRUPTED, Train, train_defaults
+from rover_rl.files import check_outputs
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,16 @@ class Compare:
     """Success rate that a run takes some steps and minutes to."""
     out: Path = Path("runs/comparison")
     """Folder to write to."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
         """Runs the command."""
         from rover_rl.algos.experiments.comparison import compare, print_comparison, write_comparison
         from rover_rl.algos.experiments.runs import find_runs
 
+        files = ("comparison.png", "comparison.csv", "runs.csv", "comparison.json")
+        check_outputs(*(self.out / file for file in files), force=self.force)
         comparison = compare(find_runs(self.runs), self.success)
         write_comparison(comparison, self.out)
         print_comparison(comparison)
@@ -60,6 +65,8 @@ class SweepCommand:
     episodes: int = 64
     """Number of episodes in which each trial is evaluated."""
     training: Annotated[Train, FLAT] = field(default_factory=Train)
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
         """Runs the command."""
@@ -74,10 +81,11 @@ class SweepCommand:
         return self._run(config, space)
 
     def _run(self, config: TrainingConfig, space: list[Setting]) -> int:
-        from rover_rl.algos.experiments.sweep import Sweep, draw_trials, print_trials, write_trials
+        from rover_rl.algos.experiments.sweep import STUDY, Sweep, draw_trials, print_trials, write_trials
         from rover_rl.algos.train.run_folder import default_name
 
         folder = Path(config.run.runs, config.run.name or f"sweep-{default_name(config)}")
+        check_outputs(*(folder / file for file in (STUDY, "trials.csv", "trials.png")), force=self.force)
         sweep = Sweep(config, space, folder, self.episodes)
         try:
             complete = sweep.run(self.trials, lambda text: print(text, flush=True))

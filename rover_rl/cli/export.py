@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.files import check_outputs
 from rover_rl.sims.robots.options import RobotOptions, with_options
 
 
@@ -31,16 +32,22 @@ class Export:
     """What a URDF does not tell of the robot."""
     out: Path | None = None
     """File to write. Default: the name of the policy with the suffix .onnx or .pt2."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
         """Runs the command."""
         from rover_rl.algos.deploy.export import SUFFIXES, export
         from rover_rl.cli.policies import load_checkpoint
 
+        suffix = SUFFIXES[self.format]
+        if self.out is not None and self.out.suffix != suffix:
+            raise ValueError(f"the name of a file of the format {self.format} must end in {suffix}, got {self.out}")
         checkpoint, name = load_checkpoint(self.policy)
         if self.robot is not None:
             checkpoint = checkpoint.for_robot(with_options(self.robot, self.robot_options))
-        out = self.out or Path(name).with_suffix(SUFFIXES[self.format])
+        out = self.out or Path(name).with_suffix(suffix)
+        check_outputs(out, inputs=[self.policy], force=self.force)
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
         return 0

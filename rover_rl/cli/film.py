@@ -14,6 +14,8 @@ import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
 from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions, ResolvedPolicy, resolve_policy
+from rover_rl.cli.replays import check_page
+from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.stored import StoredEvaluation
@@ -74,6 +76,8 @@ class Film:
     """Playback speed; 2 is twice as fast as real time."""
     rewards: Path | None = None
     """File to plot the first rover's reward components to, such as rewards.png."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
 
@@ -83,7 +87,8 @@ class Film:
         if self.policy.endswith(LOG):
             from rover_rl.algos.video.recording import recording_of_log
 
-            self._film(recording_of_log(Path(self.policy), self.episode, self.world), self.out, f"of {self.policy}")
+            recording = recording_of_log(Path(self.policy), self.episode, self.world)
+            self._film(recording, self._out, f"of {self.policy}")
         elif self.episode is not None or self.failures:
             self._film_episodes()
         else:
@@ -108,6 +113,17 @@ class Film:
             raise ValueError("--rewards belongs to films without --html and --rrd")
         if self.failures and self.policy.endswith(LOG):
             raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
+        if self.html is not None:
+            check_page(self.html)
+        if self.rrd is not None and self.rrd.suffix.lower() != ".rrd":
+            raise ValueError(f"--rrd takes a file whose name ends in .rrd, got {self.rrd}")
+        if not self.failures:
+            self._check_outputs([self._out])
+
+    def _check_outputs(self, films: list[Path]) -> None:
+        rewards = [] if self.rewards is None else [self.rewards]
+        inputs = (self.policy, self.world or "", self.evaluation or "", self.environment.env or "")
+        check_outputs(*films, *rewards, inputs=inputs, force=self.force)
 
     @property
     def _style(self) -> Style:
@@ -120,8 +136,6 @@ class Film:
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
         if self._exported is not None:
-            # Those of several failures have numbers, as films have.
-            out = self._exported.with_stem(out.stem.replace(self.out.stem, self._exported.stem))
             self._export(shown, out)
         else:
             film_recording(shown, out, self._style)
@@ -140,12 +154,13 @@ class Film:
             return
         of = f"of {stored.policy}'s evaluation"
         if self.episode is not None:
-            self._film(_drive_again(policy, stored, self.episode), self.out, of)
+            self._film(_drive_again(policy, stored, self.episode), self._out, of)
             return
         failed = stored.failures
         print(f"{len(failed)} of {len(stored.endings)} episodes do not reach their goal", flush=True)
-        for episode in failed[: self.count]:
-            out = self.out.with_stem(f"{self.out.stem}-{episode}")
+        films = {episode: self._out.with_stem(f"{self._out.stem}-{episode}") for episode in failed[: self.count]}
+        self._check_outputs([*films.values()])
+        for episode, out in films.items():
             self._film(_drive_again(policy, stored, episode), out, of)
         if left := failed[self.count :]:
             print(f"Not filmed: {', '.join(f'{one} ({stored.endings[one]})' for one in left)}; see --count, --episode")
@@ -176,7 +191,7 @@ class Film:
             raise ValueError(f"episode must be between 0 and {len(episodes) - 1}, got {self.episode}")
         chosen = episodes.part(self.episode, self.episode + 1)
         (drive,) = record_episodes(policy.module, chosen, seconds=60.0, name=policy.name, env=env)
-        self._film(drive, self.out, f"of the episodes for {world}")
+        self._film(drive, self._out, f"of the episodes for {world}")
 
     def _film_endless(self) -> None:
         """Films rovers that drive from goal to goal."""
@@ -227,6 +242,11 @@ class Film:
         """File to write in place of a film, if there is one."""
         return self.html or self.rrd
 
+    @property
+    def _out(self) -> Path:
+        """File to write."""
+        return self._exported or self.out
+
     def _export(self, recording: Recording, path: Path) -> None:
         if self.html is None:
             from rover_rl.algos.video.rerun_export import write_rrd
@@ -259,7 +279,7 @@ def _how_it_ended(recording: Recording) -> str:
 class Play:
     """Watch a policy drive to a goal, or a drive of a log: films it, and opens the film.
 
-    ``rover-rl film`` has more options.
+    The command film has more options.
     """
 
     policy: Annotated[tyro.conf.Positional[str], _POLICY] = "pretrained:anywhere"
@@ -272,6 +292,8 @@ class Play:
     """Seed of starts and goals. Default: the stored ones."""
     show: bool = True
     """Open the film in the default viewer, if there is a display."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
         """Runs the command."""
@@ -291,7 +313,9 @@ class Play:
         from rover_rl.algos.video.film import Style, film_recording
         from rover_rl.algos.video.recording import recording_of_log
 
-        path, drive = Path(self.policy).with_suffix(".gif"), recording_of_log(Path(self.policy), world=self.world)
+        path = Path(self.policy).with_suffix(".gif")
+        check_outputs(path, force=self.force)
+        drive = recording_of_log(Path(self.policy), world=self.world)
         film_recording(drive.last(self.seconds), path, Style(width=PLAY_WIDTH, height=PLAY_HEIGHT))
         return path, drive
 
@@ -303,6 +327,7 @@ class Play:
         path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-").replace(
             "*", "x"
         )
+        check_outputs(path, force=self.force)
         size: dict[str, Any] = {"width": PLAY_WIDTH, "height": PLAY_HEIGHT}
         drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
         if drive.ending != "goal":

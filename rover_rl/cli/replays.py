@@ -8,18 +8,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.cli.policies import ResolvedPolicy
+from rover_rl.progress import ProgressDisplay, redirected_progress
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.evaluation.stored import StoredEvaluation
     from rover_rl.algos.video.recording import Recording
 
-WORST, GOOD = 4, 2
-"""Number of drives of each evaluation in a page that went worst, and that went as usual."""
+DRIVES, DRIVES_EACH = 12, 6
+"""Largest number of drives in a page, and of those of one evaluation."""
+SECONDS = 240.0
+"""Largest duration of all drives in a page together, s. Of a longer drive, the end is shown."""
+
+
+def check_page(path: Path) -> None:
+    """Checks the name of a page to write. Raises ``ValueError`` for another suffix."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--html takes a file whose name ends in .html, got {path}")
 
 
 def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPolicy], file: Path, page: Path) -> int:
     """Writes a page with the drives of evaluations that went worst, and some that went well. Returns their number.
+
+    The evaluations share the drives of the page: the more there are, the fewer are of each, failures first.
 
     Args:
         evaluations: evaluations of the policies.
@@ -32,13 +43,25 @@ def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPo
     from rover_rl.view.replay import write_replay
 
     modules = {policy.name: policy.module for policy in policies}
-    drives, titles = [], []
-    for evaluation in evaluations:
+    each = min(DRIVES_EACH, max(1, DRIVES // max(1, len(evaluations))))
+    chosen = []
+    for evaluation in evaluations[:DRIVES]:
         stored = read_evaluation(file, evaluation.name, evaluation.episodes.name, evaluation.backend)
-        for episode in stored.telling(WORST, GOOD):
-            drives.append(record_stored(modules[stored.policy], stored, episode))
+        chosen += [(stored, episode) for episode in stored.telling(each - each // 3, each // 3)]
+    drives, titles = [], []
+    with ProgressDisplay(f"replay of {len(chosen)} drives") as display:
+
+        def driven(drives: int, share: float) -> None:
+            display.update((drives + share) / len(chosen) / 2)
+
+        for number, (stored, episode) in enumerate(chosen):
+            # Half of the work is to drive them again, and half to draw them.
+            with redirected_progress(partial(driven, number)):
+                drive = record_stored(modules[stored.policy], stored, episode)
+            drives.append(drive.last(SECONDS / len(chosen)))
             titles.append(f"{stored.policy}, {title_of(stored, episode)}")
-    write_replay(drives, page, titles)
+        with redirected_progress(lambda share: display.update((1 + share) / 2)):
+            write_replay(drives, page, titles)
     return len(drives)
 
 

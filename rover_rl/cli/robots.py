@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
-from rover_rl.files import written_whole
+from rover_rl.files import check_outputs, written_whole
 from rover_rl.sims.robots.options import RobotOptions, is_robot_file, split_options, with_options
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ class ShowRobot:
     options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot."""
     out: Path | None = None
-    """Picture to write. Default: the robot's name with .png, in this folder."""
+    """Picture to write. Default: the robot's name with .robot.png, in this folder."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
     backend: str = "warp"
     """Simulator that a skid-steer robot spins in, for its effective track."""
 
@@ -43,11 +45,12 @@ class ShowRobot:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
             robot = get_robot(name)
+        out = self.out or Path(f"{robot.name}.robot.png")
+        check_outputs(out, inputs=[self.robot], force=self.force)
         lines = describe(robot)
         print("\n".join(lines))
         for note in _notes(name) or [str(each.message) for each in caught]:
             print(f"  {note}")
-        out = self.out or Path(f"{robot.name}.png")
         with written_whole(out) as temporary:
             draw_robot(robot, lines[1:], temporary)
         print(self._spin(robot), end="")

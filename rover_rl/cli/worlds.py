@@ -12,7 +12,7 @@ import tyro
 
 from rover_rl.checks import check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS
-from rover_rl.files import written_whole
+from rover_rl.files import check_outputs, written_whole
 from rover_rl.option_names import options_of_command
 from rover_rl.sims.robots.options import RobotOptions, with_options
 
@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 class ImportWorld:
     """Import a world from a file, tell what was understood, and save it as a world file.
 
-    FILE is an SDF world or model (.sdf, .world), a mesh (.obj, .stl, .dae, .glb, .gltf, .ply), an elevation model
-    (.tif, .png, .npy), or a ROS map (.yaml). docs/world_files.md describes the options.
+    FILE is an SDF world or model (.sdf, .world), a mesh (.obj, .stl, .dae, .glb, .gltf, .ply), a ROS map (.yaml), or
+    an elevation model (.tif, .png, .npy). docs/world_files.md describes the options.
     """
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """File to import."""
     out: Path | None = None
     """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
     spawn: tuple[float, ...] | None = None
@@ -70,6 +72,7 @@ class ImportWorld:
         from rover_rl.sims.worlds import World
 
         out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
+        check_outputs(out, inputs=[self.file], force=self.force)
         with warnings.catch_warnings(), options_of_command(""):
             # The notes of the world say the same.
             warnings.simplefilter("ignore", UserWarning)
@@ -80,7 +83,9 @@ class ImportWorld:
         return 0
 
     def _options(self) -> dict[str, Any]:
-        options = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("file", "out")}
+        options = {
+            item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("file", "out", "force")
+        }
         for name, argument in {"spawn": "spawn_range", "goal": "goal_range", "bounds": "bounds"}.items():
             options[argument] = _place(name, options.pop(name))
         return options
@@ -93,7 +98,9 @@ class ShowWorld:
     file: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="WORLD")]
     """World to draw: a file, a name, or module:attribute."""
     out: Path | None = None
-    """Picture to write. Default: the world's name with .png, in this folder."""
+    """Picture to write. Default: the world's name with .world.png, in this folder."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
     robot: str = "rover_zero"
     """Robot whose free space is drawn: a name, a URDF file, or module:attribute."""
     robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
@@ -107,8 +114,10 @@ class ShowWorld:
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world
 
+        # A map is often a pair of files such as lab.yaml and lab.png.
+        out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.world.png")
+        check_outputs(out, inputs=[self.file, self.robot], force=self.force)
         robot, world = get_robot(with_options(self.robot, self.robot_options)), get_world(self.file)
-        out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.png")
         with written_whole(out) as temporary:
             length = draw_task(world, robot, check_seed(self.seed), temporary)
         print(_description(world))
@@ -129,6 +138,8 @@ class Worlds:
     """What a URDF does not tell of the robot."""
     out: Path = Path("worlds")
     """Folder to write the maps to."""
+    force: bool = False
+    """Write over files that rover-rl did not make."""
     action: Annotated[
         Union[  # noqa: UP007
             Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],
@@ -149,10 +160,12 @@ class Worlds:
         from rover_rl.sims.worlds import get_world, world_names
 
         robot = get_robot(with_options(self.robot, self.robot_options))
-        for name in self.world or world_names():
-            name = fitting_worlds(name, robot)
-            file = Path(name).name.removesuffix(".npz").replace(":", "-").replace("*", "x")
-            world, path = get_world(name), self.out / f"{file}.png"
+        names = [*dict.fromkeys(fitting_worlds(name, robot) for name in self.world or world_names())]
+        files = [Path(name).name.removesuffix(".npz").replace(":", "-").replace("*", "x") for name in names]
+        paths = [self.out / f"{file}.png" for file in files]
+        check_outputs(*paths, inputs=[*names, self.robot], force=self.force)
+        for name, path in zip(names, paths, strict=True):
+            world = get_world(name)
             with written_whole(path) as temporary:
                 draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)

@@ -18,6 +18,7 @@ from rover_rl.algos.video.overlay import caption_of, overlay, stride_of
 from rover_rl.algos.video.recording import Moment, Recording, curves_of
 from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.view.cameras import LOOK_AT, Cameras
@@ -73,15 +74,17 @@ def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[s
         server.initial_camera.position, server.initial_camera.look_at = projector.cameras.place(), LOOK_AT
         captions = []
         serializer = server.get_scene_serializer()
-        for recording, title in zip(recordings, titles or [""] * len(recordings), strict=True):
-            if recording is not projector.recording:
-                projector.load(recording)
-            stride = stride_of(recording)
-            for index in range(0, len(recording.moments), stride):
-                caption = caption_of(projector.show(index))
-                captions.append(f"{title} · {caption}" if title else caption)
-                serializer.insert_sleep(stride * recording.dt)
-        page = serializer.as_html()
+        with ProgressDisplay("drawing") as display:
+            for number, (recording, title) in enumerate(zip(recordings, titles or [""] * len(recordings), strict=True)):
+                if recording is not projector.recording:
+                    projector.load(recording)
+                stride = stride_of(recording)
+                for index in range(0, len(recording.moments), stride):
+                    caption = caption_of(projector.show(index))
+                    captions.append(f"{title} · {caption}" if title else caption)
+                    serializer.insert_sleep(stride * recording.dt)
+                    display.update((number + index / len(recording.moments)) / len(recordings))
+            page = serializer.as_html()
     finally:
         close_page(server)
     with written_whole(path) as temporary:

@@ -12,7 +12,7 @@ from rover_rl.algos.benchmarks.suite import JITTER, Result
 from rover_rl.algos.evaluation.plots import draw_panels
 from rover_rl.algos.evaluation.results import plain_env_or_none, plain_estimates
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
-from rover_rl.files import write_json
+from rover_rl.files import MADE_BY, write_json
 
 WORST_RUNS = 6  # number of runs in a picture
 
@@ -49,7 +49,7 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
     worlds = [course.number for course in suite.courses]
     described = {"benchmark": suite.name, "worlds": worlds, "runs": suite.runs, "seed": suite.seed, "jitter": JITTER}
     limits = {"goal_radius": suite.goal_radius, "seconds": suite.seconds}
-    write_json(path, {**described, **limits, "policies": policies})
+    write_json(path, {**MADE_BY, **described, **limits, "policies": policies})
     write_rows(path.with_suffix(".csv"), rows)
 
 

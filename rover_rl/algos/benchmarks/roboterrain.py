@@ -31,7 +31,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.checks import MAX_COUNT, MAX_ROVERS, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, RoverEnv
-from rover_rl.files import write_json
+from rover_rl.files import MADE_BY, write_json
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.worlds import World
 
@@ -262,7 +262,7 @@ def write_roboterrain(path: Path, suite: RoboTerrain, runs: Sequence[Run]) -> No
         env = plain_env_or_none(replace(run.env, world=run.world))
         described.append({**head, "env": env, "metrics": plain_estimates(run.metrics)})
     settings = {"rovers": suite.rovers, "seconds": suite.seconds, "seed": suite.seed, "goal_radius": GOAL_RADIUS}
-    write_json(path, {"benchmark": suite.name, **settings, "results": described})
+    write_json(path, {**MADE_BY, "benchmark": suite.name, **settings, "results": described})
     rows = [
         {"policy": run.policy, "world": run.world, "rover": number, "goals": goals, "risk": risk, "contacts": contacts}
         for run in runs

@@ -97,6 +97,17 @@ def _rounded(values: Tensor) -> list[float]:
     return [round(value, 5) for value in values.tolist()]
 
 
+def check_log(path: Path) -> None:
+    """Checks that a file is new or empty, or a log, to which drives can be appended.
+
+    Raises:
+        FileExistsError: if it is another file.
+    """
+    head = json.dumps({"format": FORMAT})[:-1]
+    if path.is_file() and path.read_bytes()[: len(head)] not in (b"", head.encode()):
+        raise FileExistsError(f"{path} is no log of drives, so nothing is appended to it: name another --log")
+
+
 def read_drives(path: Path) -> list[Evaluation]:
     """Reads a log as evaluations, one for each policy, world, robot and time limit.
 

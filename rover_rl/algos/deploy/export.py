@@ -41,7 +41,7 @@ from rover_rl.algos.deploy.plain_policy import (
     input_names,
 )
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.files import written_whole
+from rover_rl.files import MADE_BY, written_whole
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -129,7 +129,7 @@ def _write_onnx(program: ExportedProgram, policy: PlainPolicy, settings: str, pa
         warnings.simplefilter("ignore", FutureWarning)
         written = torch.onnx.export(program, **names, dynamo=True, verbose=False)
     assert written is not None
-    written.model.metadata_props.update({_SETTINGS: settings, _CHECKSUM: _ZEROS})
+    written.model.metadata_props.update({_SETTINGS: settings, _CHECKSUM: _ZEROS, **MADE_BY})
     written.save(str(path), external_data=False)
     content = path.read_bytes()
     place = _CHECKSUM_BYTES.search(content)

@@ -16,7 +16,7 @@ from rover_rl.algos.evaluation.imperfections import print_imperfections
 from rover_rl.algos.evaluation.metrics import ENDING, METRICS, Estimate
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation, worst_worlds
 from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, formatted, print_tables, write_rows
-from rover_rl.files import write_json
+from rover_rl.files import MADE_BY, write_json
 from rover_rl.registry import perhaps
 
 ALL_COLUMNS = "all"  # in place of the names of columns: all metrics
@@ -169,7 +169,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
     found = {id(one): find_disagreements(group) for group in _comparable(evaluations) for one in group}
     results, summaries, by_world = [], [], []
     for one in evaluations:
-        result, row = one.to_json(), one.summary()
+        result, row = MADE_BY | one.to_json(), one.summary()
         if (disagreements := found.get(id(one))) is not None:
             keys = ("episode", "start", "goal", "endings")
             result["disagreements"] = [{key: getattr(each, key) for key in keys} for each in disagreements]

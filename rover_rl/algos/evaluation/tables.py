@@ -76,11 +76,11 @@ def formatted(value: float, unit: str, digits: int = 2) -> str:
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Writes rows as CSV, with a column for each key that occurs in them."""
-    columns = dict.fromkeys(key for row in rows for key in row)
+    first, *others = dict.fromkeys(key for row in rows for key in row) or ("",)
     with written_whole(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(columns))
-        writer.writeheader()
-        writer.writerows(rows)
+        # The quotes are the mark of a table: see rover_rl.files.
+        file.write(",".join((f'"{first}"', *others)) + "\r\n")
+        csv.DictWriter(file, [first, *others]).writerows(rows)
 
 
 def estimate_row(estimates: Mapping[str, Estimate]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, finite_
 from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
 from rover_rl.algos.experiments.runs import Against, Experiment, Run, evaluated_success, group
 from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement
-from rover_rl.files import write_json
+from rover_rl.files import MADE_BY, write_json
 
 IN_TRAINING = "last twelfth of training"  # what success rates are of if the runs have no evaluation in common
 ALL_WORLDS = "all worlds"  # heading of the results over several worlds
@@ -213,4 +213,4 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     write_rows(folder / "comparison.csv", finite["experiments"])
     write_rows(folder / "runs.csv", finite["runs"])
     found = {"success_of": comparison.scored_by, "level": comparison.level}
-    write_json(folder / "comparison.json", {**found, **finite})
+    write_json(folder / "comparison.json", {**MADE_BY, **found, **finite})

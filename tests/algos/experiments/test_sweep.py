@@ -117,7 +117,7 @@ def test_trials_are_shown(tmp_path: Path, fakes: Fakes) -> None:
     assert f"{best['learning_rate']:g}" in text
     write_trials(sweep, tmp_path / "trials.csv")
     lines = (tmp_path / "trials.csv").read_text().splitlines()
-    assert lines[0] == "trial,learning_rate,gamma,hidden,success,high,low,minutes,seconds"
+    assert lines[0] == '"trial",learning_rate,gamma,hidden,success,high,low,minutes,seconds'
     assert len(lines) == 5
     draw_trials(sweep, tmp_path / "trials.svg")
     drawn = (tmp_path / "trials.svg").read_text()
