@@ -20,6 +20,7 @@ from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.experiments import Compare, sweep_defaults
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film, Play
+from rover_rl.cli.help_text import ReadableHelp
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
@@ -76,7 +77,8 @@ def read_command(args: Sequence[str]) -> Any:
     command = known[name]
     default = {} if isinstance(command, type) else {"default": command}
     kind = command if isinstance(command, type) else type(command)
-    return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
+    with ReadableHelp():
+        return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
 
 
 def main(args: list[str] | None = None) -> int:
