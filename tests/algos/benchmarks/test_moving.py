@@ -41,6 +41,18 @@ def test_worlds_of_dynabarn(tmp_path: Path) -> None:
         assert read_dynabarn(write(tmp_path / "l.json", {**dynabarn(), "worlds": worlds}))[0].number == number
 
 
+def test_cylinders_of_dynabarn_may_begin_in_a_wall_and_pass_it(tmp_path: Path) -> None:
+    # As in the published worlds, one begins on the line of a wall and crosses the yard, and one beyond it.
+    across = {"period": 20.0, "keys": [[0.0, 4.0, 10.05, 0.0], [10.0, 4.0, -12.0, 0.0]]}
+    content = {**dynabarn(), "motions": {"away": AWAY, "across": across}, "worlds": [["away", "across"]]}
+    with pytest.warns(UserWarning, match="dynabarn-0: movers start inside an .* through it: cylinder 1"):
+        courses = read_dynabarn(write(tmp_path / "d.json", content))
+    suite = DynaBarn(courses)
+    suite.seconds = 8.0
+    (result,) = run_suite(suite, {"standing": (standing, WARP)})
+    assert result.evaluation.trajectories[0].ending == "time limit"
+
+
 def test_worlds_of_ros_jackal(tmp_path: Path) -> None:
     courses = read_ros_jackal(write(tmp_path / "r.json", ros_jackal()), [300, 400])
     assert [(course.number, course.group) for course in courses] == [(300, "boxes"), (400, "walls")]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,7 +73,7 @@ class Contents:
     """Everything that a reader found in a file.
 
     ``left_out`` says what was left out and why, and ``notes`` what else a user may want to know, one sentence each. The
-    first are told as warnings.
+    first are told as warnings. ``wrong`` has the errors of the parts that cannot be read, and are left out as well.
     """
 
     name: str
@@ -82,6 +83,15 @@ class Contents:
     movers: list[Mover] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    wrong: list[ValueError] = field(default_factory=list)
+
+    @contextmanager
+    def leaving_out(self, name: str = "") -> Iterator[None]:
+        """Context in which the part of a name is read, which is left out if it is wrong."""
+        try:
+            yield
+        except ValueError as error:
+            self.wrong.append(error if name in str(error) else ValueError(f"{name}: {error}"))
 
 
 def listed(names: Iterable[str], most: int = 8) -> str:

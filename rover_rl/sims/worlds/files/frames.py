@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -51,13 +53,14 @@ def to_pose(transform: np.ndarray) -> tuple[float, float, float, float, float, f
 
 @dataclass
 class Scope:
-    """The frames of a model or of the world, by name: a pose, and the frame that it is relative to.
+    """The frames of a model or of the world, by name: functions of a pose, and of the frame that it is relative to.
 
-    ``children`` are the scopes of the models in it, and ``merged`` those of models that were merged into it.
+    A pose is read when it is needed, so that a wrong one spoils nothing else. ``children`` are the scopes of the models
+    in it, and ``merged`` those of models that were merged into it.
     """
 
     name: str
-    frames: dict[str, tuple[np.ndarray, str]] = field(default_factory=dict)
+    frames: dict[str, Callable[[], tuple[np.ndarray, str]]] = field(default_factory=dict)
     children: dict[str, Scope] = field(default_factory=dict)
     merged: list[tuple[str, Scope]] = field(default_factory=list)
 
@@ -68,10 +71,12 @@ class Scope:
         for part in (*element.findall("link"), *element.findall("joint"), *element.findall("frame")):
             # A joint's frame is that of its child link; before SDF 1.7 the child is not a frame elsewhere.
             default = text_of(part.find("child")) if part.tag == "joint" else part.get("attached_to", "")
-            own = part.get("name", "")
-            transform, base = pose_of(part, f"{own!r} in {name}")
-            scope.frames[own] = (transform, base or default)
+            scope.frames[part.get("name", "")] = partial(scope._own, part, default)
         return scope
+
+    def _own(self, part: Element, default: str) -> tuple[np.ndarray, str]:
+        transform, base = pose_of(part, f"{part.get('name', '')!r} in {self.name}")
+        return transform, base or default
 
     def pose(self, name: str, depth: int = 0) -> np.ndarray:
         """Returns the transform of a frame, ``[4, 4]``, in the frame of the model or world."""
@@ -80,7 +85,7 @@ class Scope:
         if depth > MAX_DEPTH:
             raise ValueError(f"the frame {name!r} of {self.name} is relative to itself, through others")
         if name in self.frames:
-            transform, base = self.frames[name]
+            transform, base = self.frames[name]()
             return self.pose(base, depth + 1) @ transform
         first, _, rest = name.partition("::")
         if rest and first in self.children:

@@ -11,6 +11,7 @@ import torch
 from rover_rl.sims.worlds.files.contents import Piece
 from rover_rl.sims.worlds.files.triangles import face_normals, is_closed, signed_volume, surface_heights, upward_faces
 from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.terrain import Terrain
 
 CELLS = 256
 """Number of cells along the longer side of the grid on which pieces are compared."""
@@ -26,6 +27,10 @@ LEAST_AREA = 16.0
 """Least area of a piece that is ground on top of a plane or an elevation grid, m^2."""
 STEP = 0.01
 """Difference in height from which one piece is below another, m."""
+HIGHEST_FLOOR = 0.05
+"""Largest height of a floor, such as a carpet, over the ground that it lies on, m."""
+NARROWEST_FLOOR = 0.5
+"""Least width of a floor on other ground, m."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     everything = np.concatenate([piece.vertices[:, :2] for piece in pieces])
     low, high = everything.min(0), everything.max(0)
     scene = float(np.prod(high - low))
-    broad = [piece for piece in pieces if _is_flat(piece)]
+    broad = [piece for piece in pieces if is_flat(piece)]
     if has_base:
         broad = [piece for piece in broad if piece.faces is not None or np.ptp(piece.vertices[:, 2]) <= HIGHEST_SLAB]
     candidates = [surface for surface in map(Surface.of, broad) if surface.covers]
@@ -101,6 +106,22 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     return chosen if covered.sum() * cell**2 >= LEAST_COVER * scene else []
 
 
+def floors_on(terrain: Terrain, pieces: list[Piece]) -> list[Surface]:
+    """Returns the pieces that lie on ground, and are as flat as a wheel climbs: tiles, roads and carpets."""
+    return [
+        Surface.of(piece)
+        for piece in pieces
+        if np.ptp(piece.vertices[:, :2], axis=0).min() >= NARROWEST_FLOOR
+        and STEP < height_over(terrain, piece) <= HIGHEST_FLOOR + 1e-6
+    ]
+
+
+def height_over(terrain: Terrain, piece: Piece) -> float:
+    """Returns how high a piece reaches over ground at most, m."""
+    points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
+    return float((points[:, 2] - terrain.height_at(points[:, :2])).max())
+
+
 def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
     """Returns the surfaces of pieces whose names, or a part of them between slashes, match a pattern."""
     named = [
@@ -117,7 +138,8 @@ def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
     return surfaces
 
 
-def _is_flat(piece: Piece) -> bool:
+def is_flat(piece: Piece) -> bool:
+    """Returns whether a piece is broad."""
     x, y, z = np.ptp(piece.vertices, axis=0)
     return bool(min(x, y) > 0 and z <= THICKEST * min(x, y))
 

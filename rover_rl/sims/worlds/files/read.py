@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from rover_rl.option_names import written
 from rover_rl.progress import ProgressDisplay
@@ -15,7 +14,7 @@ from rover_rl.sims.worlds.files.archive import read_archive
 from rover_rl.sims.worlds.files.areas import find_areas
 from rover_rl.sims.worlds.files.contents import Contents, Piece, Plane, listed
 from rover_rl.sims.worlds.files.elevation import read_elevation
-from rover_rl.sims.worlds.files.ground import ground_pieces
+from rover_rl.sims.worlds.files.ground import HIGHEST_SLAB, STEP, floors_on, ground_pieces, height_over, is_flat
 from rover_rl.sims.worlds.files.hulls import check_triangles, obstacles_of
 from rover_rl.sims.worlds.files.mesh_files import read_mesh
 from rover_rl.sims.worlds.files.occupancy import read_map
@@ -83,9 +82,17 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
     ground = Ground(planes, contents.grids, surfaces)
     around = _around(others, ground, options)
     terrain, about_ground = make_terrain(ground, around, options.cell)
+    floors = floors_on(terrain, others) if options.ground == "auto" else []
+    if floors:
+        notes.append(f"ground: floors of at most 5 cm on other ground: {listed(floor.piece.name for floor in floors)}")
+        ground = Ground(planes, contents.grids, [*surfaces, *floors])
+        terrain, about_ground = make_terrain(ground, around, options.cell)
+        others = [piece for piece in others if all(piece is not floor.piece for floor in floors)]
     obstacles, buried = _obstacles(others, terrain, options, display)
-    about_pieces = [f"obstacles: {buried} pieces below the ground were left out"] if buried else []
-    areas, about_areas = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
+    about_pieces = (
+        [f"obstacles: {buried} pieces that end at most 1 cm above the ground were left out"] if buried else []
+    )
+    areas, about_areas = _areas(others, terrain, obstacles, options, _limits(around, ground, terrain))
     return {
         "name": options.name or contents.name,
         "terrain": terrain,
@@ -94,6 +101,20 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
         "movers": tuple(contents.movers),
         "notes": (*notes, *about_ground, *about_pieces, *about_areas),
     }
+
+
+def _areas(
+    pieces: list[Piece], terrain: Terrain, obstacles: list[Obstacle], options: ImportOptions, limits: Area
+) -> tuple[dict[str, Any], list[str]]:
+    """Returns the areas. If they have no free ground, the error names the pieces that may be meant as ground."""
+    try:
+        return find_areas(terrain, obstacles, options, limits)
+    except ValueError as error:
+        low = [p.name for p in pieces if is_flat(p) and STEP < height_over(terrain, p) <= HIGHEST_SLAB]
+        if not low:
+            raise
+        ground = written("ground", low[0].partition("/")[0] + "*")
+        raise ValueError(f"{error}; if some of {listed(low)} are ground, name them, such as {ground}") from error
 
 
 def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.ndarray:
@@ -126,8 +147,7 @@ def _obstacles(
     buried = triangles = 0
     for number, piece in enumerate(pieces):
         display.update(number / len(pieces), f"obstacle {number + 1:,} of {len(pieces):,}: {piece.name}")
-        points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
-        if bool((points[:, 2] < terrain.height_at(points[:, :2])).all()):
+        if height_over(terrain, piece) <= STEP + 1e-6:
             buried += 1
             continue
         solids = obstacles_of(piece, options.obstacle_error)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,6 +18,7 @@ from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.files.shapes import ShapeReader
 from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, read_xml, text_of
 from rover_rl.sims.worlds.movers import Mover, Person, Waypoints
+from rover_rl.tiny_xml import parse_xml
 
 MAX_MODELS = 3_000
 """Largest number of models of a world, includes counted each time."""
@@ -25,6 +27,11 @@ MOVING = re.compile(
 )
 """What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
 MAX_NESTING = 20
+GROUND_PLANE = (
+    b"<model name='ground_plane'><static>1</static><link name='link'><collision name='collision'>"
+    b"<geometry><plane><normal>0 0 1</normal><size>100 100</size></plane></geometry></collision></link></model>"
+)
+"""The model ``ground_plane`` of Gazebo."""
 
 
 def read_sdf(path: Path, options: ImportOptions) -> Contents:
@@ -46,6 +53,8 @@ def read_sdf(path: Path, options: ImportOptions) -> Contents:
         )
     if missing:
         contents.left_out.append(f"left out, as {written('missing', 'skip')} says: {listed(missing, 50)}")
+    if contents.wrong and not (contents.pieces or contents.grids or contents.movers):
+        raise contents.wrong[0]
     reader.tell()
     if locator.elsewhere:
         contents.notes.append(f"files found by their names: {listed(locator.elsewhere)}")
@@ -67,14 +76,16 @@ def _root(path: Path) -> Element:
 class _Place:
     """Where a model is read: its file, and the world pose ``[4, 4]`` and the frames of its parent.
 
-    ``name`` has the parents' names, with slashes. ``static`` tells whether a parent is static. ``files`` are those on
-    the way, to find circles, and ``depth`` is the number of models and includes on the way.
+    ``name`` has the parents' names, with slashes. ``state`` is what a saved world says of it in place of its own file.
+    ``static`` tells whether a parent is static. ``files`` are those on the way, to find circles, and ``depth`` is the
+    number of models and includes on the way.
     """
 
     file: Path
     transform: np.ndarray
     scope: Scope
     name: str = ""
+    state: Element = field(default_factory=lambda: Element("state"))
     static: bool = False
     files: tuple[Path, ...] = ()
     depth: int = 0
@@ -89,13 +100,18 @@ class _Reader:
         self._moving: list[str] = []
         self._driven: list[str] = []
         self._jointed: list[str] = []
+        self._off: list[str] = []
         self._shown: list[str] = []
         self._models = 0
         self._roots: dict[Path, Element] = {}
 
     def read(self, top: Element, path: Path) -> None:
         """Reads the models, includes and actors of a world, or of a file without a world."""
-        self._read_children(top, _Place(path, np.eye(4), Scope.of(top, "the world"), files=(path.resolve(),)))
+        state = top.find("state")
+        state = Element("state") if state is None else state
+        top.extend(state.findall("insertions/model"))
+        place = _Place(path, np.eye(4), Scope.of(top, "the world"), state=state, files=(path.resolve(),))
+        self._read_children(top, place)
         if top.find("population") is not None:
             self._contents.left_out.append("a <population> is random in Gazebo, and left out")
 
@@ -106,58 +122,69 @@ class _Reader:
             (self._moving, "models that are not static do not move"),
             (self._driven, "models that plugins move in Gazebo stand still"),
             (self._jointed, "models that are not static and have joints are left out"),
+            (self._off, "collisions that stop nothing are left out"),
         ):
             if names:
                 contents.left_out.append(f"{sentence}: {listed(names)}")
+        if contents.wrong:
+            contents.left_out.append(f"left out, as they are wrong: {listed(map(str, contents.wrong), 20)}")
         if self._shown:
             contents.notes.append(f"links without collision geometry have their visual one: {listed(self._shown)}")
 
     def _read_children(self, parent: Element, place: _Place) -> None:
         """Reads the models of a world or a model: first all frames, which may be relative to one another."""
-        state = _state_poses(parent)
+        deleted = {text_of(name) for name in place.state.findall("deletions/name")}
         found: list[tuple[Element, Path, Element]] = []
         for element in parent:
-            if element.tag == "include":
-                included = self._included(element, place)
-                if included is not None:
-                    found.append(included)
-            elif element.tag in ("model", "actor"):
-                found.append((element, place.file, Element("include")))
-        entries = [self._enter(element, file, include, place, state) for element, file, include in found]
+            with self._contents.leaving_out():
+                if element.tag == "include":
+                    found += self._included(element, place)
+                elif element.tag in ("model", "actor"):
+                    found.append((element, place.file, Element("include")))
+        entries = [self._enter(element, file, include, place) for element, file, include in found]
         for (element, file, include), (name, scope) in zip(found, entries, strict=True):
-            if element.tag == "actor":
-                self._actor(element, place.transform @ place.scope.pose(name), name)
+            if name in deleted:
+                continue
+            transform = None
+            with self._contents.leaving_out():
+                transform = place.transform @ place.scope.pose(name)
+                if element.tag == "actor":
+                    self._actor(element, transform, name)
+            if transform is None or element.tag == "actor":
                 continue
             # What the include says about its model counts.
             says = element if include.find("static") is None else include
             inner = _Place(
                 file,
-                place.transform @ place.scope.pose(name),
+                transform,
                 scope,
                 f"{place.name}/{name}".lstrip("/"),
+                _named(place.state, "model", name),
                 place.static or is_true(says.find("static")),
                 (*place.files, file.resolve()),
                 place.depth + 1,
             )
             self._model(element, inner)
 
-    def _enter(
-        self, element: Element, file: Path, include: Element, place: _Place, state: dict[str, np.ndarray]
-    ) -> tuple[str, Scope]:
+    def _enter(self, element: Element, file: Path, include: Element, place: _Place) -> tuple[str, Scope]:
         """Adds the frame of a model to its parent's, and returns its name there and its own frames."""
         name = text_of(include.find("name")) or element.get("name", "")
         scope = Scope.of(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
-        source = element if include.find("pose") is None else include
-        transform, base = pose_of(source, f"{element.tag} {name!r} in {file.name}")
-        if name in state:
-            transform, base = state[name], ""
-        placement = text_of(include.find("placement_frame")) or element.get("placement_frame", "")
-        if placement:
-            transform = transform @ np.linalg.inv(scope.pose(placement))
+        saved = _named(place.state, "model", name)
+
+        def pose() -> tuple[np.ndarray, str]:
+            if saved.find("pose") is not None:
+                # A saved state has poses in the world.
+                return np.linalg.inv(place.transform) @ pose_of(saved, f"the state of {name!r}")[0], ""
+            source = element if include.find("pose") is None else include
+            transform, base = pose_of(source, f"{element.tag} {name!r} in {file.name}")
+            placement = text_of(include.find("placement_frame")) or element.get("placement_frame", "")
+            return transform @ np.linalg.inv(scope.pose(placement)), base
+
         # Gazebo gives a second model of the same name another one.
         while name in place.scope.frames:
             name += "_"
-        place.scope.frames[name] = (transform, base)
+        place.scope.frames[name] = pose
         place.scope.children[name] = scope
         if include.get("merge", "").lower() in ("1", "true"):
             place.scope.merged.append((name, scope))
@@ -184,18 +211,34 @@ class _Reader:
 
     def _link(self, link: Element, place: _Place) -> None:
         name = f"{place.name}/{link.get('name', '')}"
-        transform = place.transform @ place.scope.pose(link.get("name", ""))
         parts = link.findall("collision")
         if not parts and self._options.visuals:
             parts = link.findall("visual")
             self._shown += [name] if parts else []
         for part in parts:
-            pose, base = pose_of(part, f"{part.tag} {part.get('name', '')!r} of {name}")
-            # Without relative_to, a pose is relative to the link.
-            at = transform if not base else place.transform @ place.scope.pose(base if base != WORLD else MODEL)
+            own = f"{name}/{part.get('name', '')}"
             geometry = part.find("geometry")
-            if geometry is not None:
-                self._shapes.add(geometry, at @ pose, f"{name}/{part.get('name', '')}", place.file.parent)
+            with self._contents.leaving_out(own):
+                if geometry is not None and not _is_off(part):
+                    self._shapes.add(geometry, self._placed(part, link, place), own, place.file.parent)
+                elif geometry is not None:
+                    self._off.append(own)
+
+    def _placed(self, part: Element, link: Element, place: _Place) -> np.ndarray:
+        """Returns the transform of a collision or visual of a link to the world, with the scale of a saved state."""
+        name = link.get("name", "")
+        pose, base = pose_of(part, f"{part.tag} {part.get('name', '')!r} of {place.name}/{name}")
+        saved = _named(place.state, "link", name)
+        if base:
+            # Without relative_to, a pose is relative to the link.
+            at = place.transform @ place.scope.pose(base if base != WORLD else MODEL)
+        elif saved.find("pose") is not None:
+            at = pose_of(saved, f"the state of {place.name}/{name}")[0]
+        else:
+            at = place.transform @ place.scope.pose(name)
+        scale = numbers(place.state.find("scale"), 3, (1, 1, 1), f"the scale in the state of {place.name}")
+        # Gazebo Classic ignores scales that are negative.
+        return at @ pose @ np.diag((*(scale if (scale > 0).all() else (1, 1, 1)), 1))
 
     def _actor(self, actor: Element, transform: np.ndarray, name: str) -> None:
         """Adds an actor as a person on the ground. Its waypoints are relative to its pose."""
@@ -219,20 +262,28 @@ class _Reader:
             Mover(Waypoints(keys, "loop" if loops else "once", delay=float(delay[0])), Person(), name)
         )
 
-    def _included(self, include: Element, place: _Place) -> tuple[Element, Path, Element] | None:
-        """Returns an included model or actor, its file, and the ``<include>``; ``None`` if it is missing or a light."""
+    def _included(self, include: Element, place: _Place) -> list[tuple[Element, Path, Element]]:
+        """Returns an included model or actor, its file, and the ``<include>``; nothing if it is missing or a light."""
         uri = text_of(include.find("uri"))
         if not uri:
             raise ValueError(f"an <include> in {place.file} has no uri")
         path = self._locator.file(uri, place.file.parent, _model_file)
         if path is None:
-            return None
+            return self._of_gazebo(uri, include, place)
         if path.resolve() in place.files:
             raise ValueError(f"{path} includes itself")
         if path not in self._roots:
             self._roots[path] = _root(path)
         found = [child for child in self._roots[path] if child.tag in ("model", "actor")]
-        return (found[0], path, include) if found else None
+        return [(found[0], path, include)] if found else []
+
+    def _of_gazebo(self, uri: str, include: Element, place: _Place) -> list[tuple[Element, Path, Element]]:
+        """Returns the ground plane of nearly every world, which does not need Gazebo's file, and no sun."""
+        name = re.sub(r"(/tip|/\d+|/model.sdf)?/*$", "", unquote(uri)).rpartition("/")[2].lower().replace(" ", "_")
+        if name not in ("sun", "ground_plane"):
+            return []
+        self._locator.missing.pop()
+        return [] if name == "sun" else [(parse_xml(GROUND_PLANE), place.file, include)]
 
 
 def _mover(plugin: Element) -> str:
@@ -266,8 +317,23 @@ def _version(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in re.findall(r"\d+", text))
 
 
-def _state_poses(world: Element) -> dict[str, np.ndarray]:
-    """Returns the poses of models in the saved state of a Gazebo Classic world, which count instead of their own."""
-    state = world.find("state") if world.tag == "world" else None
-    models = [] if state is None else [model for model in state.findall("model") if model.find("pose") is not None]
-    return {model.get("name", ""): pose_of(model, f"the state of {model.get('name', '')!r}")[0] for model in models}
+def _named(parent: Element, tag: str, name: str) -> Element:
+    """Returns the child with a tag and a name, empty if there is none."""
+    return next((child for child in parent.findall(tag) if child.get("name") == name), Element(tag))
+
+
+def _is_off(collision: Element) -> bool:
+    """Returns whether a collision stops nothing, since nothing collides with it or no force comes of it."""
+    contact = collision.find("surface/contact")
+    if contact is None:
+        return False
+    if is_true(contact.find("collide_without_contact")):
+        return True
+    bits = _bits(contact.find("collide_bitmask"), 0xFFFF)
+    return not bits | _bits(contact.find("category_bitmask"), bits)
+
+
+def _bits(element: Element | None, default: int) -> int:
+    """Returns a bit mask as sdformat reads it: the digits at the start, decimal or hexadecimal, as 16 bits."""
+    found = re.match(r"[+-]?(?:0x[0-9a-f]+|\d+)", text_of(element).lower())
+    return default if found is None else int(found[0], 16 if "x" in found[0] else 10) & 0xFFFF

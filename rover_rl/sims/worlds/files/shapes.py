@@ -53,7 +53,8 @@ class ShapeReader:
         size = numbers(shape.find("size"), 2, (1, 1), f"the size of {name}")
         if np.linalg.norm(normal) < 1e-9:
             raise ValueError(f"the normal of {name} must not be 0")
-        normal = transform[:3, :3] @ normal / np.linalg.norm(normal)
+        normal = np.linalg.inv(transform[:3, :3]).T @ normal
+        normal /= np.linalg.norm(normal)
         if normal[2] < UPRIGHT:
             self._contents.left_out.append(f"{name}: a plane that is steeper than 60 degrees is left out")
             return

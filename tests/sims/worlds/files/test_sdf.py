@@ -400,3 +400,189 @@ def export_files(mesh: trimesh.Trimesh, kind: str) -> dict[str, bytes]:
         return {"box.gltf" if name == "model.gltf" else name: content for name, content in files.items()}
     content = mesh.export(file_type=kind)
     return {f"box.{kind}": content.encode() if isinstance(content, str) else content}
+
+
+BAD_PIECES = {
+    "no number": (link("<box><size>1 one 1</size></box>"), "the size of the box of bad/l/c must be 3 finite numbers"),
+    "no size": (link("<sphere/>"), "the radius of the sphere of bad/l/c must be 1 finite number"),
+    "size of 0": (link("<box><size>1 0 1</size></box>"), "the size of the box of bad/l/c must be positive"),
+    "negative size": (link("<cylinder><radius>-1</radius><length>1</length></cylinder>"), "bad/l/c must be positive"),
+    "far up": (link(POST, "1 1 343582 0 0 0"), "bad/l/c reaches 3.44e[+]05 m from the origin"),
+    "pose of three numbers": (link(POST, "1 1 1"), "the pose of 'l' in the model 'bad' must be 6 finite numbers"),
+    "pose that is NaN": (link(POST, "nan 1 1 0 0 0"), "the pose of 'l' in the model 'bad' must be 6 finite numbers"),
+    "no quaternion": (
+        link(POST, "0 0 0 0 0 0 0", attributes="rotation_format='quat_xyzw'"),
+        "a quaternion of length 0",
+    ),
+    "no frame": (link(POST, "1 1 0 0 0 0", attributes="relative_to='x'"), "the model 'bad' has no frame 'x'"),
+    "no mesh": (link("<mesh><uri>text.stl</uri></mesh>"), "bad/l/c: .*text.stl holds no triangles"),
+    "no kind of mesh": (link("<mesh><uri>text.txt</uri></mesh>"), "bad/l/c: .*text.txt is no mesh"),
+    "no uri": (link("<mesh/>"), "the mesh of bad/l/c has no uri"),
+    "scale of 0": (link("<mesh><uri>cube.stl</uri><scale>1 0 1</scale></mesh>"), "the scale of bad/l/c must not be 0"),
+    "no submesh": (link("<mesh><uri>cube.stl</uri><submesh><name>x</name></submesh></mesh>"), "has no submesh 'x'"),
+    "no normal": (link("<plane><normal>0 0 0</normal></plane>"), "the normal of bad/l/c must not be 0"),
+    "polyline of two points": (
+        link("<polyline><point>0 0</point><point>1 0</point><height>1</height></polyline>"),
+        "the polyline of bad/l/c must have at least 3 points",
+    ),
+    "no heightmap": (
+        link("<heightmap><uri>text.png</uri><size>9 9 1</size></heightmap>"),
+        "no picture that can be read",
+    ),
+    "include without a uri": ("<include/>", "an <include> in .*test.sdf has no uri"),
+    "include of no XML": ("<include><uri>broken</uri></include>", "is not valid XML"),
+    "include in a circle": ("<include><uri>circle</uri></include>", "includes itself"),
+    "include of an old version": ("<include><uri>old</uri></include>", "has the SDF version '1.2'"),
+}
+
+
+@pytest.mark.parametrize(("bad", "why"), BAD_PIECES.values(), ids=BAD_PIECES)
+def test_a_bad_piece_is_left_out_and_named_beside_the_good_ones(tmp_path, bad, why):
+    for name in ("text.stl", "text.txt", "text.png"):
+        (tmp_path / name).write_text("words")
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "cube.stl")
+    for name, content in (
+        ("broken", "<sdf version='1.6'><model"),
+        ("circle", "<sdf version='1.6'><model name='m'><include><uri>model://circle</uri></include></model></sdf>"),
+        ("old", "<sdf version='1.2'/>"),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.sdf").write_text(content)
+    body = bad if bad.startswith("<include") else model(bad, "bad")
+    with pytest.warns(UserWarning, match=f"left out, as they are wrong: .*{why}"):
+        world = world_of(tmp_path, body + model(link(POST, "3 2 0 0 0 0"), "good"))
+    assert len(world.obstacles) == 1
+    assert inside(world, (3.0, 2.0, 1.0)) == [True]
+    assert any(re.search(why, note) for note in world.notes)
+    with pytest.raises(ValueError, match=why):
+        world_of(tmp_path, body)
+
+
+def test_a_wrong_link_leaves_the_others_of_its_model_and_a_wrong_actor_the_others(tmp_path):
+    actor = "<actor name='{}'><script><trajectory><waypoint><time>{}</time></waypoint></trajectory></script></actor>"
+    joint = "<joint name='j' type='fixed'><pose>1 2</pose><parent>a</parent><child>b</child></joint>"
+    body = model(link(POST, "nan 0 0 0 0 0", "a") + link(POST, "2 0 0 0 0 0", "b") + joint)
+    with pytest.warns(UserWarning, match="'a' in the model 'm'.*a waypoint's time of 'two' must be"):
+        world = world_of(tmp_path, body + actor.format("one", 0) + actor.format("two", "soon"))
+    assert inside(world, (2.0, 0.0, 1.0)) == [True]
+    assert [mover.name for mover in world.movers] == ["one"]
+
+
+GROUND = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane"
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "model://ground_plane",
+        "model://ground_plane/",
+        "model://ground_plane/model.sdf",
+        GROUND,
+        f"{GROUND}/2",
+        f"{GROUND}/tip".replace(" ", "%20"),
+        "https://fuel.ignitionrobotics.org/1.0/openrobotics/models/ground plane/1/",
+    ],
+)
+def test_the_ground_plane_and_the_sun_of_gazebo_need_no_files(tmp_path, uri):
+    ground = f"<include><uri>{uri}</uri><pose>0 0 0.5 0 0 0</pose></include>"
+    sun = f"<include><uri>{re.sub('(?i)ground(.*)plane', 'sun', uri)}</uri></include>"
+    path = world_of_text(
+        tmp_path, f"<sdf version='1.6'><world name='w'>{sun}{ground}{model(link(POST, '3 2 9 0 0 0'))}"
+    )
+    world = World.from_file(path)
+    assert (world.terrain.is_flat, heights_at(world, (0.0, 0.0))) == (True, [0.5])
+    assert len(world.obstacles) == 1
+    # A file of that name counts.
+    included(tmp_path, model(link("<plane/>", "0 0 2 0 0 0")), "ground_plane")
+    if uri.startswith("model"):
+        assert heights_at(World.from_file(path), (0.0, 0.0)) == [2.5]
+
+
+@pytest.mark.parametrize(
+    ("contact", "count"),
+    [
+        ("<collide_bitmask>0</collide_bitmask>", 0),
+        ("<collide_bitmask>\n 0x00 </collide_bitmask>", 0),
+        ("<collide_bitmask>0X0</collide_bitmask>", 0),
+        ("<collide_bitmask>65536</collide_bitmask>", 0),  # 16 bits count
+        ("<collide_bitmask>0x10000</collide_bitmask>", 0),
+        ("<collide_bitmask>0</collide_bitmask><category_bitmask>0</category_bitmask>", 0),
+        ("<collide_bitmask>0</collide_bitmask><category_bitmask>2</category_bitmask>", 1),
+        ("<collide_bitmask>010</collide_bitmask>", 1),
+        ("<collide_bitmask>-1</collide_bitmask>", 1),
+        ("<collide_bitmask/>", 1),
+        ("<collide_without_contact>1</collide_without_contact>", 0),
+        ("<collide_without_contact> True </collide_without_contact>", 0),
+        ("<collide_without_contact>false</collide_without_contact>", 1),
+    ],
+)
+def test_collisions_that_stop_nothing_are_left_out(tmp_path, contact, count):
+    off = link(POST).replace("</collision>", f"<surface><contact>{contact}</contact></surface></collision>")
+    # A visual does not take the place of a collision that is off.
+    off = off.replace("</link>", f"<visual name='v'><geometry>{POST}</geometry></visual></link>")
+    world = world_of(tmp_path, model(off, "off") + model(link(POST, "3 2 0 0 0 0")))
+    assert len(world.obstacles) == 1 + count
+    assert any("off/l/c" in note for note in world.notes) == (count == 0)
+
+
+def test_the_saved_state_of_a_world_counts(tmp_path):
+    inner = model(link(POST, name="x"), "inner", "")
+    body = model(link(POST, "1 1 0 0 0 0", "a") + link(POST, "5 5 0 0 0 0", "b") + inner, "m") + model(
+        link(POST), "gone"
+    )
+    new = model(link(POST, "0 -4 0 0 0 0"), "new")
+    state = (
+        f"<state world_name='w'><insertions>{new}</insertions><deletions><name>gone</name></deletions><model name='m'>"
+        "<pose>2 0 0 0 0 1.5707963</pose><scale>2 3 1</scale><link name='b'><pose>-3 0 0 0 0 0</pose></link>"
+        "<model name='inner'><pose>0 4 0 0 0 0</pose></model></model></state>"
+    )
+    world = world_of(tmp_path, body + state)
+    found = [[*o.vertices.mean(0)[:2].tolist(), *np.ptp(o.vertices.numpy(), axis=0)[:2]] for o in world.obstacles]
+    expected = [[0, 4, 0.2, 0.2], [1, 1, 0.6, 0.4], [-3, 0, 0.4, 0.6], [0, -4, 0.2, 0.2]]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+WALLS = "".join(
+    model(link(f"<box><size>{size} 1</size></box>", f"{place} 0.5 0 0 0"), name)
+    for name, size, place in (
+        ("n", "20 .2", "0 10"),
+        ("s", "20 .2", "0 -10"),
+        ("e", ".2 20", "10 0"),
+        ("w", ".2 20", "-10 0"),
+    )
+)
+
+
+def slab(top: float, size: tuple[float, float, float], x: float = 0.0, y: float = 0.0, name: str = "slab") -> str:
+    shape = f"<box><size>{size[0]} {size[1]} {size[2]}</size></box>"
+    return model(link(shape, f"{x} {y} {top - size[2] / 2} 0 0 0"), name)
+
+
+@pytest.mark.parametrize(
+    ("floors", "top"),
+    [
+        (slab(-0.02, (8, 8, 0.1)), 0.0),
+        (slab(0.0, (8, 8, 0.1)), 0.0),
+        (slab(0.01, (3, 2, 0.01)), 0.0),
+        (slab(0.0, (20, 20, 0.1)), 0.0),
+        (slab(0.02, (3, 2, 0.02)), 0.02),
+        (slab(0.05, (8, 8, 0.3)), 0.05),
+        ("".join(slab(0.05, (4, 4, 0.1), x, y, f"t{x}{y}") for x in range(-8, 9, 4) for y in range(-8, 9, 4)), 0.05),
+        (slab(0.2, (18, 18, 0.4)) + slab(0.23, (2, 2, 0.03), name="carpet"), 0.23),
+    ],
+    ids=["below", "level", "thin carpet", "whole room", "carpet", "slab", "tiles", "carpet on a slab"],
+)
+def test_floors_on_other_ground_carry_the_wheels(tmp_path, floors, top):
+    world = world_of(tmp_path, WALLS + floors, spawn_range=((-0.9, 0.9), (-0.9, 0.9)))
+    assert len(world.obstacles) == 4
+    assert heights_at(world, (0.0, 0.0)) == pytest.approx([top], abs=1e-6)
+
+
+def test_what_is_higher_or_narrower_than_a_floor_is_an_obstacle_and_may_be_named_as_ground(tmp_path):
+    sill = slab(0.03, (0.2, 2, 0.03), 5, name="sill")
+    assert len(world_of(tmp_path, WALLS + sill).obstacles) == 5
+    areas = {"spawn_range": ((-1, 1), (-1, 1)), "goal_range": ((-3, 3), (-3, 3))}
+    with pytest.raises(ValueError, match=r"no free ground .* slab/l/c are ground, name them, .* ground=.slab\*."):
+        world_of(tmp_path, WALLS + slab(0.08, (8, 8, 0.1)), **areas)
+    world = world_of(tmp_path, WALLS + slab(0.08, (8, 8, 0.1)), ground="slab*", **areas)
+    assert (len(world.obstacles), heights_at(world, (0.0, 0.0))) == (4, pytest.approx([0.08]))
