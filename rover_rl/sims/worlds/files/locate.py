@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import takewhile
@@ -55,6 +57,12 @@ class Locator:
         """
         uri = unquote(uri.strip())
         scheme, _, rest = uri.rpartition("://")
+        if scheme in ("http", "https"):
+            # A model of Fuel that was downloaded: .../models/NAME, NAME/VERSION or NAME/VERSION/files/FILE.
+            wanted = re.sub(r"(/models/[^/]+)(/tip|/\d+)?/*$", r"\1", rest)
+            found = self._by_name(uri, PurePosixPath(wanted))
+            if found is not None:
+                return found
         if scheme not in ("", "file", "model", "package") or "\0" in uri:
             raise OutsideError(f"{uri} is not a local file")
         if scheme in ("model", "package"):
@@ -94,8 +102,10 @@ class Locator:
         def alike(path: Path) -> int:
             return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(path.parts[::-1], ends, strict=False)))
 
-        candidates = self._names.get(wanted.name, ()) if wanted.name not in ("", "..") else ()
-        found = max(candidates, key=alike, default=None)
+        # Gazebo stores models of Fuel by their names in lower case, in a folder for each version.
+        names = (wanted.name, wanted.name.lower()) if wanted.name not in ("", "..") else ()
+        candidates = next(filter(None, (self._names.get(name) for name in names)), ())
+        found = max(candidates, key=lambda path: (alike(path), _version(path, uri)), default=None)
         if found is not None:
             self.elsewhere.append(f"{uri} is taken from {found}")
         return found
@@ -112,13 +122,21 @@ class Locator:
                 if seen > MAX_SEARCHED:
                     return names
                 if {"model.config", "model.sdf"} & {*files}:
-                    names.setdefault(Path(place).name, []).append(Path(place))
+                    model = Path(place)
+                    names.setdefault(model.parent.name if model.name.isdecimal() else model.name, []).append(model)
                 for name in sorted(files):
                     names.setdefault(name, []).append(Path(place) / name)
         return names
 
     def _allows(self, path: Path) -> bool:
         return any(path.is_relative_to(folder) for folder in self._allowed)
+
+
+def _version(path: Path, uri: str) -> float:
+    """Returns how good the version in the name of a folder is: the one that a URI names, else the newest."""
+    if not path.name.isdecimal():
+        return -1.0
+    return math.inf if path.name in uri.split("/") else float(path.name)
 
 
 def _joined(folder: Path, name: str) -> Path:

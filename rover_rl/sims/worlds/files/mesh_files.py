@@ -36,9 +36,11 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
     data = _read(path)
     kind = path.suffix.lower()
     unit, axis = 1.0, "y" if kind in (".glb", ".gltf") else "z"
+    names: set[str] = set()
     if kind == ".dae":
         root = read_xml(path, data)
         unit, axis = _collada_frame(path, root)
+        names = _named_by_nodes(root)
         data = _standard_xml(root)
     if kind == ".gltf":
         _check_json(path, data)
@@ -57,7 +59,9 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
             vertices = trimesh.transform_points(mesh.vertices, transform) @ turn.T
             mirrored = np.linalg.det(transform[:3, :3]) < 0
             faces = np.asarray(mesh.faces)[:, ::-1] if mirrored else np.asarray(mesh.faces)
-            pieces.append(Piece(str(node), vertices, faces))
+            # trimesh numbers the parts of a geometry of COLLADA that have materials of their own.
+            whole = str(node).rpartition("_")[0]
+            pieces.append(Piece(whole if whole in names and node not in names else str(node), vertices, faces))
     if not pieces:
         raise ValueError(f"{path} holds no triangles")
     if sum(len(piece.faces) for piece in pieces if piece.faces is not None) > MAX_FACES:
@@ -137,6 +141,23 @@ def _collada_frame(path: Path, root: Element) -> tuple[float, str]:
         # COLLADA 1.4.1: without up_axis, y points up.
         axis = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(asset.find("up_axis")), "y")
     return unit, axis
+
+
+def _named_by_nodes(root: Element) -> set[str]:
+    """Gives geometries of COLLADA that one node shows the name of that node, and returns the names of all."""
+    shown: dict[str, list[tuple[Element, str]]] = {}
+    for node in root.iter("node"):
+        for instance in node.findall("instance_geometry"):
+            shown.setdefault(instance.get("url", "")[1:], []).append((instance, node.get("name", "")))
+    geometries = {geometry.get("id", ""): geometry for geometry in root.iter("geometry")}
+    names = {*geometries}
+    for key, geometry in geometries.items():
+        (instance, name), *others = shown.get(key, [(root, "")])
+        if name and not others and name not in names:
+            geometry.set("id", name)
+            instance.set("url", f"#{name}")
+            names.add(name)
+    return names
 
 
 def _standard_xml(root: Element) -> bytes:

@@ -42,10 +42,15 @@ class ShapeReader:
                 self._heightmap(shape, transform, name, folder)
             elif shape.tag == "mesh":
                 self._mesh(shape, transform, name, folder)
-            elif shape.tag in _SOLIDS:
-                solids = _SOLIDS[shape.tag](shape, f"the {shape.tag} of {name}")
+            elif shape.tag in _SOLIDS or shape is geometry.find("polyline"):
+                what = f"the {shape.tag} of {name}"
+                solids = (
+                    _SOLIDS[shape.tag](shape, what)
+                    if shape.tag in _SOLIDS
+                    else _polylines(geometry.findall("polyline"), what)
+                )
                 self._contents.pieces += [Piece(name, _moved(points, transform)) for points in solids]
-            elif shape.tag != "empty":
+            elif shape.tag not in ("empty", "polyline"):
                 self._contents.left_out.append(f"{name}: shapes of the kind <{shape.tag}> are left out")
 
     def _plane(self, shape: Element, transform: np.ndarray, name: str) -> None:
@@ -195,22 +200,44 @@ def _round(shape: Element, what: str) -> list[np.ndarray]:
     return [np.concatenate(parts)]
 
 
-def _polyline(shape: Element, what: str) -> list[np.ndarray]:
-    """Returns convex prisms in place of an extruded polygon."""
+def _polylines(shapes: list[Element], what: str) -> list[np.ndarray]:
+    """Returns convex prisms in place of extruded polygons, of which one within another is a hole in it."""
     earcut = optional("mapbox_earcut")
+    rings = [_ring(shape, what) for shape in shapes]
+    (height,) = _lengths(shapes[0], "height", 1, what)
+    around = [{k for k, other in enumerate(rings) if other is not ring and _contains(other, ring[0])} for ring in rings]
+    prisms = []
+    for n, ring in enumerate(rings):
+        if len(around[n]) % 2:
+            continue
+        parts = [ring, *(rings[k] for k, outer in enumerate(around) if outer == {*around[n], n})]
+        points, ends = np.concatenate(parts), np.cumsum([len(part) for part in parts])
+        triangles = np.asarray(earcut.triangulate_float64(points, ends.astype(np.uint32))).reshape(-1, 3)
+        if not len(triangles):
+            raise ValueError(f"{what} has no area")
+        prisms += [
+            np.concatenate([np.column_stack((points[polygon], np.full(len(polygon), z))) for z in (0.0, height)])
+            for polygon in merge_triangles(points, triangles)
+        ]
+    return prisms
+
+
+def _ring(shape: Element, what: str) -> np.ndarray:
+    """Returns the corners of a polygon ``[P, 2]``, m."""
     points = np.array([numbers(point, 2, None, f"a point of {what}") for point in shape.findall("point")])
-    (height,) = _lengths(shape, "height", 1, what)
     if len(points) > 1 and np.allclose(points[0], points[-1]):
         points = points[:-1]
     if len(points) < 3:
         raise ValueError(f"{what} must have at least 3 points, got {len(points)}")
-    triangles = np.asarray(earcut.triangulate_float64(points, np.array([len(points)], dtype=np.uint32))).reshape(-1, 3)
-    if not len(triangles):
-        raise ValueError(f"{what} has no area")
-    return [
-        np.concatenate([np.column_stack((points[polygon], np.full(len(polygon), z))) for z in (0.0, height)])
-        for polygon in merge_triangles(points, triangles)
-    ]
+    return points
+
+
+def _contains(ring: np.ndarray, point: np.ndarray) -> bool:
+    """Returns whether a point is in a polygon."""
+    (x, y), following = (ring - point).T, np.roll(ring - point, -1, 0)
+    up, down = following[:, 1] > 0, y > 0
+    side = x * following[:, 1] - following[:, 0] * y
+    return bool(((up != down) & ((side > 0) == up)).sum() % 2)
 
 
 _SOLIDS = {
@@ -220,6 +247,5 @@ _SOLIDS = {
     "capsule": _round,
     "sphere": _sphere,
     "ellipsoid": _ellipsoid,
-    "polyline": _polyline,
 }
 """Functions that return the points of convex solids, by the tag of their shape."""

@@ -586,3 +586,45 @@ def test_what_is_higher_or_narrower_than_a_floor_is_an_obstacle_and_may_be_named
         world_of(tmp_path, WALLS + slab(0.08, (8, 8, 0.1)), **areas)
     world = world_of(tmp_path, WALLS + slab(0.08, (8, 8, 0.1)), ground="slab*", **areas)
     assert (len(world.obstacles), heights_at(world, (0.0, 0.0))) == (4, pytest.approx([0.08]))
+
+
+@pytest.mark.parametrize(
+    ("uri", "x"),
+    [
+        ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick Wall", 10.0),
+        ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick%20Wall/tip", 10.0),
+        ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick Wall/2", 2.0),
+        ("model://brick wall", 10.0),
+    ],
+)
+def test_models_of_fuel_that_were_downloaded_are_found_in_the_folders_of_models(tmp_path, uri, x):
+    home, cache = tmp_path / "worlds", tmp_path / "fuel" / "fuel.gazebosim.org" / "openrobotics" / "models"
+    home.mkdir()
+    for version in (2, 10):
+        included(cache / "brick wall", model(link(POST, f"{version} 0 0 0 0 0")), str(version))
+    body = f"<include><uri>{uri}</uri></include>"
+    with pytest.raises(ValueError, match="name their folders with model_paths, download them"):
+        world_of(home, body)
+    (post,) = world_of(home, body, model_paths=[str(tmp_path / "fuel")]).obstacles
+    assert post.vertices.mean(0)[0].item() == pytest.approx(x)
+
+
+def test_submeshes_of_collada_have_the_names_of_their_nodes(tmp_path):
+    boxes = [trimesh.creation.box(bounds=[(x, 0, 0), (x + 1, 1, 1)]) for x in (0, 3)]
+    text = trimesh.exchange.dae.export_collada(boxes).decode()
+    nodes = iter(("Wheel", "Body"))
+    text = re.sub(r"<node[^>]*>", lambda _: f'<node name="{next(nodes)}">', text)
+    (tmp_path / "two.dae").write_text(text)
+    shape = "<mesh><uri>two.dae</uri><submesh><name>Body</name></submesh></mesh>"
+    (body,) = world_of(tmp_path, model(link(shape))).obstacles
+    assert body.vertices.min(0).values.tolist() == pytest.approx([3, 0, 0])
+
+
+def test_polylines_within_one_another_are_holes_as_in_gazebo(tmp_path):
+    def ring(half: float, x: float = 0.0) -> str:
+        corners = ((x - half, -half), (x + half, -half), (x + half, half), (x - half, half), (x - half, -half))
+        return f"<polyline>{''.join(f'<point>{a} {b}</point>' for a, b in corners)}<height>1</height></polyline>"
+
+    world = world_of(tmp_path, model(link(ring(2) + ring(3) + ring(1) + ring(0.5, 6.0))))
+    points = [(x, 0.0, 0.5) for x in (0.0, 1.5, 2.5, -2.5, 3.5, 6.0)]
+    assert inside(world, *points) == [True, False, True, True, False, True]
