@@ -25,6 +25,7 @@ from rover_rl.sims.ros2.messages import (
 )
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from tests.sims.ros2.wire import Wire
 
 # A wall, a thin pole, a bar at a height of 0.8 m, and a man who walks from (-6, 4) to (-6, -4) within a minute.
 SOLIDS = [box((3.0, 0.0, 0.5), (1.0, 4.0, 1.0)), cylinder((-3.0, 0.0, 0.5), 0.005, 1.0), box((0, -4, 0.9), (3, 3, 0.2))]
@@ -33,13 +34,11 @@ YARD = World("small_yard", Terrain.flat((20.0, 12.0)), SOLIDS, movers=[WALKS])
 
 
 class Robot:
-    """A simulated robot on the wire, whose sensors are not read."""
+    """The node of a simulated robot on the wire. The robot starts at the origin."""
 
-    def __init__(self, wire, settings: Ros2Settings = Ros2Settings(), **config) -> None:  # noqa: B008
-        described = EnvConfig(world=YARD, backend="warp", seed=0, lidar=LidarConfig(beams=64))
-        self.rover = ServedRover(replace(described, **config))
-        self._wire = wire
-        self._node = RobotNode(self.rover, wire, 12.0, settings)
+    def __init__(self, wire, rover: ServedRover, settings: Ros2Settings = Ros2Settings()) -> None:  # noqa: B008
+        self.rover, self._wire = rover, wire
+        self._node = RobotNode(rover, wire, 12.0, settings)
         self._sent = wire.publisher("/cmd_vel", Twist), wire.publisher("/rover/set_pose", PoseStamped)
 
     @property
@@ -61,38 +60,46 @@ class Robot:
         self.run(1)
 
 
+def served(**config) -> ServedRover:
+    described = EnvConfig(world=YARD, backend="warp", seed=0, lidar=LidarConfig(beams=64))
+    return ServedRover(replace(described, **config))
+
+
+@pytest.fixture(scope="module")
+def rover():
+    rover = served()
+    yield rover
+    rover.close()
+
+
 @pytest.fixture
-def robot(wire):
-    robot = Robot(wire)
-    yield robot
-    robot.rover.close()
+def robot(wire, rover) -> Robot:
+    return Robot(wire, rover)
 
 
-@pytest.mark.parametrize("twist", [(50.0, 0.0), (-1e30, 0.0), (0.0, 1e4), (50.0, -50.0), (1.2, 7.5)])
 @pytest.mark.parametrize("kind", ["rover_zero", "husky", "hunter"])
-def test_no_command_drives_a_robot_beyond_its_limits(wire, kind, twist):
-    robot = Robot(wire, robot=kind)
-    drive = robot.rover.env.robot.drive
-    before = 0.0
-    for odometry in robot.run(30, Twist(Vector3(x=twist[0]), Vector3(z=twist[1]))):
-        speed = odometry.twist.twist.linear.x
-        assert abs(speed) <= 1.05 * drive.max_speed
-        assert abs(odometry.twist.twist.angular.z) <= 1.05 * drive.max_yaw_rate
-        assert abs(speed - before) <= 1.5 * drive.max_linear_acceleration * 0.05
-        before = speed
-    assert abs(before) == pytest.approx(min(abs(twist[0]), drive.max_speed), abs=0.05) or twist[1]
-    robot.rover.close()
+def test_no_command_drives_a_robot_beyond_its_limits(kind):
+    rover = served(robot=kind)
+    drive = rover.env.robot.drive
+    for x, z in ((50.0, 0.0), (-1e30, 0.0), (0.0, 1e4), (50.0, -50.0), (1.2, 7.5)):
+        before = 0.0
+        for odometry in Robot(Wire(), rover).run(30, Twist(Vector3(x=x), Vector3(z=z))):
+            speed = odometry.twist.twist.linear.x
+            assert abs(speed) <= 1.05 * drive.max_speed
+            assert abs(odometry.twist.twist.angular.z) <= 1.05 * drive.max_yaw_rate
+            assert abs(speed - before) <= 1.5 * drive.max_linear_acceleration * 0.05
+            before = speed
+        assert abs(before) == pytest.approx(min(abs(x), drive.max_speed), abs=0.05) or z
+    rover.close()
 
 
-def test_a_command_within_the_limits_is_obeyed_also_by_a_harsh_robot(wire):
-    robot = Robot(wire)
+def test_a_command_within_the_limits_is_obeyed_also_by_a_harsh_robot(robot):
     assert robot.run(20, Twist(Vector3(x=-0.7)))[-1].twist.twist.linear.x == pytest.approx(-0.7, abs=0.02)
-    robot.rover.close()
     config = imperfect(EnvConfig(world=YARD, backend="warp", seed=0), "harsh")
-    harsh = Robot(wire, randomization=replace(config.randomization, limits=(0.2, 0.2)))
-    speeds = [each.twist.twist.linear.x for each in harsh.run(40, Twist(Vector3(x=-0.7)))]
+    harsh = served(randomization=replace(config.randomization, limits=(0.2, 0.2)))
+    speeds = [each.twist.twist.linear.x for each in Robot(Wire(), harsh).run(40, Twist(Vector3(x=-0.7)))]
     assert min(speeds) < -0.5
-    harsh.rover.close()
+    harsh.close()
 
 
 def test_speeds_that_the_robot_cannot_drive_are_named_and_the_rest_is_obeyed(robot, caplog):
@@ -172,17 +179,15 @@ def test_each_refused_pose_is_told(robot, caplog):
     assert caplog.text.count("in an obstacle") == caplog.text.count("not on the terrain") == 1
 
 
-def test_a_robot_receives_stamped_commands_if_asked_and_names_others(wire, monkeypatch, caplog):
+def test_a_robot_receives_stamped_commands_if_asked_and_names_others(wire, rover, monkeypatch, caplog):
     monkeypatch.setattr("rover_rl.sims.ros2.robot.TYPES_PERIOD", 0.0)
-    robot = Robot(wire)
+    robot = Robot(wire, rover)
     robot.run(1)
     assert not caplog.text
     stamped = wire.publisher("/cmd_vel", TwistStamped)
     robot.run(1)
     assert "/cmd_vel: ignored geometry_msgs/TwistStamped: the robot receives geometry_msgs/Twist; with" in caplog.text
-    robot.rover.close()
     wire.receivers["/cmd_vel"].clear()
-    other = Robot(wire, Ros2Settings(command="twist_stamped"))
+    other = Robot(wire, rover, Ros2Settings(command="twist_stamped"))
     stamped(TwistStamped(twist=Twist(Vector3(x=-0.5))))
     assert other.run(8)[-1].twist.twist.linear.x == pytest.approx(-0.5, abs=0.02)
-    other.rover.close()
