@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -20,7 +21,7 @@ from rover_rl.sims.rendering.mover_surfaces import Form, forms_of, part_surface
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, post_surface
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import Obstacle, World
 
 Color: TypeAlias = tuple[int, int, int]
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
@@ -40,11 +41,37 @@ MAX_PATH = 4_000  # number of points of the driven path that are kept
 MAP = "map of the policy"
 LAYERS = ("rovers", "lidar rays", "lidar hits", "goals", "driven path", "shortest path", "movers", MAP)
 """What checkboxes show and hide. The map is hidden at first."""
+CUT = 1.2  # height above the ground at which walls are cut, m
+_THIN, _LONG = 0.6, 1.0  # what is thinner and longer than this is a wall, a lintel or a ceiling, m
 _LIFT = 0.04  # height of paths above the ground, m
 _SPACING = 0.05  # distance between two points of the driven path, m
 _JUMP = 1.0  # distance of a rover from the last point of its path from which it was put elsewhere, m
 _SEGMENTS = 128  # numbers of line segments of a node are multiples of this, so that nodes are seldom made anew
 _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
+
+
+def without_high_walls(world: World) -> World:
+    """Returns a world for the eye, in which high walls are cut and what hangs above is left out, as they hide rovers.
+
+    Rocks, trunks and all that is thick stay whole.
+    """
+    kept = []
+    for obstacle in world.obstacles:
+        points = obstacle.vertices
+        ground = world.height_at(points[:, :2])
+        bottom, top = (points[:, 2] - ground).aminmax()
+        # Extents along the principal axes of the outline, so that walls may stand at any angle.
+        flat = points[:, :2] - points[:, :2].mean(0)
+        low, high = (flat @ torch.linalg.svd(flat, full_matrices=False)[2].T).aminmax(dim=0)
+        width, length = (high - low).sort()[0].tolist()
+        thickness = min(width, float(top - bottom))
+        if top > CUT and length > _LONG and thickness < _THIN:
+            if bottom > CUT / 2:
+                continue
+            cut = torch.minimum(points[:, 2], ground + CUT)
+            obstacle = Obstacle(torch.cat((points[:, :2], cut[:, None]), 1))
+        kept.append(obstacle)
+    return replace(world, obstacles=kept)
 
 
 class Stage:
@@ -72,7 +99,7 @@ class Stage:
         if world is self.world:
             return
         self.world = world
-        meshes = world_meshes(world)
+        meshes = world_meshes(without_high_walls(world))
         for name in ("ground", "land", "obstacles"):
             if name in meshes:
                 # Its shadows are in its colors.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import socket
 import time
@@ -16,7 +17,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl import RoverEnv, make_env
+from rover_rl import RoverEnv, Terrain, World, make_env
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
@@ -30,12 +31,13 @@ from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.sims.worlds import get_world
+from rover_rl.sims.worlds import box, get_world
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.pilot import TURN
 from rover_rl.view.replay import ReplayPage, write_replay
+from rover_rl.view.stage import CUT, without_high_walls
 from tests.view.conftest import settle, training_in, until
 
 
@@ -375,3 +377,17 @@ def test_after_a_stop_no_action_reaches_a_live_rover(open_viewer):
         page.stopped = True
         with pytest.raises(InterruptedError, match="the rover stands"):
             runner(session.observation)
+
+
+def test_high_walls_are_cut_and_what_hangs_above_is_left_out_at_any_angle():
+    turn = math.radians(30)
+    wall = box((2.0, 1.0, 1.25), (4.0, 0.15, 2.5), yaw=turn)
+    lintel, roof = box((0.0, -2.0, 2.2), (1.2, 0.15, 0.6)), box((0.0, 0.0, 2.6), (8.0, 8.0, 0.2))
+    table, rock, trunk = box((3, 0, 0.4), (2, 1, 0.8)), box((-3, 0, 1), (2, 2, 2)), box((0, 3, 2), (0.4, 0.4, 4))
+    world = World("house", Terrain.flat((10.0, 10.0)), [wall, lintel, roof, table, rock, trunk])
+    shown = without_high_walls(world).obstacles
+    assert [one.vertices[:, 2].max().item() for one in shown] == pytest.approx([CUT, 0.8, 2.0, 4.0])
+    assert shown[0].vertices[:, :2].unique(dim=0).shape == wall.vertices[:, :2].unique(dim=0).shape
+    assert len(world.obstacles) == 6
+    rocks = get_world("moon")
+    assert all(map(torch.equal, *([o.vertices for o in w.obstacles] for w in (rocks, without_high_walls(rocks)))))

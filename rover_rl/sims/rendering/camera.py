@@ -22,12 +22,14 @@ NEAR = 0.05
 """Distance of the near plane from the camera, m."""
 _TOP_HEIGHT = 12.0
 """Height of the top view's camera above the rover, m."""
-_CHASE_DISTANCE = 2.55
-"""Distance of the chase view's camera from the rover, m."""
+_CHASE_DISTANCES = torch.tensor((2.55, 1.7, 1.1), dtype=torch.float64)
+"""Distances of the chase view's camera from the rover, m. It comes nearer where none of the angles will do."""
 _ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=torch.float64)
 """Elevation angles of the chase view, rad. The camera uses the first at which no obstacle hides the rover."""
-_BODY_POINTS = torch.tensor([(x, y, 0.1) for x in (-0.25, 0.25) for y in (-0.25, 0.25)], dtype=torch.float64)
-"""Points of the rover that must be visible, relative to its origin, m."""
+_BODY_POINTS = torch.tensor(
+    [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (0.1, 0.3)], dtype=torch.float64
+)
+"""Points of the rover that should be visible, forward, left and up from its origin, m."""
 FREE_FRACTION = 0.98
 """Fraction of a line of sight that must be free, less than 1 because its end may lie on an obstacle."""
 
@@ -66,7 +68,8 @@ class Camera:
     def on(cls, position: Tensor, orientation: Tensor, sight: Sight, view: View) -> Camera:
         """Creates the camera behind (``"chase"``) or above (``"top"``) a rover with a quaternion (x, y, z, w).
 
-        The chase camera moves up when an obstacle hides the rover. Raises ``ValueError`` for an unknown view.
+        The chase camera moves up when an obstacle hides a part of the rover, and nearer, such as below a low ceiling.
+        If that does not help, it sees as much as it can. Raises ``ValueError`` for an unknown view.
         """
         position = position.double()
         up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
@@ -77,10 +80,12 @@ class Camera:
             raise ValueError(f"unknown view {view!r}; use 'chase' or 'top'")
         yaw = quaternion_to_euler(orientation)[2].item()
         ahead = torch.tensor((math.cos(yaw), math.sin(yaw), 0.0), dtype=torch.float64)
-        eyes = position + _CHASE_DISTANCE * (_ELEVATIONS.sin()[:, None] * up - _ELEVATIONS.cos()[:, None] * ahead)
-        hidden = sight.hidden(eyes[:, None], position + _BODY_POINTS).any(-1)
-        first = int((~hidden).long().argmax()) if not hidden.all() else -1
-        return cls(eyes[first], position + 0.8 * ahead + 0.15 * up, up, sight)
+        toward = _ELEVATIONS.sin()[:, None] * up - _ELEVATIONS.cos()[:, None] * ahead
+        eyes = position + (_CHASE_DISTANCES[:, None, None] * toward).flatten(0, 1)
+        body = position + _BODY_POINTS @ torch.stack((ahead, torch.linalg.cross(up, ahead), up))
+        # The first of those that hide least.
+        best = int(sight.hidden(eyes[:, None], body).sum(-1).argmin())
+        return cls(eyes[best], position + 0.8 * ahead + 0.15 * up, up, sight)
 
     @property
     def axes(self) -> Tensor:

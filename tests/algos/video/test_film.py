@@ -16,6 +16,7 @@ from rover_rl.algos.video.film import film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.sims.rendering.camera import Camera, Sight
+from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import Terrain, box
 from tests.algos.drivers import straight
 from tests.algos.policy.memories import CountingPolicy
@@ -61,6 +62,18 @@ def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
     pixels, seen = camera.see(points, 320, 240)
     assert seen.tolist() == [True, True, False, True, False]
     assert pixels.isnan().any(-1).tolist() == [False] * 4 + [True]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.8, 2.0, -1.5])
+def test_no_part_of_a_rover_is_hidden_by_a_wall_behind_it_or_a_ceiling(yaw: float) -> None:
+    sides = [box((x, y, 1.25), (0.2, 3.0, 2.5) if x else (3.0, 0.2, 2.5)) for x, y in ((0.9, 0), (-0.9, 0), (0, -0.9))]
+    for ceiling in ([], [box((0.0, 0.0, 1.4), (3.0, 3.0, 0.2))]):
+        sight = Sight(World("closet", Terrain.flat((12.0, 12.0)), [*sides, *ceiling]))
+        turn = torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)], dtype=torch.float64)
+        camera = Camera.on(torch.tensor([0.0, 0.0, 0.1]), turn, sight, "chase")
+        corners = [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (0.1, 0.3)]
+        body = rotate(turn.expand(8, 4), torch.tensor(corners, dtype=torch.float64))
+        assert not sight.hidden(camera.eye, body + torch.tensor([0.0, 0.0, 0.1])).any()
 
 
 def test_lidar_beams_end_where_they_meet_something() -> None:
