@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from datetime import timedelta
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 
@@ -23,6 +26,19 @@ _SPEED_PERIOD = 600.0
 
 _redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected", default=None)
 """Function that receives the progress of all displays instead of the console."""
+
+
+class _RemainingColumn(ProgressColumn):
+    """Remaining time. Empty while there is no estimate."""
+
+    def __init__(self, remaining: Callable[[], float]) -> None:
+        super().__init__()
+        self._remaining = remaining
+
+    def render(self, task: Task) -> Text:
+        """Returns the text of the column."""
+        seconds = math.ceil(self._remaining())
+        return Text(f"left {timedelta(seconds=seconds)}" if seconds > 0 else "", style="progress.remaining")
 
 
 class ProgressDisplay:
@@ -36,6 +52,8 @@ class ProgressDisplay:
         tenths: whether lines are also printed after each tenth of the operation.
         console: console to print to; ``None``: standard output.
         interval: longest time between two lines, s.
+        estimate: whether the remaining time is estimated from the fraction that is done; not if parts of the operation
+            take a thousand times as long as others.
     """
 
     def __init__(
@@ -46,8 +64,10 @@ class ProgressDisplay:
         tenths: bool = False,
         console: Console | None = None,
         interval: float = 4.0,
+        estimate: bool = True,
     ) -> None:
         self._description, self._tenths, self._interval = description, tenths, interval
+        self._estimate = estimate
         self._redirect = _redirected.get()
         self._lines = self._redirect is None and not (console or Console()).is_terminal
         self._bar = Progress(
@@ -55,8 +75,7 @@ class ProgressDisplay:
             BarColumn(20),
             TaskProgressColumn(),
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
+            _RemainingColumn(self._remaining),
             TextColumn("{task.fields[status]}", markup=False),
             console=console,
             transient=not keep,
@@ -67,7 +86,7 @@ class ProgressDisplay:
         self._task = self._bar.add_task(description, total=None, status="")
         self._fraction: float | None = None
         self._status = ""
-        self._started = self._printed = time.monotonic()
+        self._started = self._printed = self._updated = time.monotonic()
         # A signal handler may print while the same thread prints.
         self._lock, self._ended = threading.RLock(), threading.Event()
         self._error: OSError | None = None
@@ -98,7 +117,7 @@ class ProgressDisplay:
         if self._error is not None:
             raise self._error
         another_tenth = int(fraction * 10) > int((self._fraction or 0.0) * 10)
-        self._fraction, self._status = fraction, status
+        self._fraction, self._status, self._updated = fraction, status, time.monotonic()
         self._bar.update(self._task, total=1.0, completed=fraction, status=status)
         if self._lines and self._tenths and another_tenth:
             self._print_line()
@@ -119,10 +138,15 @@ class ProgressDisplay:
             yield item
             self.update(done / count)
 
+    def _remaining(self) -> float:
+        """Returns the estimate of the remaining time, s. Not positive if there is none, or it has turned out wrong."""
+        seconds = self._bar.tasks[0].time_remaining if self._estimate else None
+        return (seconds or 0.0) - (time.monotonic() - self._updated)
+
     def _print_line(self) -> None:
         share = "" if self._fraction is None else f" {self._fraction:4.0%}"
-        left, seconds = "", self._bar.tasks[0].time_remaining
-        if seconds:
+        left, seconds = "", self._remaining()
+        if seconds > 0:
             left = f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"
         status = f": {self._status}" if self._status else ""
         self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{left}{status}")

@@ -74,6 +74,34 @@ def test_tenths_are_lines_of_their_own_with_the_remaining_time_at_the_latest_spe
 
 
 @pytest.mark.parametrize("terminal", [False, True])
+def test_an_estimate_that_has_turned_out_wrong_is_not_shown(terminal: bool) -> None:
+    output = Watched()
+    with display_on(output, terminal, interval=QUICK) as display:
+        # A hundred quick parts, and one that takes much longer.
+        for part in range(100):
+            display.update(part / 101, "quick")
+            time.sleep(QUICK / 10)
+        display.update(100 / 101, "slow")
+        # The estimate is a second.
+        time.sleep(1.2)
+        start = len(output.getvalue())
+        time.sleep(0.3)
+    assert "slow" in output.getvalue()[start:]
+    assert "left" not in output.getvalue()[start:]
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_operations_whose_parts_differ_have_no_estimate(terminal: bool) -> None:
+    output = Watched()
+    with display_on(output, terminal, interval=QUICK, estimate=False) as display:
+        for part in range(10):
+            display.update(part / 100, "working on it")
+            time.sleep(QUICK)
+        output.wait_for("working on it")
+    assert "left" not in output.getvalue()
+
+
+@pytest.mark.parametrize("terminal", [False, True])
 def test_a_line_is_said_at_once_as_it_is(terminal: bool) -> None:
     output = Watched()
     with display_on(output, terminal) as display:

@@ -8,6 +8,7 @@ import pickle
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -112,12 +113,16 @@ _fractions: SynchronizedArray[float]  # in a worker process: fraction of each it
 
 
 def _start_worker(fractions: SynchronizedArray[float]) -> None:
-    """Prepares a worker process. It ignores Ctrl-C, which the main process handles, and prints nothing."""
+    """Prepares a worker process. It ignores Ctrl-C, which the main process handles, and prints nothing.
+
+    The main process has warned of the same robots and worlds.
+    """
     global _fractions
     _fractions = fractions
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    warnings.simplefilter("ignore", UserWarning)
 
 
 def _exit_with_parent() -> None:

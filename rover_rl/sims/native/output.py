@@ -1,7 +1,8 @@
-"""Suppression of the output of native libraries."""
+"""Suppression of the output of libraries."""
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -28,3 +29,25 @@ def native_output_silenced() -> Iterator[None]:
         os.dup2(saved[1], 2)
         for descriptor in (*saved, null):
             os.close(descriptor)
+
+
+@contextmanager
+def logged(name: str) -> Iterator[list[str]]:
+    """Collects the warnings that a library logs, one line each, instead of printing them."""
+    log, handler = logging.getLogger(name), _Collector(logging.WARNING)
+    propagates, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield handler.messages
+    finally:
+        log.removeHandler(handler)
+        log.propagate = propagates
+
+
+class _Collector(logging.Handler):
+    def __init__(self, level: int) -> None:
+        super().__init__(level)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage().partition("\n")[0])

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from rover_rl.sims.robots.expressions import expression_in, leave_out_expressions
 from rover_rl.tiny_xml import parse_xml
 
 _SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
@@ -89,7 +90,12 @@ class Joint(NamedTuple):
 class Description:
     """Contents of a URDF file.
 
+    Args:
+        path: path of the file.
+        lenient: whether expressions of xacro are left out with what they are in, where a robot drives without it.
+
     Attributes:
+        left_out: what is left out, a sentence each.
         name: name of the robot. Empty if the file states none.
         links: links by name.
         joints: joints by name.
@@ -101,8 +107,10 @@ class Description:
         ValueError: if the file is not XML, or not the URDF of one robot.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, lenient: bool = False) -> None:
         root = _parsed(path)
+        self.left_out = leave_out_expressions(root) if lenient else []
+        _check_expanded(root)
         self.name = root.get("name", "")
         materials = {each.get("name"): color for each in root.iter("material") if (color := _color(each))}
         self.links: dict[str, Link] = _read(root, "link", partial(_link, materials=materials))
@@ -151,6 +159,8 @@ class Description:
         return frames
 
 
+EXPAND = "expand it first: xacro FILE > robot.urdf"
+"""What to do with a xacro file."""
 _ROOTS = {"sdf": "an SDF model", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
 """Other files that describe robots, by their root element."""
 
@@ -158,27 +168,24 @@ _ROOTS = {"sdf": "an SDF model", "mujoco": "a MuJoCo model", "COLLADA": "a COLLA
 def _parsed(path: Path) -> ET.Element:
     """Returns the root element of a URDF file. Says what another file is."""
     data = path.read_bytes()
-    expand = "expand it first: xacro FILE > robot.urdf"
     try:
         root = parse_xml(data)
     except ValueError as error:
         raise ValueError(
-            f"it is a xacro file; {expand}" if b"<xacro:" in data else f"it is not XML ({error})"
+            f"it is a xacro file; {EXPAND}" if b"<xacro:" in data else f"it is not XML ({error})"
         ) from error
-    parts = [root, *(part for tag in ("link", "joint") for each in root.findall(tag) for part in each.iter())]
-    if found := next(filter(None, map(_xacro, [*root, *parts])), ""):
-        raise ValueError(f"it is a xacro file, with {found}; {expand}")
     if root.tag != "robot":
         other = _ROOTS.get(root.tag, f"XML with the root element {root.tag!r}")
         raise ValueError(f"it is {other}; a URDF is needed, whose root element is 'robot'")
     return root
 
 
-def _xacro(element: ET.Element) -> str:
-    """Returns what of an element is xacro: the macro, or the value with an expression. Otherwise nothing."""
-    if element.tag.startswith("xacro:"):
-        return element.tag
-    return next((value for value in element.attrib.values() if "${" in value or "$(" in value), "")
+def _check_expanded(root: ET.Element) -> None:
+    """Raises a ``ValueError`` if a file has macros, or expressions in its links and joints."""
+    parts = [root, *(part for tag in ("link", "joint") for each in root.findall(tag) for part in each.iter())]
+    macros = (element.tag for element in [*root, *parts] if element.tag.startswith("xacro:"))
+    if found := next(macros, "") or next(filter(None, map(expression_in, parts)), ""):
+        raise ValueError(f"it is a xacro file, with {found}; {EXPAND}")
 
 
 def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:

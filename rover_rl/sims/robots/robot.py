@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -169,8 +170,18 @@ class Robot:
         from rover_rl.sims.robots.urdf import read_urdf
 
         read = read_urdf(path, options, name)
-        warnings.warn(f"robot {read.name!r} is read as {read.summary}: {'; '.join(read.notes)}", stacklevel=3)
+        sentence = f"{path.name}: robot {read.name!r} is read as {read.summary}: {'; '.join(read.notes)}"
+        warnings.warn(sentence, stacklevel=_level_of_user())
         return cls(read.name, read.urdf, read.drive, **{**options.lidar_settings, **settings})
+
+
+def _level_of_user() -> int:
+    """Returns the stack level, for a warning of the caller, of the first code that is no installed package."""
+    frame, level = sys._getframe(1), 1
+    package = str(Path(__file__).parents[2])
+    while frame.f_back is not None and any(part in frame.f_code.co_filename for part in (package, "site-packages")):
+        frame, level = frame.f_back, level + 1
+    return level
 
 
 def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:

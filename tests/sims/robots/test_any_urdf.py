@@ -82,6 +82,117 @@ def test_the_base_frame_is_below_the_middle_of_the_wheels(tmp_path):
     assert outline.front == pytest.approx(0.3)
 
 
+def rover_with(*parts, more=""):
+    return Machine().body(more=more).wheels((0.2, -0.2)).add(*parts)
+
+
+def fixed(child, xyz, more="", content=""):
+    return [link(child, inertial(0.05) + content), joint(f"{child}_joint", "fixed", "base_link", child, xyz, more)]
+
+
+@pytest.mark.parametrize(
+    ("machine", "named"),
+    [
+        (
+            rover_with(*fixed("imu_link", "$(optenv IMU_XYZ 0 0 0)")),
+            r"link imu_link is left out.*\$\(optenv IMU_XYZ 0 0 0\)",
+        ),
+        (
+            rover_with(*fixed("cam", "$(arg x) 0 0"), link("lens"), joint("lens_joint", "fixed", "cam", "lens")),
+            "link cam, lens is",
+        ),
+        (rover_with(*fixed("imu_link", "${x} 0 0", content=box("$(arg size)"))), "link imu_link is left out"),
+        (rover_with(more=shape("visual", '<box size="1 1 ${h}"/>')), "the visual of link base_link"),
+        (
+            rover_with(more='<visual><geometry><box size="1 1 1"/></geometry><material name="$(arg m)"/></visual>'),
+            "the material of link base_link",
+        ),
+        (rover_with('<material name="m"><color rgba="$(arg rgba)"/></material>'), "the material m is left out"),
+        (rover_with(*fixed("gps", "0 0 0.2", '<dynamics damping="$(arg d)"/>')), "the dynamics of joint gps_joint"),
+        (
+            rover_with(
+                link("arm", inertial(0.2)),
+                joint(
+                    "arm_joint", "revolute", "base_link", "arm", more='<limit lower="0" upper="1" effort="$(arg e)"/>'
+                ),
+            ),
+            "the effort of joint arm_joint",
+        ),
+    ],
+    ids=["IMU", "camera", "size", "visual", "material", "color", "dynamics", "effort"],
+)
+def test_expressions_of_xacro_where_a_robot_drives_without_them_are_left_out_and_named(tmp_path, machine, named):
+    with pytest.warns(UserWarning, match=named):
+        robot = Robot.from_urdf(machine.write(tmp_path), options=RobotOptions())
+    assert len(robot.wheels.hubs) == 4
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [
+        Machine().body().wheels((0.2, -0.2)).wheel("extra", "$(optenv X 0.3)", 0.2),
+        rover_with(more=shape("collision", '<box size="1 1 ${h}"/>')),
+        rover_with(link("battery", inertial(20.0)), joint("b", "fixed", "base_link", "battery", "$(arg x) 0 0")),
+        rover_with(link("arm", inertial(0.1)), joint("a", "revolute", "base_link", "arm", "$(arg x) 0 0")),
+        rover_with(
+            link("a", '<inertial><mass value="$(arg m)"/><inertia/></inertial>'), joint("j", "fixed", "base_link", "a")
+        ),
+        rover_with('<gazebo reference="a"/>', "<xacro:include/>"),
+    ],
+    ids=["wheel", "collision", "heavy", "movable", "mass", "macro"],
+)
+def test_expressions_of_xacro_that_matter_are_refused_with_the_command(tmp_path, machine):
+    path = machine.write(tmp_path)
+    with pytest.raises(ValueError, match=r"it is a xacro file, with .*; expand it first: xacro FILE > robot.urdf$"):
+        read(path)
+
+
+def test_topics_and_plugins_may_have_expressions(tmp_path):
+    plugin = '<gazebo reference="$(arg l)"><sensor name="s"><topic name="$(arg t)">$(arg t)</topic></sensor></gazebo>'
+    assert len(read(rover_with(plugin).write(tmp_path)).wheels.hubs) == 4
+
+
+def test_a_package_that_xacro_would_find_is_found(tmp_path):
+    (tmp_path / "my_robot" / "meshes").mkdir(parents=True)
+    trimesh.creation.box((0.5, 0.3, 0.2)).export(tmp_path / "my_robot" / "meshes" / "top.stl")
+    mesh = shape("collision", '<mesh filename="file://$(find my_robot)/meshes/top.stl"/>', "0 0 0.5")
+    outline = footprint(read(rover_with(more=mesh).write(tmp_path)))
+    assert outline.front == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("picture", [None, b"no picture"])
+@pytest.mark.parametrize("kind", ["dae", "obj"])
+def test_a_mesh_without_its_pictures_is_read_and_the_loss_is_named_once(tmp_path, capfd, kind, picture):
+    box_mesh = trimesh.creation.box((0.5, 0.3, 0.2))
+    path = tmp_path / f"body.{kind}"
+    if kind == "obj":
+        text = "mtllib body.mtl\nusemtl paint\n"
+        text += "".join(f"v {x} {y} {z}\n" for x, y, z in box_mesh.vertices)
+        path.write_text(text + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in box_mesh.faces))
+        if picture is not None:
+            (tmp_path / "body.mtl").write_text("newmtl paint\nmap_Kd no.png\n")
+    else:
+        path.write_bytes(trimesh.exchange.dae.export_collada([box_mesh]))
+        effect = (
+            '<library_images><image id="i"><init_from>no.png</init_from></image></library_images><library_effects>'
+            '<effect id="e"><profile_COMMON><newparam sid="s"><surface type="2D"><init_from>i</init_from></surface>'
+            '</newparam><newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam><technique sid="c">'
+            '<lambert><diffuse><texture texture="t" texcoord="U"/></diffuse></lambert><extra>'
+            '<technique profile="FCOLLADA"><bump><texture texture="t" texcoord="U"/></bump></technique></extra>'
+            "</technique></profile_COMMON></effect></library_effects><library_materials>"
+            '<material id="m"><instance_effect url="#e"/></material></library_materials>'
+        )
+        path.write_text(path.read_text().replace("<library_geometries>", effect + "<library_geometries>"))
+        if picture is not None:
+            (tmp_path / "no.png").write_bytes(picture)
+    bodies = [shape("collision", f'<mesh filename="{path.name}"/>', f"0 0 {z}") for z in (0.1, 0.3)]
+    with pytest.warns(UserWarning, match=f"^machine.urdf: .*the mesh {path.name} is read without") as caught:
+        Robot.from_urdf(rover_with(more="".join(bodies)).write(tmp_path), options=RobotOptions())
+    assert str(caught[0].message).count(path.name) == 1
+    assert caught[0].filename == __file__
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_wheels_of_meshes_become_cylinders(tmp_path):
     wheel = trimesh.creation.cylinder(80, 40, sections=48)
     (tmp_path / "my_robot" / "meshes").mkdir(parents=True)

@@ -39,11 +39,13 @@ class Placed:
         description: contents of the file.
         frames: poses of the links, by name.
         mounts: joint that holds each link, by the name of the link; the base has none.
+        lost: what was left out of the file and of its meshes, a sentence each.
     """
 
     def __init__(self, path: Path, turn: float = 0.0) -> None:
         self.path = path
-        self.description = Description(path)
+        self.description = Description(path, lenient=True)
+        self.lost = [*self.description.left_out]
         root = Frame(np.zeros(3), Rotation.from_rotvec((0, 0, turn)).as_matrix())
         self.frames = {self.description.base: root}
         self.mounts = {joint.child: joint for joint in self.description.joints.values()}
@@ -81,10 +83,11 @@ class Placed:
             for shape in link.visuals if visual else link.shapes:
                 frame = self.frames[name] @ shape.frame
                 try:
-                    points = _points(shape, self.path)
+                    points, lost = _points(shape, self.path)
                 except ValueError as error:
                     problems.append(str(error))
                     continue
+                self.lost += [sentence for sentence in lost if sentence not in self.lost]
                 found.append(Piece(name, shape.kind, shape.sizes, frame, frame.position + points @ frame.rotation.T))
         return found
 
@@ -100,11 +103,11 @@ def _held(joint: Joint) -> Frame:
     return Frame(np.zeros(3), Rotation.from_rotvec(step).as_matrix())
 
 
-def _points(shape: Shape, urdf: Path) -> np.ndarray:
-    """Returns points in the frame of a shape, whose hull is that of the shape."""
+def _points(shape: Shape, urdf: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Returns points in the frame of a shape, whose hull is that of the shape, and what its mesh file lacks."""
     if shape.kind == "box":
         corners = np.stack(np.meshgrid((-0.5, 0.5), (-0.5, 0.5), (-0.5, 0.5)), -1).reshape(-1, 3)
-        return corners * shape.sizes
+        return corners * shape.sizes, ()
     if shape.kind == "mesh":
         path = find_mesh(shape.file, urdf)
         return _mesh_points(path, shape.sizes, path.stat().st_mtime_ns)
@@ -112,13 +115,14 @@ def _points(shape: Shape, urdf: Path) -> np.ndarray:
     circle = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(_ROUND)))
     if shape.kind == "cylinder":
         radius, length = shape.sizes
-        return np.concatenate([radius * circle + (0, 0, side * length / 2) for side in (-1, 1)])
+        return np.concatenate([radius * circle + (0, 0, side * length / 2) for side in (-1, 1)]), ()
     if shape.kind == "sphere":
-        return shape.sizes[0] * np.concatenate([np.roll(circle, turn, 1) for turn in range(3)])
+        return shape.sizes[0] * np.concatenate([np.roll(circle, turn, 1) for turn in range(3)]), ()
     raise ValueError(f"a shape is a {shape.kind}; use a box, cylinder, sphere or mesh")
 
 
 @lru_cache(maxsize=256)
-def _mesh_points(path: Path, scale: tuple[float, ...], modified: int) -> np.ndarray:
-    """Returns the vertices of a mesh file. ``modified`` is the time of its last change."""
-    return np.concatenate([np.asarray(mesh.vertices) for mesh in load_mesh(path, scale)])
+def _mesh_points(path: Path, scale: tuple[float, ...], modified: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Returns the vertices of a mesh file, and what it lacks. ``modified`` is the time of its last change."""
+    lost: list[str] = []
+    return np.concatenate([np.asarray(mesh.vertices) for mesh in load_mesh(path, scale, lost)]), tuple(lost)

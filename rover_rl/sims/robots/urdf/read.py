@@ -85,6 +85,7 @@ def _read(path: Path, options: RobotOptions, name: str | None) -> ReadRobot:
     _note_held(placed, layout, notes)
     drive = make_drive(layout, hubs, (radius, width), total, options, notes)
     mounts = sensor_mounts(placed, boxes, origin, options.lidar, notes)
+    notes += placed.lost
     own_name = re.sub(r"\W+", "_", name or placed.description.name or path.stem)
     derived = Derived(
         own_name,

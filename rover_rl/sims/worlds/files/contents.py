@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -14,19 +15,27 @@ from rover_rl.sims.worlds.movers import Mover
 
 @dataclass(frozen=True)
 class Piece:
-    """A solid or a surface in the world frame.
+    """A solid or a surface.
 
     Args:
         name: name in the file, for messages and for the option ``ground``.
-        vertices: ``[V, 3]``, m.
-        faces: triangles ``[F, 3]``. ``None``: the piece is the convex hull of the vertices.
+        points: vertices in the frame of the piece, ``[V, 3]``. Copies of a mesh have the same ones.
+        faces: triangles ``[F, 3]``, in that frame counter-clockwise from outside. ``None``: the piece is the convex
+            hull of the points.
+        pose: affine transform from the frame of the piece to the world, ``[4, 4]``.
+
+    Attributes:
+        vertices: vertices in the world frame, ``[V, 3]``, m.
     """
 
     name: str
-    vertices: np.ndarray
+    points: np.ndarray
     faces: np.ndarray | None = None
+    pose: np.ndarray = field(default_factory=partial(np.eye, 4))
+    vertices: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", self.points @ self.pose[:3, :3].T + self.pose[:3, 3])
         if not np.isfinite(self.vertices).all():
             raise ValueError(f"{self.name} has a vertex that is NaN or infinite")
         reach = np.abs(self.vertices).max(initial=0.0)

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 
 from rover_rl.option_names import written
 from rover_rl.sims.worlds.files.contents import Piece
 from rover_rl.sims.worlds.files.decomposition import decompose
-from rover_rl.sims.worlds.files.triangles import connected, face_normals, is_closed, merge_triangles, signed_volume
+from rover_rl.sims.worlds.files.triangles import (
+    convex_hull,
+    distances,
+    face_normals,
+    is_closed,
+    random_points,
+    signed_volume,
+    surface_samples,
+)
 from rover_rl.sims.worlds.obstacles import Obstacle, even_directions
 
 FEW_VERTICES = 256
 """Number of vertices of a convex solid up to which all are kept."""
 MAX_SAMPLES = 50_000
 """Largest number of points of a surface that are compared with its convex hull."""
-MAX_PLATES = 400
-"""Largest number of plates that replace one open surface."""
-HALF_THICKNESS = 0.01
-"""Distance of both faces of a plate from the surface, m."""
-SAME_PLANE = 1e-4
-"""Largest difference of the unit normals of neighboring triangles in one plane."""
-THINNEST = 0.005
+THINNEST = 0.0005
 """Thickness below which a solid is a sheet, m."""
+FLATTEST = 1e-6
+"""Thickness below which points have no volume, m."""
+CONVEX = 1.001
+"""Largest volume of the convex hull of a convex solid, by that of the solid."""
+NEARLY_CONVEX = 1.5
+"""Largest volume of the convex hull that replaces a solid, by that of the solid."""
 MAX_TRIANGLES = 170_000
 """Largest number of triangles of all obstacles: Bullet's limit for the mesh that takes the lidar rays."""
 
@@ -41,50 +49,75 @@ def obstacles_of(piece: Piece, error: float) -> list[Obstacle]:
     """Returns convex solids in place of a connected piece.
 
     - A convex piece, or one that differs from its convex hull by at most ``error`` (m), becomes its hull.
-    - A closed piece is decomposed (``coacd``).
-    - An open surface, or a flat sheet, becomes plates of 2 cm, with the surface in the middle. If that takes more than
-      :data:`MAX_PLATES`, the surface is closed by remeshing, and decomposed.
+    - All others are decomposed. An open surface, or a sheet with two sides, becomes plates of 2 cm, with the surface in
+      the middle.
+
+    Raises:
+        ValueError: if the piece has no volume and no surface, or cannot be decomposed.
     """
-    return [Obstacle(torch.from_numpy(points)) for points in _convex_parts(piece, error)]
+    turn, place = piece.pose[:3, :3], piece.pose[:3, 3]
+    return [Obstacle(torch.from_numpy(part @ turn.T + place)) for part in _convex_parts(piece, error)]
 
 
 def _convex_parts(piece: Piece, error: float) -> list[np.ndarray]:
-    """Returns points whose convex hulls replace a piece, each ``[K, 3]``, m."""
-    points = piece.vertices
+    """Returns points whose convex hulls replace a piece, each ``[K, 3]``, m, in the frame of the piece."""
+    points, faces = piece.points, piece.faces
     hull = _hull(points)
-    if piece.faces is None:
+    if faces is None:
         if hull is None:
             raise ValueError(f"{piece.name} has no volume")
         return [_few_corners(points[hull.vertices], error / 4)]
-    closed = is_closed(piece.faces)
-    faces = piece.faces[:, ::-1] if closed and signed_volume(points, piece.faces) < 0 else piece.faces
+    closed = is_closed(faces)
+    volume = signed_volume(points, faces) if closed else 0.0
+    if closed and 4 * abs(volume) <= THINNEST * np.linalg.norm(face_normals(points, faces), axis=1).sum():
+        closed = False
+    elif volume < 0:
+        faces, volume = faces[:, ::-1], -volume
     if hull is not None and (closed or _faces_outward(points, faces, hull)):
         corners = _few_corners(points[hull.vertices], error / 4)
-        if _depth(points, faces, corners) <= error:
+        up = None if closed else piece.pose[2, :3]
+        if _depth(points, faces, corners) <= error and _is_near(corners, points, faces, volume, up, error):
             return [corners]
-    plates = None if closed else _plates(points, faces)
-    return decompose(piece.name, points, faces, error, closed) if plates is None else plates
+    return decompose(piece.name, points, faces, error, closed)
+
+
+def _is_near(
+    corners: np.ndarray, points: np.ndarray, faces: np.ndarray, volume: float, up: np.ndarray | None, error: float
+) -> bool:
+    """Returns whether the convex hull of ``corners`` is nowhere farther than ``error`` from a mesh.
+
+    Args:
+        corners: points of the hull, ``[K, 3]``, m.
+        points: vertices of the mesh, ``[V, 3]``, m.
+        faces: its triangles, ``[F, 3]``.
+        volume: its volume, m^3.
+        up: direction that points up, ``[3]``, if it is open: it may be open below. ``None``: it is closed.
+        error: accepted distance, m.
+    """
+    hull = ConvexHull(corners)
+    if up is None and hull.volume <= CONVEX * volume:
+        return True
+    if up is None and hull.volume > NEARLY_CONVEX * volume:
+        return False
+    samples, facets = random_points(hull.points, hull.simplices, MAX_SAMPLES // 10)
+    far = distances(samples, points, faces, error) > error
+    return not far.any() if up is None else bool((hull.equations[facets[far], :3] @ up < -0.9).all())
 
 
 def _hull(points: np.ndarray) -> ConvexHull | None:
-    """Returns the convex hull of points. ``None`` if it is thinner than :data:`THINNEST`."""
-    if len(points) < 4 or np.linalg.svd(points - points.mean(0), compute_uv=False)[2] < 1e-9:
-        return None
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
+    """Returns the convex hull of points. ``None`` if it is thinner than :data:`FLATTEST`."""
+    hull = convex_hull(points) if len(points) > 3 else None
+    if hull is None:
         return None
     # The width along the normal of each facet: the least of them is the thickness. Of many facets, some are enough.
     facets = hull.equations[:: len(hull.equations) // 500 + 1]
     heights = facets[:, :3] @ points[hull.vertices].T + facets[:, 3:]
-    return hull if -heights.min(1).max() >= THINNEST else None
+    return hull if -heights.min(1).max() >= FLATTEST else None
 
 
 def _depth(points: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> float:
     """Returns how deep a surface lies in the convex hull of the points ``outer`` at most, by samples, m."""
-    shares = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [1, 1, 0], [1, 0, 1], [0, 1, 1]], dtype=float)
-    samples = np.einsum("sk,fkd->fsd", shares / shares.sum(1, keepdims=True), points[faces]).reshape(-1, 3)
-    samples = np.concatenate((points, samples))
+    samples = np.concatenate((points, surface_samples(points, faces)))
     samples = samples[:: -(-len(samples) // MAX_SAMPLES)]
     planes = np.unique(ConvexHull(outer).equations.round(9), axis=0)
     step = max(1, 20_000_000 // len(planes))
@@ -108,21 +141,3 @@ def _few_corners(corners: np.ndarray, error: float) -> np.ndarray:
             return chosen
         count *= 2
     return corners
-
-
-def _plates(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None:
-    """Returns the points of convex plates with a surface in their middle. ``None`` if there would be too many."""
-    normals = face_normals(vertices, faces)
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    found: list[np.ndarray] = []
-    for group in connected(faces, normals, SAME_PLANE):
-        normal = normals[group[0]]
-        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-        first = first / np.linalg.norm(first)
-        flat = vertices @ np.stack((first, np.cross(normal, first)), -1)
-        for polygon in merge_triangles(flat, faces[group]):
-            sides = [vertices[polygon] + side * HALF_THICKNESS * normal for side in (-1, 1)]
-            found.append(np.concatenate(sides))
-        if len(found) > MAX_PLATES:
-            return None
-    return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import logging
 import os
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 import trimesh
 from trimesh.resolvers import FilePathResolver
 
+from rover_rl.sims.native.output import logged
 from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Piece
 from rover_rl.sims.worlds.files.options import Up
@@ -44,7 +44,8 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
         data = _standard_xml(root)
     if kind == ".gltf":
         _check_json(path, data)
-    turn = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
+    turn = np.eye(4)
+    turn[:3, :3] = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
     pieces = []
     scene = _load(path, data)
     base = scene.graph.base_frame
@@ -56,12 +57,10 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
         transform, name = frame
         mesh = scene.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            vertices = trimesh.transform_points(mesh.vertices, transform) @ turn.T
-            mirrored = np.linalg.det(transform[:3, :3]) < 0
-            faces = np.asarray(mesh.faces)[:, ::-1] if mirrored else np.asarray(mesh.faces)
             # trimesh numbers the parts of a geometry of COLLADA that have materials of their own.
             whole = str(node).rpartition("_")[0]
-            pieces.append(Piece(whole if whole in names and node not in names else str(node), vertices, faces))
+            part = whole if whole in names and node not in names else str(node)
+            pieces.append(Piece(part, np.asarray(mesh.vertices), np.asarray(mesh.faces), turn @ transform))
     if not pieces:
         raise ValueError(f"{path} holds no triangles")
     if sum(len(piece.faces) for piece in pieces if piece.faces is not None) > MAX_FACES:
@@ -78,21 +77,17 @@ def _read(path: Path) -> bytes:
 def _load(path: Path, data: bytes) -> trimesh.Scene:
     if path.suffix.lower() == ".dae":
         optional("collada")
-    log = logging.getLogger("trimesh")
-    level = log.level
-    # A missing material is of no interest, and a damaged file is told in one sentence.
-    log.setLevel(logging.CRITICAL)
+    kind, resolver = path.suffix.lower()[1:], _FolderResolver(str(path.parent))
     try:
-        kind, resolver = path.suffix.lower()[1:], _FolderResolver(str(path.parent))
-        return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
+        # A missing material is of no interest, and a damaged file is told in one sentence.
+        with logged("trimesh"):
+            return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
     except MemoryError as error:
         raise ValueError(f"{path} asks for more memory than there is; it may be damaged") from error
     # The readers raise errors of all kinds for a damaged file.
     except Exception as error:
         reason = str(error) if isinstance(error, (OSError, _LeavesError)) else f"{type(error).__name__}: {error}"
         raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
-    finally:
-        log.setLevel(level)
 
 
 class _LeavesError(ValueError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +46,8 @@ def read_world(path: Path, **options: Any) -> dict[str, Any]:
         return read_archive(path)
     if suffix not in SUFFIXES:
         raise ValueError(f"{path} is no world file; use one of {[*SUFFIXES]}")
-    # Convex decomposition of large meshes takes minutes.
-    with ProgressDisplay(f"importing {path.name}") as display:
+    # Convex decomposition of large meshes takes minutes, and that of others no time.
+    with ProgressDisplay(f"importing {path.name}", estimate=False) as display:
         return read_map(path, chosen) if suffix in MAP_SUFFIXES else _assemble(_contents(path, chosen), chosen, display)
 
 
@@ -62,9 +63,9 @@ def _contents(path: Path, options: ImportOptions) -> Contents:
 
 def _assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> dict[str, Any]:
     """Turns the contents of a file into the fields of a world."""
-    for sentence in contents.left_out:
-        warnings.warn(f"{contents.name}: {sentence}", stacklevel=4)
-    pieces = [part for piece in contents.pieces for part in split(piece)]
+    parts = [(piece, split(piece)) for piece in contents.pieces]
+    pieces = [part for _, found in parts for part in found]
+    left_out = [*contents.left_out, *_without_area(piece.name for piece, found in parts if not found)]
     if not pieces and not contents.planes and not contents.grids:
         raise ValueError(f"{contents.name} holds no ground and no obstacles")
     if len(pieces) > MAX_PIECES:
@@ -72,7 +73,7 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
     surfaces = ground_pieces(pieces, options.ground, has_base=bool(contents.planes or contents.grids))
     chosen = {id(surface.piece) for surface in surfaces}
     others = [piece for piece in pieces if id(piece) not in chosen]
-    planes, notes = contents.planes, [*contents.left_out, *contents.notes]
+    planes, notes = contents.planes, [*contents.notes]
     if not surfaces and not planes and not contents.grids:
         lowest = min(float(piece.vertices[:, 2].min()) for piece in pieces)
         planes = [Plane.level(lowest)]
@@ -88,7 +89,13 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
         ground = Ground(planes, contents.grids, [*surfaces, *floors])
         terrain, about_ground = make_terrain(ground, around, options.cell)
         others = [piece for piece in others if all(piece is not floor.piece for floor in floors)]
-    obstacles, buried = _obstacles(others, terrain, options, display)
+    obstacles, buried, bad = _obstacles(others, terrain, options, display)
+    if bad and not obstacles and not surfaces and not contents.planes and not contents.grids:
+        raise ValueError(bad[0])
+    left_out += [f"left out: {sentence}" for sentence in bad]
+    for sentence in left_out:
+        warnings.warn(f"{contents.name}: {sentence}", stacklevel=4)
+    display.update(1.0, "starts and goals")
     about_pieces = (
         [f"obstacles: {buried} pieces that end at most 1 cm above the ground were left out"] if buried else []
     )
@@ -99,7 +106,7 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
         "obstacles": obstacles,
         **areas,
         "movers": tuple(contents.movers),
-        "notes": (*notes, *about_ground, *about_pieces, *about_areas),
+        "notes": (*left_out, *notes, *about_ground, *about_pieces, *about_areas),
     }
 
 
@@ -115,6 +122,12 @@ def _areas(
             raise
         ground = written("ground", low[0].partition("/")[0] + "*")
         raise ValueError(f"{error}; if some of {listed(low)} are ground, name them, such as {ground}") from error
+
+
+def _without_area(names: Iterable[str]) -> list[str]:
+    """Returns a sentence on pieces without area, if there are any."""
+    named = listed(names)
+    return [f"left out, as their triangles have no area: {named}"] if named else []
 
 
 def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.ndarray:
@@ -141,17 +154,22 @@ def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
 
 def _obstacles(
     pieces: list[Piece], terrain: Terrain, options: ImportOptions, display: ProgressDisplay
-) -> tuple[list[Obstacle], int]:
-    """Returns the obstacles, and the number of pieces that were left out because they are below the ground."""
+) -> tuple[list[Obstacle], int, list[str]]:
+    """Returns the obstacles, the number of pieces that are below the ground, and what is wrong with those left out."""
     obstacles: list[Obstacle] = []
+    bad: list[str] = []
     buried = triangles = 0
     for number, piece in enumerate(pieces):
         display.update(number / len(pieces), f"obstacle {number + 1:,} of {len(pieces):,}: {piece.name}")
         if height_over(terrain, piece) <= STEP + 1e-6:
             buried += 1
             continue
-        solids = obstacles_of(piece, options.obstacle_error)
+        try:
+            solids = obstacles_of(piece, options.obstacle_error)
+        except ValueError as error:
+            bad.append(str(error))
+            continue
         obstacles += solids
         triangles += sum(len(solid.faces) for solid in solids)
         check_triangles(triangles)
-    return obstacles, buried
+    return obstacles, buried, bad

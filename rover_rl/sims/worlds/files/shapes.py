@@ -90,14 +90,11 @@ class ShapeReader:
                 raise ValueError(f"{path} has no submesh {wanted!r} for {name}; it has {names[:20]}")
             if is_true(submesh.find("center")):
                 points = np.concatenate([piece.vertices for piece in pieces])
-                middle = (points.min(0) + points.max(0)) / 2
-                pieces = [Piece(piece.name, piece.vertices - middle, piece.faces) for piece in pieces]
-        for piece in pieces:
-            assert piece.faces is not None
-            faces = piece.faces[:, ::-1] if np.prod(scale) < 0 else piece.faces
-            self._contents.pieces.append(
-                Piece(f"{name}/{piece.name}", _moved(piece.vertices * scale, transform), faces)
-            )
+                transform = transform @ _translation(-scale * (points.min(0) + points.max(0)) / 2)
+        transform = transform @ np.diag((*scale, 1.0))
+        self._contents.pieces += [
+            Piece(f"{name}/{piece.name}", piece.points, piece.faces, transform @ piece.pose) for piece in pieces
+        ]
 
     def _heightmap(self, shape: Element, transform: np.ndarray, name: str, folder: Path) -> None:
         """Adds an elevation map as Gazebo does: the outermost values at the ends of ``size``, the first row at +y.
@@ -138,6 +135,12 @@ class ShapeReader:
 
 def _moved(points: np.ndarray, transform: np.ndarray) -> np.ndarray:
     return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _translation(offset: np.ndarray) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, 3] = offset
+    return transform
 
 
 def _lengths(shape: Element, key: str, count: int, what: str) -> np.ndarray:

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from trimesh.graph import connected_components, face_adjacency, is_watertight
+from trimesh.triangles import closest_point
 
 from rover_rl.sims.worlds.files.contents import Piece
 
 MERGE = 1e-5
 """Vertices of a mesh that are closer than this are one, m."""
+COVERED = 1e-3
+"""Distance from other triangles up to which a triangle is a double of them, m."""
+SAMPLES = 20_000
+"""Largest number of random points of a surface that stand for it."""
+MAX_PAIRS = 1_000_000
+"""Number of pairs of a point and a triangle whose distances are computed at once."""
+NEAR = 8
+"""Number of random points of a surface near a point whose triangles may be the nearest one."""
 CHUNK = 4_000_000
 """Number of pairs of a triangle and a grid point that are tested at once."""
 STEEPEST = 0.17
@@ -25,38 +36,132 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def split(piece: Piece) -> list[Piece]:
     """Splits a mesh into its connected parts, after merging equal vertices and dropping triangles without area.
 
-    Two triangles are connected if they share an edge with no third one: bodies that touch stay apart.
+    Two triangles are connected if they share an edge with no third one: bodies that touch stay apart. The outer and
+    the inner surface of a hollow solid are one part. The parts of copies of a mesh have the same points: what a pose
+    stretches is stretched, and their pose is a rotation, or a rotation and a mirror image.
     """
     if piece.faces is None:
         return [piece]
-    _, first, same = np.unique(
-        np.rint(piece.vertices / MERGE).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
-    vertices, faces = piece.vertices[first], same.reshape(-1)[piece.faces]
+    points, pose = _unstretched(piece)
+    _, first, same = np.unique(np.rint(points / MERGE).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    vertices, faces = points[first], same.reshape(-1)[piece.faces]
     faces = faces[np.linalg.norm(face_normals(vertices, faces), axis=1) > 1e-12]
     # A triangle that occurs twice with the same corners would hide holes.
     _, keep = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     faces = faces[np.sort(keep)]
-    return [_part(piece.name, vertices, faces[group]) for group in connected(faces)]
+    parts = []
+    for group in _with_cavities(vertices, faces, _connected(faces, face_adjacency(faces)) if len(faces) else []):
+        used, renumbered = np.unique(faces[group], return_inverse=True)
+        parts.append(Piece(piece.name, vertices[used], renumbered.reshape(-1, 3), pose))
+    return parts
 
 
-def connected(faces: np.ndarray, normals: np.ndarray | None = None, sine: float = 0.0) -> list[np.ndarray]:
-    """Returns groups of triangles that are connected by edges with no third triangle, as indices.
+def _unstretched(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+    """Returns points and a pose without stretching that give the same vertices: the polar decomposition of the pose."""
+    linear = piece.pose[:3, :3]
+    squares, axes = np.linalg.eigh(linear.T @ linear)
+    if squares[0] <= 1e-12 * squares[2]:
+        return piece.vertices, np.eye(4)
+    # Rounded, so that copies whose turns differ give the same points, to the last bit.
+    unit = 10.0 ** np.floor(np.log10(np.sqrt(squares[2])))
+    stretch = ((axes * np.sqrt(squares)) @ axes.T / unit).round(9) * unit
+    pose = piece.pose.copy()
+    pose[:3, :3] = linear @ np.linalg.inv(stretch)
+    return piece.points @ stretch, pose
 
-    With unit normals ``[F, 3]``, which may point to either side, triangles only connect if the sine of the angle
-    between them is less than ``sine``.
-    """
-    if not len(faces):
-        return []
-    pairs = face_adjacency(faces)
-    if normals is not None:
-        pairs = pairs[np.abs((normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1)) > 1 - sine**2]
+
+def _connected(faces: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
+    """Returns groups of triangles that pairs of them connect, as indices."""
     return [np.sort(group) for group in connected_components(pairs, min_len=1, nodes=np.arange(len(faces)))]
 
 
-def _part(name: str, vertices: np.ndarray, faces: np.ndarray) -> Piece:
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return Piece(name, vertices[used], renumbered.reshape(faces.shape))
+def _with_cavities(vertices: np.ndarray, faces: np.ndarray, groups: list[np.ndarray]) -> list[np.ndarray]:
+    """Joins groups of triangles that enclose a cavity, with their normals inward, with those of the solid around it."""
+    volumes = np.array([signed_volume(vertices, faces[group]) for group in groups])
+    inner = [k for k in np.flatnonzero(volumes < 0).tolist() if is_closed(faces[groups[k]])]
+    outer = [k for k in np.flatnonzero(volumes > 0).tolist() if is_closed(faces[groups[k]])] if inner else []
+    joined, holders = dict(enumerate(groups)), {k: vertices[faces[groups[k]]] for k in outer}
+    for k in inner:
+        point = vertices[faces[groups[k][0], 0]]
+        around = [j for j in outer if volumes[j] > -volumes[k] and _encloses(holders[j], point)]
+        if around:
+            nearest = min(around, key=lambda j: volumes[j])
+            joined[nearest] = np.concatenate((joined[nearest], joined.pop(k)))
+    return [*joined.values()]
+
+
+def _encloses(triangles: np.ndarray, point: np.ndarray) -> bool:
+    """Returns whether a point is inside a closed surface ``[F, 3, 3]``: by the solid angle that it fills."""
+    a, b, c = (triangles - point).swapaxes(0, 1)
+    na, nb, nc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    over = (a * np.cross(b, c)).sum(1)
+    under = na * nb * nc + (a * b).sum(1) * nc + (b * c).sum(1) * na + (c * a).sum(1) * nb
+    return float(np.arctan2(over, under).sum()) > np.pi
+
+
+def flat_patches(vertices: np.ndarray, faces: np.ndarray, sine: float, most: int) -> Iterator[np.ndarray]:
+    """Yields groups of triangles that lie side by side in one plane, as indices, without those that others cover.
+
+    Triangles connect if the sine of the angle between them is less than ``sine``. Their normals may point to either
+    side. The back of a sheet with two sides is covered by its front. The largest group comes first; of more than twice
+    ``most``, none is compared with others.
+    """
+    normals = face_normals(vertices, faces)
+    areas = np.linalg.norm(normals, axis=1)
+    normals = normals / areas[:, None]
+    pairs, edges = face_adjacency(faces, return_edges=True)
+    start, along = vertices[edges[:, 0]], vertices[edges[:, 1]] - vertices[edges[:, 0]]
+    # From the edge that two triangles share, they must extend to opposite sides.
+    one, other = (np.cross(along, vertices[faces[side]].mean(1) - start) for side in pairs.T)
+    flat = np.abs((normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1)) > 1 - sine**2
+    groups = _connected(faces, pairs[flat & ((one * other).sum(1) < 0)])
+    kept = np.empty(0, dtype=int)
+    for group in sorted(groups, key=lambda group: -areas[group].sum()):
+        samples = surface_samples(vertices, faces[group])
+        heights = (vertices[faces[kept, 0]] - samples[0]) @ normals[group[0]]
+        same = kept[(np.abs(normals[kept] @ normals[group[0]]) > 1 - sine**2) & (np.abs(heights) < COVERED)]
+        double = 0 < len(same) * len(samples) < MAX_PAIRS and len(groups) <= 2 * most
+        if not double or _exact_distances(samples, vertices[faces[same]]).max() > COVERED:
+            kept = np.append(kept, group)
+            yield group
+
+
+def surface_samples(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Returns seven points of each triangle, beside its corners: ``[7 F, 3]``."""
+    shares = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [1, 1, 0], [1, 0, 1], [0, 1, 1]], dtype=float)
+    return np.einsum("sk,fkd->fsd", shares / shares.sum(1, keepdims=True), vertices[faces]).reshape(-1, 3)
+
+
+def random_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Samples points on triangles, in proportion to their areas: ``[count, 3]``, and their triangles ``[count]``."""
+    rng = np.random.default_rng(0)
+    area = np.linalg.norm(face_normals(vertices, faces), axis=1)
+    chosen = rng.choice(len(faces), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+    a, b, c = (vertices[faces[chosen, k]] for k in range(3))
+    return a + u * (b - a) + v * (c - a), chosen
+
+
+def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, limit: float) -> np.ndarray:
+    """Returns the distances of points from the nearest triangle: ``[P]``, m. Up to ``limit``, they may be too large."""
+    samples, owners = random_points(vertices, faces, SAMPLES)
+    samples, owners = np.concatenate((samples, vertices[faces].mean(1))), np.append(owners, np.arange(len(faces)))
+    # Of large triangles, the nearest sample is far, but the triangle is the right one.
+    near = owners[cKDTree(samples).query(points, k=NEAR)[1]]
+    nearest = closest_point(vertices[faces[near.ravel()]], np.repeat(points, NEAR, axis=0))
+    found = np.linalg.norm(nearest.reshape(-1, NEAR, 3) - points[:, None], axis=2).min(1)
+    far = np.flatnonzero(found > limit)[: MAX_PAIRS // len(faces)]
+    found[far] = _exact_distances(points[far], vertices[faces])
+    return found
+
+
+def _exact_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Returns the distances of points from the nearest of triangles ``[F, 3, 3]``: ``[P]``, m."""
+    count = len(triangles)
+    nearest = closest_point(np.tile(triangles, (len(points), 1, 1)), np.repeat(points, count, axis=0))
+    return np.linalg.norm(nearest.reshape(-1, count, 3) - points[:, None], axis=2).min(1)
 
 
 def is_closed(faces: np.ndarray) -> bool:
@@ -66,7 +171,7 @@ def is_closed(faces: np.ndarray) -> bool:
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Returns the volume of a closed mesh, m^3: negative if its normals point inward."""
-    a, b, c = (vertices[faces[:, k]] - vertices.mean(0) for k in range(3))
+    a, b, c = (vertices[faces[:, k]] - vertices[faces[0, 0]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6)
 
 
@@ -129,10 +234,10 @@ def _heights_in(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> tup
         return inside, a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2])
 
 
-def merge_triangles(points: np.ndarray, triangles: np.ndarray) -> list[list[int]]:
+def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.0) -> list[list[int]]:
     """Merges triangles ``[T, 3]`` of ``points [P, 2]`` into convex polygons, greedily, as indices of the points.
 
-    Some of the points may lie on the edges of their polygon.
+    Some of the points may lie on the edges of their polygon, or in it, at most ``slack`` from the edges.
     """
     whole = {*triangles.ravel().tolist()}
     left = {k: ({*triangle}, _area({*triangle}, points)) for k, triangle in enumerate(triangles.tolist())}
@@ -145,16 +250,37 @@ def merge_triangles(points: np.ndarray, triangles: np.ndarray) -> list[list[int]
         while grown:
             grown = False
             for other, (corners, more) in list(left.items()):
-                if len(polygon & corners) >= 2 and _area(polygon | corners, points) <= (area + more) * (1 + 1e-6):
-                    polygon, area, grown = polygon | corners, area + more, True
+                if len(polygon & corners) < 2:
+                    continue
+                union = polygon | corners
+                union_area = _area(union, points)
+                if union_area <= (area + more) * (1 + 1e-6) or (slack and _pocket(union, points) <= slack):
+                    polygon, area, grown = union, union_area, True
                     del left[other]
         polygons.append([*polygon])
     return polygons
 
 
+def _pocket(corners: set[int], points: np.ndarray) -> float:
+    """Returns how deep points lie in their convex hull at most."""
+    inside = points[list(corners)]
+    planes = ConvexHull(inside).equations
+    return float((-(inside @ planes[:, :2].T + planes[:, 2])).min(1).max())
+
+
 def _area(corners: set[int], points: np.ndarray) -> float:
     """Returns the area of the convex hull of points."""
+    return volume_of(convex_hull(points[list(corners)]))
+
+
+def convex_hull(points: np.ndarray) -> ConvexHull | None:
+    """Returns the convex hull of points. ``None`` if they lie in one plane."""
     try:
-        return float(ConvexHull(points[list(corners)]).volume)
-    except QhullError:
-        return 0.0
+        return ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+
+
+def volume_of(hull: ConvexHull | None) -> float:
+    """Returns the volume of a hull of points ``[P, 3]``, m^3, or the area of one of points ``[P, 2]``, m^2."""
+    return 0.0 if hull is None else float(hull.volume)

@@ -129,4 +129,4 @@ def test_an_import_shows_its_progress(tmp_path: Path) -> None:
     shares: list[float] = []
     with redirected_progress(shares.append):
         building(tmp_path, *rectangle(0, 0, 8, 6))
-    assert shares == [0.0, 0.25, 0.5, 0.75]
+    assert shares == [0.0, 0.25, 0.5, 0.75, 1.0]
