@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from rover_rl.option_names import written
-from rover_rl.sims.worlds.files.contents import Contents, listed
+from rover_rl.sims.worlds.files.contents import Contents, Piece, listed
 from rover_rl.sims.worlds.files.frames import MODEL, WORLD, Scope, pose_of, to_pose
 from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.options import ImportOptions
@@ -27,6 +27,8 @@ MOVING = re.compile(
 )
 """What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
 MAX_NESTING = 20
+STRAY = 1_000.0
+"""Distance from the origin beyond which a piece is left out that is ten times as far as all others, m."""
 GROUND_PLANE = (
     b"<model name='ground_plane'><static>1</static><link name='link'><collision name='collision'>"
     b"<geometry><plane><normal>0 0 1</normal><size>100 100</size></plane></geometry></collision></link></model>"
@@ -55,6 +57,11 @@ def read_sdf(path: Path, options: ImportOptions) -> Contents:
         contents.left_out.append(f"left out, as {written('missing', 'skip')} says: {listed(missing, 50)}")
     if contents.wrong and not (contents.pieces or contents.grids or contents.movers):
         raise contents.wrong[0]
+    strays = _strays(contents.pieces)
+    if strays:
+        contents.pieces = [piece for piece in contents.pieces if all(piece is not stray for stray in strays)]
+        names = listed(stray.name for stray in strays)
+        contents.left_out.append(f"left out, as they are more than {STRAY / 1000:g} km from all others: {names}")
     reader.tell()
     if locator.elsewhere:
         contents.notes.append(f"files found by their names: {listed(locator.elsewhere)}")
@@ -284,6 +291,15 @@ class _Reader:
             return []
         self._locator.missing.pop()
         return [] if name == "sun" else [(parse_xml(GROUND_PLANE), place.file, include)]
+
+
+def _strays(pieces: list[Piece]) -> list[Piece]:
+    """Returns the few pieces far from all others, such as models that fell or flew away before a world was saved."""
+    away = sorted(((float(np.linalg.norm(piece.vertices, axis=1).min()), n) for n, piece in enumerate(pieces)))
+    for k in range((len(away) + 1) // 2, len(away)):
+        if away[k][0] > max(STRAY, 10 * away[k - 1][0]):
+            return [pieces[n] for _, n in away[k:]]
+    return []
 
 
 def _mover(plugin: Element) -> str:

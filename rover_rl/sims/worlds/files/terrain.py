@@ -118,11 +118,10 @@ def _filled(heights: np.ndarray) -> np.ndarray:
 
 def _flat(level: float, around: np.ndarray) -> Terrain:
     points = around if len(around) else np.zeros((1, 2))
-    low = np.floor(points.min(0) - SURROUNDINGS)
-    columns, rows = (int(n) + 1 for n in np.ceil((points.max(0) + SURROUNDINGS - low) / FLAT_CELL))
-    if rows * columns > MAX_VALUES:
-        raise ValueError(f"the world is {columns:,} x {rows:,} m large, which is too large")
-    return Terrain(torch.full((rows, columns), level), FLAT_CELL, (float(low[0]), float(low[1])))
+    low, high = np.floor(points.min(0) - SURROUNDINGS), points.max(0) + SURROUNDINGS
+    cell = max(FLAT_CELL, _least_cell(low, high))
+    columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
+    return Terrain(torch.full((rows, columns), level), cell, (float(low[0]), float(low[1])))
 
 
 def _level(plane: Plane) -> float | None:

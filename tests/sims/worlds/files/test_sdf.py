@@ -628,3 +628,17 @@ def test_polylines_within_one_another_are_holes_as_in_gazebo(tmp_path):
     world = world_of(tmp_path, model(link(ring(2) + ring(3) + ring(1) + ring(0.5, 6.0))))
     points = [(x, 0.0, 0.5) for x in (0.0, 1.5, 2.5, -2.5, 3.5, 6.0)]
     assert inside(world, *points) == [True, False, True, True, False, True]
+
+
+@pytest.mark.parametrize("pose", ["9000 0 0 0 0 0", "7000 7000 0 0 0 0", "0 0 5000 0 0 0", "1 1 -3000 0 0 0"])
+def test_a_model_that_is_far_from_all_others_is_left_out_and_named(tmp_path, pose):
+    near = model(link(POST, "3 2 0 0 0 0"))
+    with pytest.warns(UserWarning, match="left out, as they are more than 1 km from all others: far/l/c"):
+        world = world_of(tmp_path, model(link(POST, pose), "far") + near)
+    assert len(world.obstacles) == 1
+    assert inside(world, (3.0, 2.0, 1.0)) == [True]
+
+
+def test_a_world_far_from_the_origin_is_kept(tmp_path):
+    posts = [model(link(POST, f"{x} 5000 0 0 0 0"), f"m{x}") for x in (5000, 5010)]
+    assert len(world_of(tmp_path, "".join(posts)).obstacles) == 2
