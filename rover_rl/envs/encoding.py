@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.sensors.standard import Imu
-from rover_rl.envs.sensors.suite import policy_sensors
+from rover_rl.envs.sensors.suite import own_sensors, policy_sensors
 
 if TYPE_CHECKING:
-    from rover_rl.envs.config import SensorLike
+    from rover_rl.envs.config import EnvConfig, SensorLike
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
@@ -65,6 +65,15 @@ class ObservationEncoder(nn.Module):
         self.sensors["imu"] = Imu(heading=north_up or "pose" in keys)
         self._lidar_points, self._north_up = lidar_points, north_up
         self.features = sum(self.sensors[key].features for key in self.keys) + (lidar_points + 4 if north_up else 0)
+
+    @classmethod
+    def of(cls, config: EnvConfig) -> ObservationEncoder:
+        """Creates the encoder of the default entries of an environment, followed by its own sensors, as named there.
+
+        It leaves out the pose, and ``scan_pose`` and ``lidar_mask``, which come with randomization, unless named.
+        """
+        keys = (*DEFAULT_KEYS, *own_sensors(config.own_sensors))
+        return cls(keys, config.lidar.points, sensors=config.own_sensors)
 
     def forward(self, *observation: Tensor) -> Tensor:
         """Encodes the entries named in ``keys``, in this order (m, rad, m/s, rad/s): ``[..., features]``.

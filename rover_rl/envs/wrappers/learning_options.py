@@ -10,11 +10,10 @@ from torchrl.envs import Compose, EnvBase, RewardScaling, TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from rover_rl.checks import MAX_NUMBER, check_positive
-from rover_rl.envs.encoding import DEFAULT_KEYS, ObservationEncoder
+from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import RewardComponent, RewardConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 
@@ -29,8 +28,7 @@ class LearningOptions(TypedDict, total=False):
             noise at 20 Hz averages out; 4 is a good value.
         reward_scale: factor of the reward, whose components are between -0.03 and 100. 0.05 is a good value.
         scale_observations: whether an observation is one vector of float32 features of about [-1, 1], instead of a
-            dictionary in meters and radians: that of :class:`~rover_rl.envs.encoding.ObservationEncoder`, which
-            leaves out the pose.
+            dictionary in meters and radians: that of ``ObservationEncoder.of``, which leaves out the pose.
     """
 
     action_repeat: int
@@ -67,10 +65,7 @@ def learning_transforms(
     if reward_scale != 1:
         transforms.append(RewardScaling(loc=0.0, scale=reward_scale))
     if scale_observations:
-        config = env.config
-        keys = (*DEFAULT_KEYS, *own_sensors(config.own_sensors))
-        encoder = ObservationEncoder(keys, config.lidar.points, sensors=config.own_sensors)
-        transforms.append(EncodedObservation(encoder))
+        transforms.append(EncodedObservation(ObservationEncoder.of(env.config)))
     return transforms
 
 

@@ -115,3 +115,19 @@ def test_sb3_takes_vectors() -> None:
         _, _, dones, infos = envs.step(np.zeros((2, 2)))
     assert dones.all()
     assert infos[0]["terminal_observation"].shape == (41,)
+
+
+def test_the_transform_without_an_encoder_reads_the_sensors_of_its_environment() -> None:
+    """As ``scale_observations`` does, in the order in which they are named."""
+    settings = {"world_n": "maze", "num_envs": 2, "backend": "warp", "seed": 0}
+    for sensors, features in (([], 41), (["route"], 54), (["depth(size=(4, 6))", "route"], 78), (["robot"], 53)):
+        env = make_env(**settings, sensors=sensors).append_transform(EncodedObservation())
+        envs = GymVectorWrapper(BatchedRoverEnv(**settings, sensors=sensors), scale_observations=True)
+        observation = env.reset()["observation"]
+        assert observation.shape == (2, features) == env.observation_spec["observation"].shape
+        np.testing.assert_array_equal(observation, envs.reset(seed=0)[0])
+    with pytest.raises(ValueError, match="append EncodedObservation"):
+        _ = EncodedObservation().encoder
+    env = make_env(**settings).append_transform(EncodedObservation(ObservationEncoder(("target", "route"))))
+    with pytest.raises(ValueError, match=r"the encoder reads \['route'\]"):
+        env.reset()
