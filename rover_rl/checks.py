@@ -17,6 +17,18 @@ MAX_SECONDS = 1e6
 """Longest drive that can be evaluated or filmed, s."""
 
 
+def check_count(most: int, **counts: Any) -> int:
+    """Returns a count of any integer type as an ``int``, given by its name.
+
+    Raises:
+        ValueError: if it is not a whole number from 1 to ``most``.
+    """
+    ((name, count),) = counts.items()
+    if not 1 <= (whole := _whole(count)) <= most:
+        raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {count!r}")
+    return whole
+
+
 def check_seed(seed: Any, count: int = 1) -> int:
     """Returns a seed of any integer type as an ``int``, from which on ``count`` seeds are in range.
 
@@ -24,14 +36,18 @@ def check_seed(seed: Any, count: int = 1) -> int:
         ValueError: if the seed is not a whole number or out of range.
     """
     most = MAX_SEED - count + 1
-    try:
-        # operator.index(True) is 1, but a bool is most likely a mistake.
-        whole = -1 if isinstance(seed, bool) else operator.index(seed)
-    except TypeError:
-        whole = -1
-    if not 0 <= whole <= most:
+    if not 0 <= (whole := _whole(seed)) <= most:
         raise ValueError(f"seed must be a whole number from 0 to {most}, got {seed!r}")
     return whole
+
+
+def _whole(number: Any) -> int:
+    """Returns a number of any integer type, NumPy's and PyTorch's too, as an ``int``; -1 for anything else."""
+    try:
+        # operator.index(True) is 1, but a bool is most likely a mistake.
+        return -1 if isinstance(number, bool) else operator.index(number)
+    except TypeError:
+        return -1
 
 
 def check_at_least(least: float, most: float, **numbers: float) -> None:

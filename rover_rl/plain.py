@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
@@ -85,3 +86,50 @@ def _structure_union(converter: Converter, value: Any, hint: Any) -> Any:
             with suppress(ValueError, TypeError, BaseValidationError):
                 return converter.structure(value, kind)
     raise ValueError(f"a value of type {hint} is needed, got {value!r}")
+
+
+def take_numbers(settings: Any) -> None:
+    """Replaces numbers of NumPy and PyTorch in the fields of a frozen dataclass by Python's. Call it first.
+
+    Raises:
+        ValueError: if a field of numbers holds something else.
+    """
+    for item in fields(settings):
+        given = getattr(settings, item.name)
+        value, kinds = _of_python(given), str(item.type).split(" | ")
+        if set(kinds) <= {*_NUMBERS}:
+            taken = [kind for kind in kinds if _is_of(value, kind)]
+            if not taken:
+                raise ValueError(f"{item.name} must be {' or '.join(_NUMBERS[kind] for kind in kinds)}, got {given!r}")
+            value = tuple(value) if taken[0].startswith("tuple") else value
+        if value is not given:
+            object.__setattr__(settings, item.name, value)
+
+
+_NUMBERS = {
+    "None": "None",
+    "bool": "True or False",
+    "int": "a whole number",
+    "float": "a number",
+    "tuple[int, int]": "two whole numbers",
+    "tuple[float, float]": "two numbers",
+}
+"""Annotations of the fields whose numbers are checked, and what they are called."""
+
+
+def _of_python(value: Any) -> Any:
+    """Returns scalars and arrays, also those in a list or tuple, as Python's numbers, strings and lists."""
+    if type(value) in (list, tuple):
+        parts = [_of_python(part) for part in value]
+        return value if all(map(operator.is_, parts, value)) else type(value)(parts)
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _is_of(value: Any, kind: str) -> bool:
+    """Returns whether a value fits an annotation of numbers. Whole numbers are real numbers, too."""
+    if kind.startswith("tuple"):
+        of = kind[6:].split(",")[0]
+        return isinstance(value, list | tuple) and len(value) == 2 and all(_is_of(part, of) for part in value)
+    if kind == "None":
+        return value is None
+    return type(value) in {"bool": (bool,), "int": (int,), "float": (int, float)}[kind]

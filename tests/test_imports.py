@@ -14,7 +14,18 @@ PACKAGE = Path(__file__).parents[1] / "rover_rl"
 VAGUE_NAMES = {"utils", "helpers", "common"}
 
 LAYERS = (
-    ("checks", "files", "option_names", "plain", "progress", "registry", "rng", "tensordicts", "tiny_xml"),
+    (
+        "checks",
+        "files",
+        "option_names",
+        "plain",
+        "progress",
+        "registry",
+        "rng",
+        "tensordicts",
+        "tiny_xml",
+        "torch_defaults",
+    ),
     (
         "sims.base",
         "sims.connection",

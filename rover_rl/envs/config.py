@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import tyro
 
-from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
-from rover_rl.plain import from_plain, to_plain
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive, check_seed
+from rover_rl.plain import from_plain, take_numbers, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
@@ -93,6 +93,7 @@ class LidarConfig:
     period: int = 1
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         check_at_least(1, MAX_COUNT, period=self.period)
 
 
@@ -128,6 +129,7 @@ class PoseConfig:
     jump_heading: float = 0.0
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         if self.source not in get_args(PoseSource):
             raise ValueError(f"source of the pose must be one of {get_args(PoseSource)}, got {self.source!r}")
         check_at_least(0, MAX_NUMBER, drift=self.drift, drift_heading=self.drift_heading, jump=self.jump)
@@ -156,6 +158,7 @@ class ActionConfig:
     max_sideways: float = 0.0
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         speeds = [speed for speed in (self.min_speed, self.max_speed) if speed is not None]
         if not all(map(math.isfinite, speeds)) or (len(speeds) == 2 and not speeds[0] < speeds[1]):
             raise ValueError(
@@ -227,6 +230,7 @@ class TaskConfig:
     collision_from: CollisionSource = "lidar"
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         if self.collision_from not in get_args(CollisionSource):
             raise ValueError(f"collision_from must be one of {get_args(CollisionSource)}, got {self.collision_from!r}")
         for name in ("success_distance", "min_goal_distance", "stuck_window"):
@@ -299,6 +303,7 @@ class RewardConfig:
     risk_distance: float = 0.5
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         for name in ("clearance_distance", "intrusion_distance", "risk_distance"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
@@ -319,6 +324,9 @@ class HeadingGains:
     ki: float = 0.0
     kd: float = 0.1
     max_output: float = 7.0
+
+    def __post_init__(self) -> None:
+        take_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -348,6 +356,7 @@ class LimitsConfig:
     min_reversal: float = MIN_REVERSAL
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         check_at_least(0, MAX_NUMBER, min_reversal=self.min_reversal)
         names = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
         check_positive(MAX_NUMBER, **{name: value for name in names if (value := getattr(self, name)) is not None})
@@ -378,6 +387,7 @@ class GuardConfig:
     margin: float = 0.02
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         check_at_least(0, MAX_NUMBER, **{item.name: getattr(self, item.name) for item in fields(self)})
 
 
@@ -442,6 +452,7 @@ class Randomization:
     lidar_min_range: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         for name in _FACTORS:
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
@@ -605,6 +616,9 @@ class EnvConfig:
     """Device of the tensors: cpu, cuda or cuda:1."""
 
     def __post_init__(self) -> None:
+        if self.seed is not None:
+            object.__setattr__(self, "seed", check_seed(self.seed))
+        take_numbers(self)
         for name, kind in _PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])

@@ -32,7 +32,8 @@ def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tens
     expected = (*batch_size, len(bounds[0]))
     if action.shape != expected:
         raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
-    action = action.reshape(-1, len(bounds[0]))
+    # A policy may have another precision, and gradients, which end here.
+    action = action.detach().reshape(-1, len(bounds[0])).to(bounds[0].dtype)
     invalid = ~torch.isfinite(action).all(-1, keepdim=True)
     if action.device.type == "cpu" and invalid.any():
         rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()

@@ -63,7 +63,7 @@ class RewardComponent(Transform):
         rows = in_rows(next_tensordict)
         outcome = rows.get("outcome")
         phase, value = outcome.get("phase"), self.value(outcome, rows)
-        value = value if isinstance(value, Tensor) else _number(value, phase.device)
+        value = value.float() if isinstance(value, Tensor) else _number(value, phase.device)
         value = torch.where(self._active(phase), value, _number(0.0, phase.device))
         components = next_tensordict.get("reward_components", None)
         if components is None:

@@ -8,14 +8,14 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
+from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_count, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, Randomization, TaskConfig
@@ -61,6 +61,7 @@ from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 from rover_rl.tensordicts import unchecked_tensordict
+from rover_rl.torch_defaults import with_torch_defaults
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -160,16 +161,16 @@ class RoverEnv(EnvBase):
 
     batch_locked = True
 
+    @with_torch_defaults
     def __init__(self, *args: Any, **settings: Unpack[EnvSettings]) -> None:
         self._init_config(replace(config_from("RoverEnv", args, settings), reward="task"))
 
     def _init_config(self, config: EnvConfig) -> None:
-        num_envs = 1 if config.num_envs is None else config.num_envs
-        _require_count("num_envs", num_envs, MAX_ROVERS)
-        _require_count("agents", config.agents, MAX_ROVERS)
+        num_envs = 1 if config.num_envs is None else check_count(MAX_ROVERS, num_envs=config.num_envs)
+        check_count(MAX_ROVERS, agents=config.agents)
         if num_envs % config.agents:
             raise ValueError(f"num_envs must be a multiple of agents={config.agents}, got {num_envs}")
-        _require_count("length", config.length, MAX_COUNT)
+        check_count(MAX_COUNT, length=config.length)
         seed = secrets.randbits(31) if config.seed is None else check_seed(config.seed, num_envs)
         super().__init__(
             device=None if config.device is None else specs.available_device(config.device),
@@ -270,9 +271,8 @@ class RoverEnv(EnvBase):
 
     @length.setter
     def length(self, steps: int) -> None:
-        _require_count("length", steps, MAX_COUNT)
+        self._navigation.length = check_count(MAX_COUNT, length=steps)
         self.config = replace(self.config, length=steps)
-        self._navigation.length = steps
 
     @property
     def connection(self) -> Connection:
@@ -345,6 +345,7 @@ class RoverEnv(EnvBase):
         """Whether the rovers are connected. Always true in simulation."""
         return self.simulator.robot_connected
 
+    @with_torch_defaults
     def set_world_weights(self, weights: Tensor) -> None:
         """Sets how often episodes draw each world of ``pool``, for the episodes after the next one of each row.
 
@@ -358,6 +359,7 @@ class RoverEnv(EnvBase):
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)
 
+    @with_torch_defaults
     def set_goal(self, goal: Tensor) -> None:
         """Sets the goal of every row, ``[N, 2]``, m, within its episode: from the next step on, for example by hand."""
         self._require_started("set_goal")
@@ -367,6 +369,7 @@ class RoverEnv(EnvBase):
         target = target_info(reference.position, reference.yaw, checked)
         state.task = replace(state.task, goal=checked, target=target)
 
+    @with_torch_defaults
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_open("render")
@@ -374,6 +377,13 @@ class RoverEnv(EnvBase):
         if not 0 <= row < self.num_envs:
             raise ValueError(f"row must be between 0 and {self.num_envs - 1}, got {row}")
         return self.simulator.render(row, view, width, height, self._state.task.goal[row])
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        """Refuses to be copied or pickled: a copy would share the simulator, or lose it."""
+        raise TypeError(
+            "an environment cannot be copied or pickled, as its simulator is not Python's: "
+            "make another one from its description, make_env(env.config)"
+        )
 
     def close(self, *, raise_if_closed: bool = False) -> None:
         """Releases the simulator. The next ``reset()`` builds a new one. Idempotent."""
@@ -442,6 +452,7 @@ class RoverEnv(EnvBase):
         self._observer = Observer(self.sensors, rig)
         self._action_clip = action.tensors(self._tensor_device)
 
+    @with_torch_defaults
     def _set_seed(self, seed: int | None) -> None:
         seed = secrets.randbits(31) if seed is None else check_seed(seed, self.num_envs)
         self._row_keys = row_keys(seed, self.num_envs, self._tensor_device)
@@ -449,7 +460,9 @@ class RoverEnv(EnvBase):
         self._keys = self._row_keys
         agents = self.config.agents
         self._groups = Groups(agents, self._row_keys) if agents > 1 else None
+        self._state.task = replace(self._state.task, total_steps=torch.zeros_like(self._row_keys))
 
+    @with_torch_defaults
     def _reset(
         self,
         tensordict: TensorDictBase | None = None,
@@ -514,16 +527,27 @@ class RoverEnv(EnvBase):
         return self._choices.expand(self.num_envs, 2) if one else self._choices[self._row_worlds.entry]
 
     def _change_worlds(self, mask: Tensor, keys: Tensor) -> None:
-        """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
-        if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
-            groups = self._groups
-            next_keys = episode_keys(self._row_keys, self._episode + 1) if groups is None else groups.next_keys
-            self._row_worlds.draw(mask, keys, next_keys)
-            self.placement.enter_worlds()
+        """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
+        if not self._row_worlds.is_drawn:
+            return
+        changes = isinstance(self.simulator, WorldChanger)
+        if not changes and ("live" in self.simulator.capabilities or not (self._episode == 1).all()):
+            return
+        groups, before = self._groups, self._row_worlds.index
+        next_keys = episode_keys(self._row_keys, self._episode + 1) if groups is None else groups.next_keys
+        self._row_worlds.draw(mask, keys, next_keys)
+        if not changes and self._row_worlds.index.equal(before):
+            return
+        self.placement.enter_worlds()
+        self._state.world = self._row_worlds.index_if_several
+        if isinstance(self.simulator, WorldChanger):
             self.simulator.enter_worlds()
             self.movers.enter_worlds()
-            self._state.world = self._row_worlds.index_if_several
+        else:
+            self.simulator.close()
+            self._open()
 
+    @with_torch_defaults
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open("step")
         self._require_started("step")
@@ -537,6 +561,7 @@ class RoverEnv(EnvBase):
         command = self.robots.limited(torch.cat((action[:, :1], turn, action[:, 2:]), -1))
         return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
 
+    @with_torch_defaults
     def step_commands(self, command: Tensor) -> TensorDictBase:
         """Takes a step with commands in place of actions, as those that a simulated robot receives over ROS 2.
 
@@ -711,11 +736,6 @@ def _with_threshold(config: EnvConfig, fleet: Fleet) -> EnvConfig:
     if config.task.collision_threshold is not None or len(thresholds) > 1 or None in thresholds:
         return config
     return replace(config, task=replace(config.task, collision_threshold=thresholds.pop()))
-
-
-def _require_count(name: str, value: int, most: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
-        raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
 
 
 def _check_requirements(

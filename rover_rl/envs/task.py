@@ -64,7 +64,7 @@ class TaskState:
         goals: number of goals set in the episode, int64 ``[N, 1]``.
         collision_steps: number of consecutive steps in collision, int64 ``[N, 1]``.
         steps: number of steps in the episode, int64 ``[N, 1]``.
-        total_steps: number of steps of the row since the environment was built, int64 ``[N, 1]``.
+        total_steps: number of steps of the row since it was last seeded, int64 ``[N, 1]``.
     """
 
     goal: Tensor

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rover_rl.plain import take_numbers
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -37,6 +39,9 @@ class Connection:
     points_topic: str = "/points"
     joint_topic: str = "/joint_states"
     contact_topic: str | None = None
+
+    def __post_init__(self) -> None:
+        take_numbers(self)
 
     @property
     def image_topics(self) -> dict[str, str]:

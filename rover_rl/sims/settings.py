@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rover_rl.plain import take_numbers
 from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class PhysicsSettings:
     substeps: int
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         for name, kind in ((field.name, str(field.type)) for field in fields(self)):  # type: ignore[arg-type]
             value = getattr(self, name)
             if value is None:

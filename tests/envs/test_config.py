@@ -8,6 +8,7 @@ import sys
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -301,3 +302,57 @@ def test_robots_are_compared_by_their_parameters() -> None:
 def test_a_description_needs_no_pytorch() -> None:
     code = "import sys; from rover_rl.envs.config import EnvConfig; EnvConfig(); assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_scalars_and_arrays_of_other_libraries_are_taken():
+    config = EnvConfig(
+        world=np.array(["maze", "moon"]),
+        num_envs=np.int64(4),
+        agents=np.array(2),
+        length=torch.tensor(100),
+        end_on_goal=np.bool_(True),
+        control_rate=np.float32(10.0),
+        backend=np.str_("warp"),
+        seed=np.uint8(3),
+        size=[64, 64],
+        lidar=LidarConfig(points=np.int32(16), max_range=np.array(9.0)),
+        task=TaskConfig(success_distance=torch.tensor(0.75)),
+        heading_gains=HeadingGains(kp=np.float64(1.5)),
+        randomization=Randomization(friction=np.array([0.5, 1.5]), latency=(np.int64(0), np.int64(1))),
+    )
+    plain = EnvConfig(
+        world=("maze", "moon"),
+        num_envs=4,
+        agents=2,
+        length=100,
+        end_on_goal=True,
+        control_rate=10.0,
+        backend="warp",
+        seed=3,
+        lidar=LidarConfig(points=16, max_range=9.0),
+        task=TaskConfig(success_distance=0.75),
+        heading_gains=HeadingGains(kp=1.5),
+        randomization=Randomization(friction=(0.5, 1.5), latency=(0, 1)),
+    )
+    assert repr(config) == repr(plain)
+    assert RoverEnv(world_n="maze", num_envs=np.int64(2), backend="warp").batch_size == (2,)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: EnvConfig(num_envs=2.0), "num_envs must be a whole number or None, got 2.0"),
+        (lambda: EnvConfig(num_envs=np.bool_(True)), "num_envs must be a whole number or None"),
+        (lambda: EnvConfig(num_envs=np.array([2])), "num_envs must be a whole number or None"),
+        (lambda: EnvConfig(end_on_goal="yes"), "end_on_goal must be True or False, got 'yes'"),
+        (lambda: EnvConfig(control_rate=True), "control_rate must be a number or None, got True"),
+        (lambda: LidarConfig(beams=np.float32(128)), "beams must be a whole number"),
+        (lambda: TaskConfig(success_distance="0.5"), "success_distance must be a number, got '0.5'"),
+        (lambda: Randomization(friction=(1, 2, 3)), "friction must be two numbers"),
+        (lambda: HeadingGains(kp=np.ones(1)), "kp must be a number"),
+        (lambda: BulletSettings(substeps=2.5), "substeps must be a whole number, got 2.5"),
+    ],
+)
+def test_other_values_are_refused_at_once(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()

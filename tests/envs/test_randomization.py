@@ -153,7 +153,7 @@ def test_a_live_rover_is_what_it_is():
         ({"chassis_mass": (0.0, 1.0)}, "chassis_mass must be a range of positive factors"),
         ({"motor_torque": (1.0, math.inf)}, "motor_torque must be a range of positive factors"),
         ({"latency": (-1, 2)}, "latency must be a range of control steps"),
-        ({"latency": (0.5, 1.5)}, "latency must be a range of control steps"),
+        ({"latency": (0.5, 1.5)}, "latency must be two whole numbers"),
         ({"range_noise": -0.1}, "range_noise must not be negative, got -0.1"),
         ({"imu_noise": math.nan}, "imu_noise must not be negative, got nan"),
         ({"dropout": 1.0}, "dropout must be at least 0 and less than 1, got 1.0"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
 from dataclasses import replace
 
@@ -10,7 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rover_rl import RoverEnv, Terrain, World, box, make_env
+from rover_rl import GymWrapper, RoverEnv, Terrain, World, box, make_env
 from rover_rl.sims.robots import get_robot
 
 FLAT = World("flat", Terrain.flat((20, 20)), spawn_range=((-3, 3), (-3, 3)))
@@ -75,6 +77,53 @@ def test_a_seed_reproduces_episodes_and_none_draws_a_random_seed(env):
     assert torch.equal(env.reset()["pose"], first)
     a, b = (RoverEnv(world_n="maze", lidar_beams=32).reset()["pose"] for _ in range(2))
     assert not torch.equal(a, b)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"backend": "bullet", "world_n": "maze:0-99"},
+        {"backend": "mujoco", "world_n": "maze+walkers"},
+        {"backend": "warp", "world_n": "maze:0-99", "sensors": ["route", "past_scans"]},
+        {"backend": "warp", "agents": 2},
+    ],
+    ids=str,
+)
+def test_a_seed_begins_anew_after_any_history_as_a_fresh_environment_does(settings):
+    if settings["backend"] == "mujoco":
+        pytest.importorskip("mujoco")
+
+    def make(seed: int):
+        return make_env(**{"world_n": "maze", "num_envs": 2, "seed": seed, "length": 3, **settings})
+
+    def drive(env) -> TensorDict:
+        action = torch.tensor([[0.5, 1.0], [-1.0, 0.2]])
+        return env.rollout(5, lambda td: td.set("action", action), break_when_any_done=False)
+
+    fresh, env = drive(make(5)), make(77)
+    drive(env)
+    for _ in range(2):
+        env.set_seed(5)
+        again = drive(env)
+        for key, value in fresh.items(True, True):
+            assert torch.equal(again[key], value), key
+
+
+@pytest.mark.parametrize("backend", ["bullet", "mujoco", "warp"])
+def test_copies_are_refused_with_what_helps(backend):
+    if backend == "mujoco":
+        pytest.importorskip("mujoco")
+    env = make_env(world_n="maze", num_envs=1, seed=3, backend=backend)
+    gym_env = GymWrapper(RoverEnv(world_n="maze", seed=3, backend=backend))
+    for given in (env, env.base_env, gym_env, gym_env.base_env):
+        for make_copy in (copy.deepcopy, pickle.dumps):
+            with pytest.raises(TypeError, match=r"environment cannot be copied .* make_env\(env.config\)"):
+                make_copy(given)
+    with pytest.raises(TypeError, match="environment cannot be copied"):
+        copy.copy(env.base_env)
+    twin = make_env(env.config)
+    assert torch.equal(twin.reset()["pose"], env.reset()["pose"])
+    assert twin.reward_keys == env.reward_keys
 
 
 def test_the_global_random_generators_are_not_used(env):

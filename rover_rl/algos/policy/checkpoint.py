@@ -14,6 +14,7 @@ from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.networks import actor_of
 from rover_rl.envs.config import EnvConfig, RobotLike, require_match
 from rover_rl.files import written_whole
+from rover_rl.torch_defaults import with_torch_defaults
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
 """Names of the files in a run's folder that hold the settings and the policy."""
@@ -78,6 +79,7 @@ class Checkpoint:
             raise ValueError(f"{path} holds NaN or infinity in the policy's weights {not_finite}: it cannot drive")
         return checkpoint
 
+    @with_torch_defaults
     def make_actor(self) -> ProbabilisticActor:
         """Makes the policy, a TorchRL module. Raises ``ValueError`` if the weights do not fit the settings.
 

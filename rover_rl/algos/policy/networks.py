@@ -28,6 +28,7 @@ from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
 from rover_rl.sims.robots import get_robot
+from rover_rl.torch_defaults import with_torch_defaults
 
 DRIVER = "driver"
 """Entry of a batch of decisions: mean that the prior of a policy adds, before squashing, ``[..., 2]``."""
@@ -166,6 +167,7 @@ def actor_of(
     return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot)
 
 
+@with_torch_defaults
 def make_actor(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),

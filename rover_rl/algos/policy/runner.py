@@ -31,6 +31,7 @@ from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, WALLS
 from rover_rl.envs.sensors.walls import SeenWalls
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.torch_defaults import with_torch_defaults
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
@@ -89,6 +90,7 @@ class PolicyRunner:
             ``None``: those of the entry ``bounds`` of the observation, or none.
     """
 
+    @with_torch_defaults
     def __init__(
         self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1, env: RoverEnv | None = None
     ) -> None:
@@ -141,6 +143,7 @@ class PolicyRunner:
         """Values of :class:`~rover_rl.envs.sensors.movers.Movers` that the policy has read last; ``None`` if none."""
         return self._tracked
 
+    @with_torch_defaults
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
 

@@ -117,6 +117,8 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         render_mode: ``None``; ``"rgb_array"``: :meth:`render` returns an image; or ``"human"``: each reset and step
             shows an image in a window, in real time (requires the extra ``human``).
         camera: camera position: behind the rover (``"chase"``) or above it (``"top"``).
+        max_episode_steps: number of actions after which an episode is truncated, as by Gymnasium's ``TimeLimit``. The
+            environment has a length of its own besides.
         action_repeat, reward_scale, scale_observations: options with which algorithms learn at their default settings:
             see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
 

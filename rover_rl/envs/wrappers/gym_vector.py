@@ -161,8 +161,10 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
 
     Args:
         num_envs: number of rovers.
-        **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
+        **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`, and Gymnasium's
+            ``disable_env_checker``, which has no effect on a batch.
     """
+    kwargs.pop("disable_env_checker", None)
     options, mode = pop_options(kwargs), kwargs.pop("autoreset_mode", AutoresetMode.NEXT_STEP)
     return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), autoreset_mode=mode, **options)
 

@@ -15,12 +15,13 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 from torchrl.envs import EnvBase
 
-from rover_rl.checks import check_seed
+from rover_rl.checks import MAX_COUNT, check_count, check_seed
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, steps_per_action, with_options
 from rover_rl.sims.base import View
 from rover_rl.tensordicts import in_rows
+from rover_rl.torch_defaults import with_torch_defaults
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -38,6 +39,7 @@ class WrapperOptions(LearningOptions, total=False):
     time_limit: TimeLimit
     render_mode: str | None
     camera: View
+    max_episode_steps: int | None
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class NumpyBatch:
     Spaces are those of one row, after the transforms.
     """
 
+    @with_torch_defaults
     def __init__(
         self,
         env: EnvBase,
@@ -70,6 +73,7 @@ class NumpyBatch:
         time_limit: TimeLimit = "terminated",
         render_mode: str | None = None,
         camera: View = "chase",
+        max_episode_steps: int | None = None,
         **options: Unpack[LearningOptions],
     ) -> None:
         require_one_of("time_limit", time_limit, get_args(TimeLimit))
@@ -82,9 +86,12 @@ class NumpyBatch:
         self.observation_space = _observation_space(self.env, self._flat)
         self.action_space = _box(self.env.action_spec_unbatched)
         self.render_mode, self._camera, self._time_limit = render_mode, camera, time_limit
+        # Gymnasium takes -1 for no limit.
+        limited = max_episode_steps is not None and max_episode_steps != -1
+        self._most = check_count(MAX_COUNT, max_episode_steps=max_episode_steps) if limited else None
+        self._actions = np.zeros(self.num_envs, np.int64)
         self._root: TensorDictBase | None = None
         self._goals = np.zeros(self.num_envs, np.int64)
-        self._seeded_at = np.zeros(self.num_envs, np.int64)
 
     @property
     def frames_per_second(self) -> int:
@@ -94,7 +101,7 @@ class NumpyBatch:
     @property
     def total_steps(self) -> NDArray[np.int64]:
         """Number of steps of each row since it was last seeded, int64 ``[N]``."""
-        return _flat(self._started("total_steps")["outcome", "total_steps"]) - self._seeded_at
+        return _flat(self._started("total_steps")["outcome", "total_steps"])
 
     def observation(self) -> Observation:
         """Returns the current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
@@ -106,6 +113,7 @@ class NumpyBatch:
         """Returns one entry of the current observation, ``[N, k]``."""
         return in_rows(self._started("the observation")).get(key).numpy(force=True).copy()
 
+    @with_torch_defaults
     def reset(
         self, rows: Mask | None = None, *, seed: int | None = None, options: Mapping[str, ArrayLike] | None = None
     ) -> Observation:
@@ -126,11 +134,10 @@ class NumpyBatch:
         if not self.env.batch_size:
             given = {key: value[0] for key, value in given.items()}
         self._root = self.env.reset(root, **given)
-        self._goals[rows] = 0
-        if seed is not None:
-            self._seeded_at += self.total_steps
+        self._goals[rows] = self._actions[rows] = 0
         return self.observation()
 
+    @with_torch_defaults
     def step(self, actions: ArrayLike, rows: Mask | None = None) -> Step:
         """Takes one step with the actions ``[N, 2]`` in ``rows`` (bool ``[N]``), by default in all.
 
@@ -168,6 +175,9 @@ class NumpyBatch:
         truncated = _flat(result.get("truncated")) & active
         if self._time_limit == "terminated":
             terminated, truncated = terminated | truncated, np.zeros_like(truncated)
+        self._actions += active
+        if self._most is not None:
+            truncated = truncated | (active & (self._actions >= self._most))
         info: dict[str, NDArray[Any]] = {
             "steps": _flat(outcome.get("steps")),
             **({"world": _flat(world)} if (world := outcome.get("world", None)) is not None else {}),

@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
+from rover_rl.plain import take_numbers
+
 DriveKind = Literal["skid_steer", "differential", "ackermann", "mecanum"]
 """Kinds of drives that are found in a URDF."""
 
@@ -62,6 +64,7 @@ class RobotOptions:
     """What happens with mesh files of collision shapes that do not exist or cannot be read."""
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         for name in _NUMBERS:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

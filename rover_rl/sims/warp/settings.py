@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rover_rl.plain import take_numbers
 from rover_rl.sims.timing import CONTROL_DT
 
 
@@ -47,6 +48,7 @@ class WarpSettings:
     block_size: int | None = None
 
     def __post_init__(self) -> None:
+        take_numbers(self)
         for name in ("substeps", "solver_iterations"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")

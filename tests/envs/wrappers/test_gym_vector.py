@@ -215,3 +215,32 @@ def test_make_vec_builds_it():
     assert truncated.all()
     assert not terminated.any()
     assert infos["episode"]["l"].tolist() == [3] * 4
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("settings", [{"time_limit": "truncated"}, {"length": 4}, ENDING_APART, {"action_repeat": 2}])
+def test_max_episode_steps_truncates_as_one_by_one(mode, settings):
+    settings = {"world_n": "maze", "seed": 0, "backend": "warp", "max_episode_steps": 4, **settings}
+    apart = gymnasium.make_vec(
+        "rover_rl/Rover-v0", ROWS, "sync", {"autoreset_mode": mode}, disable_env_checker=True, **settings
+    )
+    envs = gymnasium.make_vec(
+        "rover_rl/Rover-v0", ROWS, "vector_entry_point", autoreset_mode=mode, disable_env_checker=True, **settings
+    )
+    apart.reset(seed=[0, 1, 2]), envs.reset(seed=[0, 1, 2])
+    actions, ended = np.full((ROWS, 2), (1.0, 0.1), np.float32), np.zeros(ROWS, np.bool_)
+    for _ in range(11):
+        step, expected = envs.step(actions), apart.step(actions)
+        np.testing.assert_equal(step[0], expected[0])
+        np.testing.assert_equal(step[2:4], expected[2:4])
+        ended |= step[3]
+    assert ended.any()
+
+
+def test_max_episode_steps_is_a_count_and_minus_one_is_none():
+    for given, truncated in ((np.int64(1), True), (-1, False), (None, False)):
+        envs = gymnasium.make_vec("rover_rl/Rover-v0", 1, max_episode_steps=given, world_n="maze", backend="warp")
+        envs.reset(seed=0)
+        assert envs.step(np.zeros((1, 2)))[3].tolist() == [truncated]
+    with pytest.raises(ValueError, match="max_episode_steps must be a whole number of at least 1"):
+        GymVectorWrapper(BatchedRoverEnv(world_n="maze", backend="warp"), max_episode_steps=0)

@@ -1,0 +1,111 @@
+"""Environments and policies do not depend on the defaults of PyTorch that a program sets, nor on inference mode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+
+import numpy as np
+import pytest
+import torch
+
+from rover_rl import GymVectorWrapper, Randomization, RewardConfig, RoverEnv, make_env
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.pretrained import load_pretrained
+
+ACTION = torch.tensor([[0.5, 0.3], [0.7, -0.2]])
+REWARD = RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01, risk_penalty=-0.1)
+
+
+@contextmanager
+def inside(mode: str) -> Iterator[None]:
+    """Lets a program be in a mode."""
+    try:
+        if mode == "float64":
+            torch.set_default_dtype(torch.float64)
+        elif mode == "device":
+            torch.set_default_device("meta")
+        with torch.inference_mode() if mode == "inference" else nullcontext():
+            yield
+    finally:
+        torch.set_default_dtype(torch.float32)
+        torch.set_default_device(None)
+
+
+def drive(modes: list[str], **settings) -> list[torch.Tensor]:
+    """Makes and resets an environment in the first of the modes, takes a step in each, and returns what it gave."""
+    with inside(modes[0]):
+        env = make_env(**{"world_n": "maze", "num_envs": 2, "seed": 0, "reward": REWARD, **settings})
+        now = env.reset()
+    values = [now["lidar"], now["target"]]
+    for mode in modes:
+        with inside(mode):
+            step = env.step(now.set("action", ACTION))
+            now = env.step_mdp(step)
+        values += [step["next", key] for key in ("pose", "imu", "lidar", "velocities", "reward")]
+    return values
+
+
+@pytest.mark.parametrize("mode", ["float64", "device", "inference"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"backend": "bullet"},
+        {"backend": "mujoco"},
+        {"backend": "warp", "randomization": Randomization.typical(), "sensors": ["route"], "world_n": "maze+walkers"},
+    ],
+    ids=lambda settings: settings["backend"],
+)
+def test_an_environment_gives_the_same_numbers_in_all_modes_and_goes_on_in_others(mode, settings):
+    if settings["backend"] == "mujoco":
+        pytest.importorskip("mujoco")
+    expected = drive([""] * 4, **settings)
+    for modes in ([mode] * 4, [mode, "", mode, ""], ["", mode, "", mode]):
+        for value, right in zip(drive(modes, **settings), expected, strict=True):
+            assert value.dtype == right.dtype
+            assert torch.equal(value, right)
+
+
+@pytest.mark.parametrize("mode", ["float64", "device", "inference"])
+def test_a_vector_environment_goes_on_outside_of_the_mode(mode):
+    def rewards(modes: list[str]) -> np.ndarray:
+        with inside(modes[0]):
+            env = RoverEnv(world_n="maze", backend="warp", num_envs=2, seed=0, length=2)
+            envs = GymVectorWrapper(env, action_repeat=2, scale_observations=True, reward_scale=0.5)
+            envs.reset(seed=3)
+        found = []
+        for each in modes:
+            with inside(each):
+                found.append(envs.step(ACTION.numpy())[:2])
+        return np.concatenate([np.column_stack(step) for step in found])
+
+    np.testing.assert_array_equal(rewards([mode, "", mode, ""]), rewards([""] * 4))
+
+
+@pytest.mark.parametrize("mode", ["float64", "inference"])
+def test_a_policy_that_was_made_in_a_mode_drives_outside_of_it(mode):
+    for name in ("moon-ppo", "anywhere"):
+        checkpoint = load_pretrained(name)
+        env = make_env(world_n="maze", num_envs=2, seed=0, backend="warp", lidar=checkpoint.env.lidar)
+        observation = env.reset()
+        expected = PolicyRunner(checkpoint.make_actor())(observation)
+        with inside(mode):
+            actor = load_pretrained(name).make_actor()
+            runner = PolicyRunner(actor)
+            assert torch.equal(runner(observation), expected)
+        runner.reset()
+        assert torch.equal(runner(observation), expected)
+        if name == "moon-ppo":
+            actor(observation)["loc"].sum().backward()
+
+
+@pytest.mark.parametrize("kind", [torch.float64, torch.float16, torch.int64])
+def test_actions_of_other_types_and_with_gradients_are_taken(kind):
+    env, action = make_env(world_n="maze", num_envs=2, seed=0, backend="warp"), torch.tensor([[1, 0], [0, 1]])
+    given = action.to(kind).requires_grad_(kind.is_floating_point)
+    results = []
+    for each in (given, action.float()):
+        env.set_seed(0)
+        results.append(env.step(env.reset().set("action", each))["next"])
+    assert torch.equal(results[0]["velocities"], results[1]["velocities"])
+    assert not results[0]["reward"].requires_grad
