@@ -12,11 +12,12 @@
 - ``peers``: speed compared with a process and a PyBullet client for each rover.
 - ``footprint``: startup time and memory.
 - ``training``: speed of PPO and SAC compared with Stable-Baselines3.
+- ``decisions``: time of a decision of exported policies, with a map and without.
 - ``gpu``: speed on a GPU, skipped without one; see :mod:`benchmarks.gpu`.
 
 Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
-and its load. Run nothing else at the same time. Writes ``bench.json``, ``bench.png`` and ``breakdown.html`` to
-``runs/bench/``.
+and its load. Run nothing else at the same time. Lines tell what is measured, and what was found. Writes
+``bench.json``, ``bench.png`` and ``breakdown.html`` to ``runs/bench/``.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from __future__ import annotations
 import os
 import platform
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Annotated, Any, Literal, get_args
 
@@ -33,6 +35,7 @@ from rich.console import Console
 
 from benchmarks.options import Options
 from benchmarks.plot import draw
+from benchmarks.told import told
 from rover_rl.files import write_json
 
 Part = Literal[
@@ -47,6 +50,7 @@ Part = Literal[
     "peers",
     "footprint",
     "training",
+    "decisions",
     "gpu",
 ]
 
@@ -68,7 +72,7 @@ def main(options: Bench) -> dict[str, Any]:
     results: dict[str, Any] = {"machine": machine, "world": options.world}
     for part in options.parts:
         module = import_module(f"benchmarks.{part}")
-        results[part] = module.measure(options)
+        results[part] = told(part, partial(module.measure, options))
         console.print(module.table(results[part]))
         write_json(options.out / "bench.json", results)
     draw(results, options.out / "bench.png")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
 from rich.table import Table
 
 from benchmarks.options import Options
+from benchmarks.told import told
 from rover_rl import RoverEnv
 
 WORLDS = ("inspect", "moon", "maze")
@@ -17,7 +19,8 @@ ACTION_REPEAT = 10
 
 def measure(options: Options) -> list[dict[str, Any]]:
     """Runs an equal share of the steps in each world."""
-    return [_drive_randomly(world, options.warp_envs, options.endurance // len(WORLDS)) for world in WORLDS]
+    rovers, steps = options.warp_envs, options.endurance // len(WORLDS)
+    return [told(f"random actions, {world}", partial(_drive_randomly, world, rovers, steps)) for world in WORLDS]
 
 
 def _drive_randomly(world: str, rovers: int, total: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import torch
 from rich.table import Table
 
 from benchmarks.options import Options
+from benchmarks.told import told
 
 MEGABYTE = 2**20
 
@@ -45,7 +46,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
     rows = []
     for rovers in options.num_envs:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            rows.append(pool.submit(start, options.world, rovers).result())
+            started = pool.submit(start, options.world, rovers)
+            rows.append(told(f"start of {rovers:,} rovers", started.result))
     return rows
 
 

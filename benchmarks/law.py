@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from torch import Tensor
 from benchmarks import coulomb, maneuvers
 from benchmarks.engines import choose_engines, with_friction
 from benchmarks.options import Options
+from benchmarks.told import told
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 
@@ -189,7 +191,10 @@ def measure(options: Options) -> list[dict[str, Any]]:
             "ground": quantity.ground,
             "unit": quantity.unit,
             "law": quantity.law,
-            "engines": {engine: quantity.compare(engine) for engine in engines},
+            "engines": {
+                engine: told(f"{quantity.name}, {quantity.ground}, {engine}", partial(quantity.compare, engine))
+                for engine in engines
+            },
         }
         for quantity in quantities()
     ]

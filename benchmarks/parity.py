@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -24,6 +25,7 @@ from benchmarks.engines import choose_engines
 from benchmarks.law import center_of_mass
 from benchmarks.options import Options
 from benchmarks.physics import NUDGE, SECONDS, Trajectories, grounds
+from benchmarks.told import told
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box
 
@@ -108,8 +110,11 @@ def measure(options: Options) -> dict[str, Any]:
     """Measures the scenes and the steady turns in every simulator of the options."""
     engines = choose_engines(options.engines)
     return {
-        "scenes": [_compare(name, scene, engines) for name, scene in scenes(options.rovers).items()],
-        "turns": [_steady_turn(*command, engines) for command in TURNS],
+        "scenes": [
+            told(f"scene {name}", partial(_compare, name, scene, engines))
+            for name, scene in scenes(options.rovers).items()
+        ],
+        "turns": [told(f"turn {command}", partial(_steady_turn, *command, engines)) for command in TURNS],
     }
 
 

@@ -22,6 +22,7 @@ from benchmarks.collecting import rollouts
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired
+from benchmarks.told import told
 
 BEAMS = 128
 PROCESS_BYTES = 2**28
@@ -109,7 +110,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
                     rows.append({"peer": name, "processes": count})
                     continue
                 with peer(options.world, count) as theirs:
-                    ratio = paired(ours, theirs, options.seconds, options.rounds)
+                    measure = partial(paired, ours, theirs, options.seconds, options.rounds)
+                    ratio = told(f"{name}, {count} processes", measure)
                 rows.append({"peer": name, "processes": count, **asdict(ratio)})
     return rows
 

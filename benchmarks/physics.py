@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -18,6 +19,7 @@ from torch import Tensor
 
 from benchmarks.options import Options
 from benchmarks.ratios import paired
+from benchmarks.told import told
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.settings import PRESETS
 from rover_rl.sims.bullet.simulator import BulletSimulator
@@ -96,7 +98,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
         sensitivity = simulate(world, REFERENCE, options.rovers, NUDGE).difference(reference)
         rows.append({"ground": name, "physics": "1 ms, moved by 1 mm", "substeps": REFERENCE.substeps, **sensitivity})
         for physics, settings in {"all contacts": ALL_CONTACTS, **PRESETS}.items():
-            ratio = _speed(world, settings, options)
+            ratio = told(f"{name}, {physics}", partial(_speed, world, settings, options))
             error = simulate(world, settings, options.rovers).difference(reference)
             rows.append({"ground": name, "physics": physics, "substeps": settings.substeps, **error, **ratio})
     return rows

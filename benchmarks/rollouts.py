@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from rich.table import Table
@@ -20,6 +21,7 @@ from torchrl.envs import EnvBase
 from benchmarks.collecting import make_worker_env, rollouts
 from benchmarks.options import Options
 from benchmarks.ratios import rate
+from benchmarks.told import told
 from rover_rl.sims.native.bullet import pybullet
 
 WARM_UP = 3
@@ -120,19 +122,23 @@ def time_rollout(env: EnvBase, seconds: float) -> dict[str, float]:
 
 def measure(options: Options) -> list[dict[str, Any]]:
     """Measures each number of beams and rovers. Returns a row for each."""
-    rows = []
-    for beams in options.beams:
-        for num_envs in options.num_envs:
-            env = make_worker_env(options.world, num_envs, beams, 0)
-            times = time_rollout(env, options.seconds)
-            env.close()
-            shared = None
-            if options.workers > 1 and num_envs % options.workers == 0:
-                with rollouts(options.world, num_envs, beams, options.workers) as batch:
-                    batch()
-                    shared = rate(batch, options.seconds)
-            rows.append(asdict(Row(num_envs=num_envs, beams=beams, all_workers=shared, **times)))
-    return rows
+    return [
+        told(f"{num_envs:,} rovers, {beams} beams", partial(_measure, options, beams, num_envs))
+        for beams in options.beams
+        for num_envs in options.num_envs
+    ]
+
+
+def _measure(options: Options, beams: int, num_envs: int) -> dict[str, Any]:
+    env = make_worker_env(options.world, num_envs, beams, 0)
+    times = time_rollout(env, options.seconds)
+    env.close()
+    shared = None
+    if options.workers > 1 and num_envs % options.workers == 0:
+        with rollouts(options.world, num_envs, beams, options.workers) as batch:
+            batch()
+            shared = rate(batch, options.seconds)
+    return asdict(Row(num_envs=num_envs, beams=beams, all_workers=shared, **times))
 
 
 def table(rows: list[dict[str, Any]]) -> Table:

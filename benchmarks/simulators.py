@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from benchmarks.engines import choose_engines
 from benchmarks.options import Options
 from benchmarks.ratios import paired
+from benchmarks.told import told
 from rover_rl import make_env
 from rover_rl.sims import Backend
 from rover_rl.sims.backends import resolve_backend
@@ -65,7 +66,8 @@ def measure(options: Options) -> dict[str, Any]:
     rows = []
 
     def compare(what: str, one: EnvBase, other: EnvBase, work: Callable[[EnvBase], Callable[[], int]]) -> None:
-        rows.append({"what": what, **asdict(paired(work(one), work(other), options.seconds, options.rounds))})
+        ratio = told(what, lambda: paired(work(one), work(other), options.seconds, options.rounds))
+        rows.append({"what": what, **asdict(ratio)})
         one.close()
         other.close()
 

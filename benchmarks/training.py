@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,6 +11,7 @@ from rich.table import Table
 
 from benchmarks import against_sb3
 from benchmarks.options import Options
+from benchmarks.told import told
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
@@ -21,7 +23,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
                 settings = against_sb3.Options(
                     algo=algo, world=options.world, minutes=options.minutes, num_envs=options.rovers
                 )
-                last = train(settings.config(Path(folder)))[-1]
+                last = told(f"{algo.upper()}, {name}", partial(train, settings.config(Path(folder))))[-1]
             rows.append({"algo": algo, "name": name, "steps_per_s": last.steps / (60 * last.minutes)})
     return rows
 

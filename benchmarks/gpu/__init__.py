@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -29,6 +30,7 @@ import torch
 from rich.console import Group
 
 from benchmarks.options import Options
+from benchmarks.told import told
 from rover_rl.files import write_json
 
 SECTIONS = ("machine", "speed", "steps", "kernels", "training", "tuning", "processors")
@@ -44,7 +46,7 @@ def measure(options: Options) -> dict[str, Any] | None:
     # Warp needs its number: "cuda" alone has none.
     place = torch.empty(0, device=device).device
     for name in SECTIONS:
-        results[name] = _attempt(_module(name).measure, options, place, results)
+        results[name] = told(name, partial(_attempt, _module(name).measure, options, place, results))
         write_json(options.out / "gpu.json", results)
     _module("plot").draw(results, options.out / "gpu.png")
     return results

@@ -202,7 +202,16 @@ def _starting_settings(given: argparse.Namespace) -> TrainingConfig:
 
 
 def format_summary(summary: TrainingSummary) -> str:
-    """Formats the result of a training run and the shares of its time."""
+    """Formats the result of a training run and the shares of its time, or says why nothing was trained."""
+    if summary.reached_before:
+        used = {"total_steps": f"{summary.steps:,}", "max_minutes": f"{summary.minutes:.1f}"}
+        options = " ".join(f"--{name.replace('_', '-')} {name[0].upper()}" for name in summary.reached_before)
+        least = " and ".join(f"{name[0].upper()} above {used[name]}" for name in summary.reached_before)
+        return (
+            f"{summary.folder} had reached its limit before and was trained no further, after {used['total_steps']} "
+            f"steps in {used['max_minutes']} minutes. To train it longer: rover-rl train --resume {summary.folder} "
+            f"{options}, with {least}"
+        )
     stopped = "Interrupted" if summary.interrupted else "Finished"
     took = f"{summary.steps:,} steps in {summary.minutes:.1f} minutes"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())

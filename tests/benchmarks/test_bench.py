@@ -20,6 +20,8 @@ from benchmarks import footprint, law, simulators
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
+from benchmarks.ratios import paired
+from benchmarks.told import told
 from rover_rl import RoverEnv
 from tests.fork_server import fork_server, quick_workers
 
@@ -84,6 +86,31 @@ def test_simulators_are_compared_with_the_law(bench: Bench, monkeypatch: pytest.
     for row in rows:
         found = row["engines"]["warp"]
         assert found["least"] <= found["mean"] <= found["greatest"]
+
+
+@pytest.mark.slow
+def test_decisions_of_exported_policies_are_timed_with_a_map_and_without(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    rows = bench("decisions", "--decisions", "5")["decisions"]
+    assert [row["policy"] for row in rows] == ["anywhere", "moon-ppo"]
+    assert all(0 < row["median_ms"] <= row["p95_ms"] for row in rows)
+    assert "decisions of anywhere, with the map ...\n" in capsys.readouterr().out
+
+
+def test_lines_tell_what_is_measured_and_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
+    def measure() -> dict[str, Any]:
+        assert capsys.readouterr().out == "64 rovers ...\n"
+        return {"rovers": 64, "world": "maze", "rate": 1234.56, "other": None}
+
+    assert told("64 rovers", measure)["world"] == "maze"
+    assert capsys.readouterr().out.startswith("64 rovers: rovers 64, rate 1,235, took ")
+    told("maze", lambda: paired(lambda: 1, lambda: 1, 0.001, 1))
+    assert "\nmaze: rate " in capsys.readouterr().out
+    told("part", lambda: [1, 2])
+    assert "\npart: took " in capsys.readouterr().out
 
 
 def test_a_wrong_engine_fails_the_law() -> None:

@@ -36,6 +36,7 @@ from rover_rl.algos.experiments.seeds import continued
 from rover_rl.algos.experiments.space import Choice, Interval, Setting, with_varied
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
+from rover_rl.algos.train.run_folder import training_lock
 from rover_rl.files import written_whole
 from rover_rl.sims.worlds.names import TRAINING_SEEDS, WorldRange
 
@@ -113,6 +114,10 @@ class Sweep:
         A trial that diverges, or whose settings do not fit each other, counts as failed. ``say`` reports what happens.
         Returns whether the sweep is complete; false after Ctrl-C.
         """
+        with training_lock(self.folder):
+            return self._run(trials, say)
+
+    def _run(self, trials: int, say: Callable[[str], None]) -> bool:
         episodes = validation_episodes(self.config, self._count)
         while (trial := self._next(trials)) is not None:
             values = self.settings(trial)

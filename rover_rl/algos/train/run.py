@@ -12,6 +12,7 @@ import threading
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,13 +25,22 @@ from torchrl.objectives import LossModule
 
 from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.config_files import run_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.fine_tuning import load_source
 from rover_rl.algos.train.live import forget_live_rovers
 from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, time_columns
-from rover_rl.algos.train.run_folder import STATE, RunRecord, default_name, load_state, new_run_folder, save_run
+from rover_rl.algos.train.run_folder import (
+    STATE,
+    RunRecord,
+    default_name,
+    load_state,
+    new_run_folder,
+    save_run,
+    training_lock,
+)
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
 from rover_rl.envs.goal_pay import pays_for_goals
@@ -99,6 +109,8 @@ class TrainingSummary:
         minutes: duration of all sessions together.
         interrupted: whether the user stopped the run.
         shares: shares of this session's wall-clock time, by activity: see :class:`Stopwatch`.
+        reached_before: limits that the run had reached before this session, which therefore trained nothing:
+            ``"total_steps"``, ``"max_minutes"`` or both.
     """
 
     folder: Path
@@ -106,6 +118,7 @@ class TrainingSummary:
     minutes: float
     interrupted: bool
     shares: dict[str, float]
+    reached_before: tuple[str, ...] = ()
 
     @property
     def checkpoint(self) -> Path:
@@ -121,7 +134,8 @@ class TrainingRun:
     ``snapshots/`` (earlier policies), with a curriculum ``curriculum.csv`` (the worlds that were drawn), and what its
     trackers write there. Files are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM
     end the run after the current batch; a second one ends it immediately. A run whose weights become NaN or infinite,
-    or whose files cannot be written, keeps its last checkpoint.
+    or whose files cannot be written, keeps its last checkpoint. A lock keeps other processes from training in the
+    folder meanwhile.
     """
 
     def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:
@@ -131,20 +145,32 @@ class TrainingRun:
         self._saved_steps: int | None = None
         self._stopping = False
         self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
-        record = None if folder is None else RunRecord.of(folder, config)
-        if folder is not None:
-            self._resume(folder)
-        if self._saved_steps is None and (source := load_source(config)) is not None:
-            learner.start_from(source.actor)
-        self.folder = folder or new_run_folder(config.run.runs, config.run.name, default_name(config))
-        self._record = record or RunRecord(self.folder / SETTINGS, config)
-        if self._saved_steps is None:
-            self._record.begin()
-        self._from_start = folder is not None and self._saved_steps is None
-        self._steps_before = self._collected = self.steps
-        self.stopwatch = Stopwatch()
-        self._last_snapshot = int(self._share_at(self._minutes_before) * config.run.snapshots)
-        self._log = ProgressLog(self.folder, self.updates, self.steps)
+        with ExitStack() as self._lock:
+            record = None
+            if folder is not None:
+                # Raises before a folder that is no run is locked.
+                run_config(folder)
+                self._lock.enter_context(training_lock(folder))
+                record = RunRecord.of(folder, config)
+                self._resume(folder)
+            if self._saved_steps is None and (source := load_source(config)) is not None:
+                learner.start_from(source.actor)
+            if folder is None:
+                folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
+                self._lock.enter_context(training_lock(folder))
+            self.folder, self._record = folder, record or RunRecord(folder / SETTINGS, config)
+            if self._saved_steps is None:
+                self._record.begin()
+            self._from_start = record is not None and self._saved_steps is None
+            self._steps_before = self._collected = self.steps
+            self.stopwatch = Stopwatch()
+            self._last_snapshot = int(self._share_at(self._minutes_before) * config.run.snapshots)
+            self._log = ProgressLog(self.folder, self.updates, self.steps)
+            used = {"total_steps": self.steps, "max_minutes": self._minutes_before}
+            limits = {name: getattr(config.run, name) for name in used}
+            self._reached_before = tuple(name for name in used if limits[name] and used[name] >= limits[name])
+            # From here on, the lock is held until the run ends.
+            self._lock = self._lock.pop_all()
 
     def _resume(self, folder: Path) -> None:
         """Restores the learner, the counters and PyTorch's random generator, if the run has a checkpoint."""
@@ -189,7 +215,8 @@ class TrainingRun:
     @property
     def summary(self) -> TrainingSummary:
         """Results of the run so far."""
-        return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, self.stopwatch.shares())
+        shares = self.stopwatch.shares()
+        return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, shares, self._reached_before)
 
     def __enter__(self) -> TrainingRun:
         # Python allows signal handlers in the main thread only.
@@ -197,7 +224,7 @@ class TrainingRun:
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
         # A finished run has nothing more to tell.
-        names = () if self.updates and self.share >= 1 else self.config.run.logger
+        names = () if self._reached_before else self.config.run.logger
         resumed_at = self.steps if self.updates else None
         self._trackers = Trackers(names, self.folder, self.config, resumed_at, self._log.say)
         self._log.__enter__()
@@ -226,6 +253,7 @@ class TrainingRun:
             self._trackers.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
+            self._lock.close()
 
     def _stop(self, number: int, frame: object) -> None:
         """Handles a signal: ends the run after the current batch, or immediately at the second signal."""
@@ -239,7 +267,7 @@ class TrainingRun:
 
         Update the learner with each batch, then call :meth:`record`.
         """
-        if self.updates and self.share >= 1:
+        if self._reached_before:
             return
         estimates = self._curriculum.learnability.state_dict() if self._curriculum else None
         with collect(self.config, self.learner.actor, self._session, estimates, self.folder) as batches:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import platform
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from itertools import count
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from rover_rl.algos.archives import read_archive, write_archive
 from rover_rl.algos.config import TrainingConfig
@@ -22,6 +31,43 @@ CHANGEABLE = (
 )
 """Settings that may change when a run is continued: its length, its learning rate, what it saves and what computes."""
 _PLACE = ("name", "runs")  # settings that say where a run is, which may have been moved
+LOCK = "training.lock"  # name of the file in a folder that is locked while a process trains there
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # errors of file systems without locks
+
+
+@contextmanager
+def training_lock(folder: Path) -> Iterator[None]:
+    """Keeps other processes from training in a folder during the block.
+
+    The operating system releases the lock when this process dies, however it does.
+
+    Raises:
+        BlockingIOError: if another process trains there. The message names it.
+    """
+    path = folder / LOCK
+    lock = FileLock(path, blocking=False, fallback_to_soft=False)
+    try:
+        lock.acquire()
+        path.write_text(f"process {os.getpid()} on {platform.node()}, since {datetime.now():%Y-%m-%d %H:%M:%S}")
+    except Timeout:
+        holder = ""
+        with suppress(OSError):
+            holder = path.read_text()
+        raise BlockingIOError(
+            f"{folder} is being trained by {holder or 'another process'}; wait until that ends, or stop it with "
+            "Ctrl-C or SIGTERM, which saves a checkpoint"
+        ) from None
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        warnings.warn(f"{folder} is on a file system without locks: run no other training in it", stacklevel=3)
+    try:
+        yield
+    finally:
+        # Only the holder removes the file. Whoever has opened it meanwhile finds out that it has no name anymore.
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
 
 
 def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> None:

@@ -57,6 +57,16 @@ def begin(folder: Path, vary: list[str] = VARY, **settings: Any) -> Sweep:
     return Sweep(config, read_space(vary, config), folder, episodes=4)
 
 
+def test_a_sweep_that_runs_is_continued_nowhere_else(tmp_path: Path, fakes: Fakes) -> None:
+    def meanwhile(text: str) -> None:
+        with pytest.raises(BlockingIOError, match=f"{tmp_path} is being trained by process"):
+            begin(tmp_path).run(2, print)
+
+    assert begin(tmp_path).run(1, meanwhile)
+    assert begin(tmp_path).run(2, print)
+    assert len(fakes.trained) == 2
+
+
 def test_a_sweep_trains_and_finds_the_best_settings(tmp_path: Path, fakes: Fakes) -> None:
     said: list[str] = []
     sweep = begin(tmp_path / "sweep")

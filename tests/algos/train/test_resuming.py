@@ -62,6 +62,55 @@ def test_the_learners_state_is_restored_exactly(config: TrainingConfig, own_run:
     assert equal(state_of(folder)["learner"], state)
 
 
+@BOTH
+def test_a_run_that_trains_is_continued_nowhere_else_and_evaluated_meanwhile(
+    config: TrainingConfig, own_run: OwnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, found = own_run(config), []
+
+    def meanwhile(*_: object) -> None:
+        for options in ({}, {"total_steps": 1024}, {"max_minutes": 9.0}):
+            with pytest.raises(BlockingIOError, match=f"{folder} is being trained by process {os.getpid()} on "):
+                run(config, tmp_path, folder, **options)
+        with pytest.raises(FileExistsError, match="already"):
+            run(config, tmp_path, name=folder.name)
+        actor = Checkpoint.load(folder).make_actor()
+        found.append(evaluate(actor, draw_episodes("maze", 1, 0), seconds=0.1))
+
+    before_updates(monkeypatch, config.algo, meanwhile)
+    more = 256 + config.num_envs * config.algorithm.rollout_length * config.collection.action_repeat
+    assert run(config, tmp_path, folder, total_steps=more).steps == more
+    assert len(found) == 1
+    # It is free again, also after a session that fails.
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="is trained with"):
+        run(config, tmp_path, folder, gamma=0.5)
+    assert run(config, tmp_path, folder, total_steps=more).reached_before == ("total_steps",)
+    assert not (folder / "training.lock").exists()
+
+
+def test_a_run_that_has_reached_its_limit_says_so_and_what_continues_it(
+    own_run: OwnRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = own_run(PPO)
+
+    def told(*options: str) -> str:
+        capsys.readouterr()
+        assert main(["train", "--resume", str(folder), *options]) == 0
+        return capsys.readouterr().out
+
+    reached = f"{folder} had reached its limit before and was trained no further, after 256 steps in "
+    longer = f"To train it longer: rover-rl train --resume {folder} "
+    assert reached in (text := told())
+    assert f"{longer}--total-steps T, with T above 256\n" in text
+    assert f"{longer}--total-steps T, with T above 256\n" in told("--total-steps", "200")
+    assert f"{longer}--max-minutes M, with M above 0." in told("--total-steps", "999", "--max-minutes", "1e-9")
+    both = told("--max-minutes", "1e-9")
+    assert f"{longer}--total-steps T --max-minutes M, with T above 256 and M above 0." in both
+    assert "Finished" not in text + both
+    assert "Finished after 320 steps" in told("--total-steps", "257")
+
+
 def test_the_record_lists_sessions_with_other_settings_once_they_have_trained(
     own_run: OwnRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,15 +1,21 @@
 from __future__ import annotations
 
 import errno
+import os
+import platform
+import time
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.train.run_folder import load_state, new_run_folder, save_run
+from rover_rl.algos.train.run_folder import load_state, new_run_folder, save_run, training_lock
 from tests.algos.train.runs import equal
+from tests.fork_server import fork_server
 from tests.full_disk import largest_file
 
 
@@ -58,3 +64,37 @@ def test_an_error_names_the_file_that_does_not_fit_and_none_is_written(checkpoin
         with largest_file(5000), pytest.raises(OSError, match=rf"{tmp_path}/{name}\.pt'$"):
             save_run(tmp_path, checkpoint, state)
         assert not [*tmp_path.iterdir()]
+
+
+def hold(folder: Path, told: Connection) -> None:
+    """Locks a folder, says so, and holds the lock until the process is killed."""
+    with training_lock(folder):
+        told.send("locked")
+        time.sleep(600)
+
+
+def test_a_locked_folder_names_the_process_that_trains_there_and_is_free_when_that_is_killed(tmp_path: Path) -> None:
+    told, telling = fork_server().Pipe(duplex=False)
+    process: Any = fork_server().Process(target=hold, args=(tmp_path, telling))  # type: ignore[attr-defined]
+    process.start()
+    assert told.recv() == "locked"
+    holder = rf"{tmp_path} is being trained by process {process.pid} on {platform.node()}, since \d{{4}}-\d\d-\d\d "
+    for _ in range(2):
+        with pytest.raises(BlockingIOError, match=holder), training_lock(tmp_path):
+            pass
+    process.kill()
+    process.join()
+    with training_lock(tmp_path):
+        assert str(os.getpid()) in (tmp_path / "training.lock").read_text()
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_file_system_without_locks_gives_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for code in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+
+        def flock(*_: object, code: int = code) -> None:
+            raise OSError(code, os.strerror(code))
+
+        monkeypatch.setattr("fcntl.flock", flock)
+        with pytest.warns(UserWarning, match=f"{tmp_path} is on a file system without locks"), training_lock(tmp_path):
+            pass
