@@ -50,8 +50,8 @@ class Evaluate:
     seed: int | None = None
     """Seed of newly drawn starts and goals. Default: use the stored ones."""
     seconds: float | None = None
-    """Time limit of each episode, s. Default: 60, and longer for a robot that is slower than 1 m/s or needs wider
-    worlds."""
+    """Time limit of each episode, s. Default: 60, or 4 for each meter of the longest shortest path if that is more; and
+    longer for a robot that is slower than 1 m/s or needs wider worlds."""
     action_repeat: int | None = None
     """Number of steps (50 ms) that each action is held for. Default: 1, for policies with memory that of training."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
@@ -193,7 +193,6 @@ class Evaluate:
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> tuple[list[GoalRequest | EndlessRequest], list[str]]:
         """Returns what to evaluate in each world and backend, and with which imperfections."""
-        from rover_rl.algos.evaluation.evaluate import usual_seconds
         from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
 
@@ -206,8 +205,7 @@ class Evaluate:
                     env = self._env(policy.module, backend, name)
                     runs.append((policy, name, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
             for policy, name, settings in runs:
-                seconds = usual_seconds(settings["env"]) if self.seconds is None else self.seconds
-                options = {**settings, "seconds": seconds, "track_movers": TRACE}
+                options = {**settings, "seconds": self.seconds, "track_movers": TRACE}
                 requests.append(GoalRequest(policy.module, episodes, options))
                 names.append(name)
             for policy, name, settings in runs if self.endless else ():

@@ -19,6 +19,9 @@ from rover_rl.sims.robots.options import RobotOptions, with_options
 if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
+MANY_MOVERS = 5.0
+"""Number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors."""
+
 
 @dataclass(frozen=True)
 class ImportWorld:
@@ -186,12 +189,16 @@ def _place(name: str, numbers: tuple[float, ...] | None) -> Any:
 def _description(world: World) -> str:
     """Describes a world: its size, and what the importer has to say."""
     from rover_rl.envs.sensors.standard import clipped_pose
+    from rover_rl.sims.worlds.generators.crowds import ground_of_episodes
 
     terrain = world.terrain
     (x_low, x_high), (y_low, y_high) = world.bounds
     lowest, highest = (float(end) for end in terrain.heights.aminmax())
+    density = 100 * len(world.movers) / ground_of_episodes(world)
+    many = ", which is many (docs/movers.md)" if density > MANY_MOVERS else ""
+    dense = f" ({density:.1f} per 100 m^2 where episodes start and end{many})" if world.movers else ""
     lines = [
-        f"{world.name}: {len(world.obstacles)} obstacles, {len(world.movers)} movers",
+        f"{world.name}: {len(world.obstacles)} obstacles, {len(world.movers)} movers{dense}",
         f"  ground: {lowest:.2f} to {highest:.2f} m high, cell {terrain.cell:.3g} m",
         f"  bounds: x {x_low:.1f} to {x_high:.1f} m, y {y_low:.1f} to {y_high:.1f} m",
     ]

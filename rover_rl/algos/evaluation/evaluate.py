@@ -61,7 +61,7 @@ def evaluate(
     *,
     name: str | None = None,
     action_repeat: int | None = None,
-    seconds: float = 60.0,
+    seconds: float | None = None,
     rows: int = 32,
     env: EnvConfig | None = None,
     watch: Watcher | None = None,
@@ -81,7 +81,7 @@ def evaluate(
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
             with memory the number in training.
-        seconds: time limit of each episode, s.
+        seconds: time limit of each episode, s; ``None``: that of :func:`usual_seconds`.
         rows: number of rovers that drive at once; each takes the next episode in its world when its own has ended.
         env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
             are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else
@@ -97,6 +97,7 @@ def evaluate(
     """
     env_config = environment_for(policy, env)
     action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
+    seconds = usual_seconds(env_config, episodes) if seconds is None else seconds
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     if env_config.agents > 1:
@@ -186,13 +187,16 @@ def evaluate_endless(
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
 
 
-def usual_seconds(env: EnvConfig) -> float:
-    """Returns the time limit of an episode that the command line gives a robot, s.
+def usual_seconds(env: EnvConfig, episodes: EpisodeSet) -> float:
+    """Returns the usual time limit of the episodes of a set, s.
 
-    It is 60 s, longer by the scale of the worlds that the robot needs, and by as much as it is slower than 1 m/s.
+    It is 60 s, longer by the scale of the worlds that the robot needs, or 4 s for each meter of the longest of the
+    shortest paths if that is more; both are longer by as much as the robot is slower than 1 m/s.
     """
+    longest = float(episodes.shortest.nan_to_num(0.0, posinf=0.0).max())
     robots = get_robots(env.robot)
-    return round(60 * max(passage_scale(robot) / min(1.0, robot.drive.max_speed) for robot in robots))
+    times = (max(60 * passage_scale(one), 4 * longest) / min(1.0, one.drive.max_speed) for one in robots)
+    return min(round(max(times)), MAX_SECONDS)
 
 
 def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:

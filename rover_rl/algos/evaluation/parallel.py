@@ -14,8 +14,10 @@ from rover_rl.algos.evaluation.evaluate import (
     Evaluation,
     Policy,
     check_options,
+    environment_for,
     evaluate,
     evaluate_endless,
+    usual_seconds,
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs import EnvConfig
@@ -50,7 +52,10 @@ class GoalRequest:
         batched = self.episodes.several_worlds and env is not None and env.backend == "warp"
         size = _whole_groups(BATCHED_PER_PART if batched else EPISODES_PER_PART, env)
         parts = (self.episodes.part(first, first + size) for first in range(0, self.count, size))
-        return [replace(self, episodes=part.with_used_worlds()) for part in parts]
+        # The usual time limit is that of the whole set.
+        usual = {"seconds": usual_seconds(environment_for(self.policy, env), self.episodes)}
+        options = usual | {name: value for name, value in self.options.items() if value is not None}
+        return [replace(self, episodes=part.with_used_worlds(), options=options) for part in parts]
 
     def run(self) -> Evaluation:
         """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""

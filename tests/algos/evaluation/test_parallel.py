@@ -18,13 +18,21 @@ from tensordict import TensorDictBase
 from rover_rl import World
 from rover_rl.algos.evaluation import parallel
 from rover_rl.algos.evaluation.cores import dumps, over_cores
-from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.episodes import draw_episodes, stored_episodes
+from rover_rl.algos.evaluation.evaluate import (
+    EndlessEvaluation,
+    Evaluation,
+    Policy,
+    evaluate,
+    evaluate_endless,
+    usual_seconds,
+)
 from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, Request, evaluate_all
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain
 from tests.algos.evaluation.drives import assert_same
 from tests.fork_server import fork_server
@@ -105,6 +113,22 @@ def in_this_process(td: TensorDictBase) -> TensorDictBase:
 def in_another_process(td: TensorDictBase) -> TensorDictBase:
     assert multiprocessing.parent_process() is not None
     return td.set("action", torch.zeros(len(td), 2))
+
+
+def test_the_time_limit_follows_the_longest_path_of_the_set() -> None:
+    hall = World("hall", Terrain.flat((44.0, 4.0)), spawn_range=((-21, -10), (-1, 1)), goal_range=((20, 21), (-1, 1)))
+    episodes = draw_episodes(hall, 40)
+    limit = round(4 * float(episodes.shortest.max()))
+    assert 150 < limit < 168
+    warp = EnvConfig(backend="warp")
+    assert usual_seconds(warp, episodes) == limit
+    assert usual_seconds(warp, EPISODES) == usual_seconds(warp, stored_episodes("maze")) == 60
+    zero = get_robot("rover_zero")
+    slow = replace(warp, robot=replace(zero, drive=replace(zero.drive, max_speed=0.5)))
+    assert usual_seconds(slow, episodes) == round(8 * float(episodes.shortest.max()))
+    for given, expected in ((None, limit), (7.0, 7.0)):
+        parts = GoalRequest(None, episodes, {"env": warp, "seconds": given}).parts()
+        assert [part.options["seconds"] for part in parts] == [expected] * 2
 
 
 def test_only_small_evaluations_stay_in_this_process() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from rover_rl import RoverEnv
-from rover_rl.sims.worlds import Terrain, World, box, get_world, register_world, with_walkers
+from rover_rl.cli import main
+from rover_rl.sims.worlds import Region, Terrain, World, box, get_world, register_world, with_walkers
 from rover_rl.sims.worlds.movers import Person, Wander
 
 NUMBERS = {"plaza": (6, 12, 24), "corridor": (3, 6, 10), "crossing": (4, 8, 16), "maze+walkers": (1, 3, 6)}
@@ -84,6 +87,26 @@ def test_walkers_are_added_to_any_world(tmp_path):
     assert with_walkers(get_world("maze:7"), seed=7).movers == get_world("maze+walkers:7").movers
     with pytest.raises(ValueError, match="unknown world 'nowhere'"):
         get_world("nowhere+walkers")
+
+
+def test_the_number_of_walkers_follows_the_ground_of_the_episodes(tmp_path, capsys):
+    corner = Region.polygon([(0, 0), (25, 0), (25, 6), (6, 6), (6, 18), (0, 18)])
+    office = World("office", Terrain.flat((60, 60)), spawn_range=corner.bounds, spawn_region=corner, goal_region=corner)
+    assert [len(with_walkers(office, difficulty=level).movers) for level in (0, 0.5, 1)] == [4, 11, 22]  # 222 m^2
+    whole = replace(office, spawn_region=None, goal_region=None)
+    assert len(with_walkers(whole).movers) == round(0.05 * 25 * 18)
+    with_walkers(office).save(tmp_path / "office.world.npz")
+    assert main(["worlds", "show", str(tmp_path / "office.world.npz"), "--out", str(tmp_path / "office.png")]) == 0
+    assert "11 movers (5.0 per 100 m^2 where episodes start and end)" in capsys.readouterr().out
+    with_walkers(office, difficulty=0.6).save(tmp_path / "many.world.npz")
+    assert main(["worlds", "show", str(tmp_path / "many.world.npz"), "--out", str(tmp_path / "many.png")]) == 0
+    assert "which is many (docs/movers.md)" in capsys.readouterr().out
+
+
+def test_walkers_on_little_ground_are_warned_of():
+    closet = World("closet", Terrain.flat((9, 9)), spawn_range=((-1, 1), (-1, 1)), goal_range=((-1, 1), (-1, 1)))
+    with pytest.warns(UserWarning, match=r"closet\+walkers: a person on 4\.0 m\^2 of ground leaves no way past"):
+        assert len(with_walkers(closet).movers) == 1
 
 
 def test_walkers_stay_where_episodes_start_and_end():

@@ -9,6 +9,7 @@ At difficulty 1, the gates are as long and as fast as its sliding walls
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ import torch
 from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander, Waypoints
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
-from rover_rl.sims.worlds.region import Area, Region
+from rover_rl.sims.worlds.region import Area, Region, union
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -26,7 +27,7 @@ HEIGHTS = (1.55, 1.95)
 PACE, SPREAD = (0.6, 1.0, 1.34), 0.26
 """Mean walking speed at difficulty 0, 0.5 and 1, and its standard deviation, m/s."""
 WALKERS = (0.02, 0.05, 0.10)
-"""Walkers per square meter of the area in which episodes start and end, at difficulty 0, 0.5 and 1."""
+"""Walkers per square meter of the ground on which episodes start and end, at difficulty 0, 0.5 and 1."""
 MOST_WALKERS = 64
 """Maximum number of walkers that are added to a world."""
 PLAZA, PLAZA_PEOPLE = 16.0, (6, 12, 24)
@@ -58,7 +59,8 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
         world: any world.
         seed: seed of their speeds and heights.
         difficulty: difficulty in [0, 1]: the number and the speed of the people. At 0.5, there is one for each 20
-            square meters of the area in which episodes start and end, and they walk at 1 m/s.
+            square meters of the ground on which episodes start and end, and they walk at 1 m/s. There is
+            at least one, with a warning on less than 5 square meters.
 
     Raises:
         ValueError: if the difficulty is not in [0, 1].
@@ -69,14 +71,24 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
         (3, 3)
     """
     rng = np.random.default_rng((seed, 1))
-    area = _union(world.spawn_range, world.goal_range)
-    (x_low, x_high), (y_low, y_high) = area
-    count = round((x_high - x_low) * (y_high - y_low) * scaled(difficulty, *WALKERS))
+    area, ground = union(world.spawn_range, world.goal_range), ground_of_episodes(world)
+    count = min(max(round(ground * scaled(difficulty, *WALKERS)), 1), MOST_WALKERS)
+    if 2 * WALKERS[-1] * ground < count == 1:
+        warnings.warn(f"{world.name}+walkers: a person on {ground:.1f} m^2 of ground leaves no way past", stacklevel=2)
     people = tuple(
         Mover(Wander(speed, area=area), person, f"walker {number}")
-        for number, (speed, person) in enumerate(_people(rng, difficulty, min(max(count, 1), MOST_WALKERS)))
+        for number, (speed, person) in enumerate(_people(rng, difficulty, count))
     )
     return replace(world, name=f"{world.name}+walkers", movers=(*world.movers, *people))
+
+
+def ground_of_episodes(world: World) -> float:
+    """Returns the size of the ground on which episodes start and end, m^2: that of the regions, else of the areas."""
+    (left, right), (bottom, top) = union(world.spawn_range, world.goal_range)
+    regions = [region for region in (world.spawn_region, world.goal_region) if region is not None]
+    # Both may be the same, or not.
+    areas = {(region.origin, region.area): region.area for region in regions}
+    return sum(areas.values()) or (right - left) * (top - bottom)
 
 
 def plaza(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
@@ -313,12 +325,6 @@ def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tup
     heights = rng.uniform(*HEIGHTS, count)
     pairs = zip(speeds.round(3).tolist(), heights.round(2).tolist(), strict=True)
     return [(speed, Person(height)) for speed, height in pairs]
-
-
-def _union(a: Area, b: Area) -> Area:
-    """Returns the smallest rectangle around two areas."""
-    (ax, ay), (bx, by) = a, b
-    return (min(ax[0], bx[0]), max(ax[1], bx[1])), (min(ay[0], by[0]), max(ay[1], by[1]))
 
 
 def _raised(xy: np.ndarray, height: float) -> np.ndarray:
