@@ -29,10 +29,10 @@ _RECENT_STEPS = 80_000  # number of latest steps over which the progress bar ave
 def batch_statistics(batch: TensorDictBase, repeat: int) -> dict[str, float]:
     """Returns statistics of a batch of decisions ``[N, T]``, with unscaled rewards; means over no episodes are nan.
 
-    The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to
-    reach a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with
-    exploration and with the decisions of training. A decision in which the episode ends counts as ``repeat`` steps as
-    all others, so that the number of steps of a run does not depend on its events.
+    The success rate of training is ``attempts_reached / attempts``: each attempt to reach a goal succeeds or fails
+    (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with exploration and with the decisions of
+    training, so that an evaluation of the same policy may give another one. A decision in which the episode ends counts
+    as ``repeat`` steps as all others, so that the number of steps of a run does not depend on its events.
     """
     after = batch["next"]
     outcome, ended = after["outcome"], after["done"]
@@ -147,7 +147,8 @@ class ProgressLog:
         status = (
             f"{speed:,.0f} steps/s, "
             f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
-            f"success {reached / attempts if attempts else math.nan:.0%}, return {self._mean('episode_return'):.0f}"
+            f"success {reached / attempts if attempts else math.nan:.0%} while exploring, "
+            f"return {self._mean('episode_return'):.0f}"
         )
         self._display.update(share, status)
 

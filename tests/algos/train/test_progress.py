@@ -81,7 +81,7 @@ def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     assert len(lines) == 10
     assert "goals per 2,000 steps" in lines[0]
-    assert "success 50%" in lines[0]
+    assert "success 50% while exploring" in lines[0]
 
 
 def batch_of(clocks: list[tuple[float, float, float]], rows: int = 2) -> TensorDict:
