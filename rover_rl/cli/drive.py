@@ -125,6 +125,8 @@ class Drive:
     lidar_yaw: float = Ros2Settings.lidar_yaw
     """Direction in which the lidar's zero angle points, rad. The default, pi, is backward: the original rover's lidar
     is mounted turned by 180 degrees, so that its first beam, at -pi, points forward. Most others face forward: 0."""
+    lidar_inverted: bool = False
+    """The lidar hangs upside down: it is rolled by pi before it is turned by --lidar-yaw."""
     transport: TransportName = Ros2Settings.transport
     """ROS 2 transport: dds needs no ROS installation, rclpy that of PyPI or of a sourced ROS."""
     seed: int = 0

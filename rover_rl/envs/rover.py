@@ -32,7 +32,7 @@ from rover_rl.envs.row_limits import RowLimits
 from rover_rl.envs.row_robots import RowRobots
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensors.base import Observer, Rig, Sensor, SensorInput, Surroundings
-from rover_rl.envs.sensors.standard import LidarPooling, clipped_pose
+from rover_rl.envs.sensors.standard import LidarPooling, LivePooling, clipped_pose
 from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.rng import episode_keys, row_keys
@@ -45,6 +45,7 @@ from rover_rl.sims.base import (
     MoverCarrier,
     Reporter,
     RobotChanger,
+    ScanCarrier,
     Scanner,
     StampedSensors,
     View,
@@ -415,6 +416,8 @@ class RoverEnv(EnvBase):
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
+        live = isinstance(self.simulator, ScanCarrier)
+        self._pooling = LivePooling(self.simulator, self.lidar) if live else self.lidar
         self._meet_movers()
         if self.config.compensate_delay and isinstance(self.simulator, StampedSensors):
             self.simulator.follow_clock()
@@ -623,10 +626,10 @@ class RoverEnv(EnvBase):
         ranges = self._lidar.scan(self._scanning(rows, steps))
         if self.simulator.device != self._tensor_device:
             rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
-        state.truth = Perception(rover, ranges, self.lidar)
+        state.truth = Perception(rover, ranges, self._pooling)
         scan_step = None if self.delays is None else self.delays.scan_step
         noise = config.randomization
-        state.sensed = self._observer.sense(noise, state.truth, self._keys, steps, self.lidar, scan_step)
+        state.sensed = self._observer.sense(noise, state.truth, self._keys, steps, self._pooling, scan_step)
         state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
         state.reference = state.truth if config.outcome_from == "truth" else state.sensed
         if self._has_movers:

@@ -146,6 +146,17 @@ class ScanCarrier(Protocol):
         """Returns which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
         ...
 
+    def ranges(self) -> Tensor:
+        """Returns the beams of the latest scan, ``[1, beams]``, m."""
+        ...
+
+    def segments(self, points: int) -> Tensor | None:
+        """Returns the nearest reading of each segment of the latest raw scan, ``[1, points]``, m; ``inf`` for none.
+
+        ``None`` if it has fewer readings than segments.
+        """
+        ...
+
 
 @runtime_checkable
 class DepthCarrier(Protocol):

@@ -14,7 +14,7 @@ from rover_rl.envs.perception import Perception
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
-from rover_rl.sims.base import beam_angles
+from rover_rl.sims.base import ScanCarrier, beam_angles
 from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import World
@@ -135,12 +135,33 @@ class LidarPooling:
     def __call__(self, ranges: Tensor) -> Tensor:
         """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
         # NaN must be replaced before the minimum, which it would win. Clipping the fewer pooled readings is faster.
-        ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
-        return self.grouped(ranges).amin(-1).clamp(0.0, self.max_range)
+        return self._clipped(self.grouped(torch.nan_to_num(ranges, nan=self.max_range)).amin(-1))
+
+    def _clipped(self, readings: Tensor) -> Tensor:
+        return readings.clamp(0.0, self.max_range)
 
     def grouped(self, values: Tensor) -> Tensor:
         """Returns values of the beams, ``[N, beams]``, by segment, ``[N, points, longest]``; short ones repeat one."""
         return values.unflatten(-1, (self.points, -1)) if self._gather is None else values[..., self._gather]
+
+
+class LivePooling(LidarPooling):
+    """Pooling of a live lidar, whose raw scan has any number of beams: its readings are cut, not the beams.
+
+    Segments with beams that are unseen, hidden or noisy are those of the beams.
+    """
+
+    def __init__(self, live: ScanCarrier, pooling: LidarPooling) -> None:
+        super().__init__(pooling.beams, pooling.points, pooling.max_range)
+        self._live = live
+
+    def __call__(self, ranges: Tensor) -> Tensor:
+        """Pools the beams ``ranges [1, N]`` (m) of the latest scan to ``[1, points]``."""
+        pooled, raw = super().__call__(ranges), self._live.segments(self.points)
+        if raw is None:
+            return pooled
+        other = (ranges != self._live.ranges()) | ~self._live.covered()
+        return torch.where(self.grouped(other).any(-1), pooled, self._clipped(raw))
 
 
 def _segments(beams: int, points: int) -> Tensor:

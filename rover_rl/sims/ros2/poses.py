@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped
+from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped, PoseWithCovarianceStamped
 from rover_rl.sims.ros2.pose_reset import TargetPose
 from rover_rl.sims.ros2.settings import PoseSource
 from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
@@ -81,6 +81,7 @@ POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
     "pose_array": (PoseArray, read_pose_array),
     "pose_stamped": (PoseStamped, lambda msg: read_pose(msg.pose)),
     "odometry": (Odometry, lambda msg: read_pose(msg.pose.pose)),
+    "pose_with_covariance": (PoseWithCovarianceStamped, lambda msg: read_pose(msg.pose.pose)),
     "wheels": (Odometry, lambda msg: read_pose(msg.pose.pose)),
 }
 """Type of the pose message of each source, and the function that reads it."""
@@ -100,7 +101,7 @@ class PoseEstimator:
 
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
         """Adds the yaw offset of the IMU to a localizer's pose that has just arrived; returns other poses unchanged."""
-        if self._source in ("pose_stamped", "odometry"):
+        if self._source not in ("pose_array", "wheels"):
             return pose._replace(imu_yaw_offset=yaw_of(pose.orientation) - yaw_of(imu_orientation))
         return pose
 

@@ -37,6 +37,17 @@ class Scan(NamedTuple):
         """Angle that the scan covers, at most a full turn, rad."""
         return min(2 * math.pi, len(self.ranges) * self.angle_increment)
 
+    def mounted(self, yaw: float, inverted: bool = False) -> Scan:
+        """Returns the scan counter-clockwise from straight ahead of the robot, on which the lidar is mounted.
+
+        Its zero angle has the direction ``yaw`` (rad). If ``inverted``, it hangs upside down, by a roll of pi before
+        the turn by ``yaw``.
+        """
+        if not inverted:
+            return self._replace(angle_min=yaw + self.angle_min)
+        last = self.angle_min + self.angle_increment * (len(self.ranges) - 1)
+        return self._replace(ranges=self.ranges.flip(0), valid=self.valid.flip(0), angle_min=yaw - last)
+
 
 class AlignedScan(NamedTuple):
     """A scan in the environment's layout: ranges ``[beams]`` (m), counter-clockwise from straight ahead.
@@ -90,17 +101,18 @@ class ScanAlignment:
 
     Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
     without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
-    increment away. Otherwise the beam is unseen, never free. The lidar's zero angle has the direction ``yaw`` (rad),
-    counter-clockwise from straight ahead.
+    increment away. Otherwise the beam is unseen, never free. ``yaw`` and ``inverted`` are the mount of the lidar: see
+    :meth:`Scan.mounted`.
     """
 
-    def __init__(self, beams: int, yaw: float) -> None:
-        self._beams, self._yaw = beams, yaw
+    def __init__(self, beams: int, yaw: float, inverted: bool = False) -> None:
+        self._beams, self._mount = beams, (yaw, inverted)
 
     def __call__(self, scan: Scan) -> AlignedScan:
         """Converts a scan to the environment's layout."""
-        first = scan.angle_min + self._yaw
-        beam_of_reading, nearest = _beams_and_readings(self._beams, len(scan.ranges), first, scan.angle_increment)
+        scan = scan.mounted(*self._mount)
+        layout = self._beams, len(scan.ranges), scan.angle_min, scan.angle_increment
+        beam_of_reading, nearest = _beams_and_readings(*layout)
         ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
         closest = torch.full((self._beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
         covered = torch.zeros(self._beams, dtype=torch.bool)
@@ -124,6 +136,32 @@ def _beams_and_readings(beam_count: int, count: int, first: float, increment: fl
     distances = turn / 2 - (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs()
     distance, nearest = distances.min(-1)
     return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
+
+
+def cut(scan: Scan, points: int) -> Tensor | None:
+    """Returns the nearest valid reading of each segment of a mounted scan, ``[points]``, m; ``inf`` where none is.
+
+    Segments are as equal as can be: neighboring readings of a full turn from straight ahead on, of which no segment has
+    more than one more than another. ``None`` if a full turn has fewer readings than segments.
+    """
+    segment = _segment_of_reading(points, len(scan.ranges), scan.angle_min, scan.angle_increment)
+    if segment is None:
+        return None
+    ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
+    return torch.full((points,), math.inf).scatter_reduce(0, segment, ranges, "amin")
+
+
+@lru_cache(maxsize=1)
+def _segment_of_reading(points: int, count: int, first: float, increment: float) -> Tensor | None:
+    """Returns the segment that each reading belongs to; ``None`` if a full turn has fewer readings than segments."""
+    turn = max(1, round(2 * math.pi / increment))
+    if turn < points:
+        return None
+    # The first reading at or after straight ahead begins the first segment. A quarter of an increment allows for a
+    # rounded mounting angle.
+    place = (first / increment + torch.arange(count, dtype=torch.float64) + 0.25).floor().long() % turn
+    sizes = torch.tensor([len(part) for part in torch.arange(turn).tensor_split(points)])
+    return torch.arange(points).repeat_interleave(sizes)[place]
 
 
 class UnseenGuard:

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias, get_args
 
 from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
 
-PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "wheels"]
+PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "wheels"]
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
 Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
@@ -32,14 +32,16 @@ class Ros2Settings:
         transport: ROS 2 client: ``"dds"`` (extra ``ros2``), or ROS 2's own ``"rclpy"``, from PyPI or a sourced ROS.
         odometry_topic: topic of the wheels' ``nav_msgs/Odometry``: velocities, and the pose with ``pose="wheels"``.
         pose: source of the pose: ``"pose_array"``, the first pose of a ``geometry_msgs/PoseArray`` with the heading of
-            the IMU, as in the original; ``"pose_stamped"`` or ``"odometry"``, pose and heading of a localizer's
-            ``geometry_msgs/PoseStamped`` or ``nav_msgs/Odometry``; ``"wheels"``, wheel odometry, aligned with the start
-            pose of the episode at each reset.
+            the IMU, as in the original; ``"pose_stamped"``, ``"odometry"`` or ``"pose_with_covariance"``, pose and
+            heading of a localizer's ``geometry_msgs/PoseStamped``, ``nav_msgs/Odometry`` or
+            ``geometry_msgs/PoseWithCovarianceStamped``; ``"wheels"``, wheel odometry, aligned with the start pose of
+            the episode at each reset.
         pose_topic: topic of the pose; unused with ``pose="wheels"``.
         command: message type of the commands: ``"twist"`` or ``"twist_stamped"``; ``"none"`` sends nothing (dry run).
         frame_id: frame of stamped commands.
         lidar_yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad. The original's lidar
             faces backward; most others face forward: 0.
+        lidar_inverted: whether the lidar hangs upside down, rolled by pi before it is turned by ``lidar_yaw``.
         max_invalid: maximum share of invalid readings (NaN, outside of the scan's own limits, or missing) in a usable
             scan, from 0 to 1.
         unseen_range: range of directions that no valid beam covers, m. It is neither free space nor a collision. With
@@ -76,6 +78,7 @@ class Ros2Settings:
     command: Command = "twist"
     frame_id: str = "base_link"
     lidar_yaw: float = math.pi
+    lidar_inverted: bool = False
     max_invalid: float = 0.1
     unseen_range: float = 1.0
     max_speed: float | None = None

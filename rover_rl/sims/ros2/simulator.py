@@ -26,7 +26,7 @@ from rover_rl.sims.ros2.joints import read_efforts
 from rover_rl.sims.ros2.messages import Clock, Contacts, JointState
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
-from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
+from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cut
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
@@ -257,7 +257,7 @@ class Ros2Simulator:
         return Ros2Scanner(self, beams)
 
     def _set_beams(self, beams: int) -> None:
-        self._align = ScanAlignment(beams, self.settings.lidar_yaw)
+        self._align = ScanAlignment(beams, self.settings.lidar_yaw, self.settings.lidar_inverted)
         self._guard = UnseenGuard(beam_angles(beams).float())
         # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
         # blocks all motion.
@@ -272,6 +272,13 @@ class Ros2Simulator:
     def covered(self) -> Tensor:
         """Returns which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
         return self._aligned_scan.seen[None]
+
+    def segments(self, points: int) -> Tensor | None:
+        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.ScanCarrier.segments`."""
+        if self._scan is None:
+            return None
+        found = cut(self._scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted), points)
+        return None if found is None else found[None]
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Sends a command within the limits, and waits for the next scan: see :meth:`Simulator.step`.

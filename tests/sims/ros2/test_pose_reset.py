@@ -103,7 +103,13 @@ def test_wheel_odometry_is_aligned_with_the_start_pose(rover, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("pose", "topic"), [("wheels", "/rover/pose_array"), ("pose_stamped", "/pose"), ("odometry", "/odometry/wheels")]
+    ("pose", "topic"),
+    [
+        ("wheels", "/rover/pose_array"),
+        ("pose_stamped", "/pose"),
+        ("odometry", "/odometry/wheels"),
+        ("pose_with_covariance", "/amcl_pose"),
+    ],
 )
 def test_odometry_and_localizers_provide_pose_and_heading_without_reset(rover, pose, topic):
     rover.imu_offset = -0.7

@@ -8,7 +8,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from rover_rl.envs.sensors.standard import LidarPooling
 from rover_rl.sims.ros2.messages import (
     Header,
     LaserScan,
@@ -23,7 +25,7 @@ from rover_rl.sims.ros2.messages import (
     Vector3,
 )
 from rover_rl.sims.ros2.poses import read_orientation, read_pose_array
-from rover_rl.sims.ros2.scans import SECTOR, ScanAlignment, UnseenGuard, read_scan
+from rover_rl.sims.ros2.scans import SECTOR, ScanAlignment, UnseenGuard, cut, read_scan
 from rover_rl.sims.ros2.sensors import read_twist
 
 
@@ -143,6 +145,45 @@ def test_a_full_scan_with_the_same_number_of_beams_is_only_rotated():
     behind = scan(ranges.tolist(), first=-math.pi)
     assert ScanAlignment(8, yaw=math.pi)(read_scan(behind)).ranges.tolist() == ranges.tolist()
     assert ScanAlignment(8, yaw=0.0)(read_scan(behind)).ranges.tolist() == ranges.roll(-4).tolist()
+
+
+@pytest.mark.parametrize("count", [640, 360, 1440, 720, 1081, 37])
+@pytest.mark.parametrize(
+    ("yaw", "first"), [(math.pi, -math.pi), (0.0, -math.pi), (0.0, 0.0), (3.14, -math.pi), (2.0, 0.5)]
+)
+def test_segments_are_the_contracts_cut_of_the_raw_scan(count, yaw, first):
+    ranges = np.random.default_rng(count).uniform(0.2, 11.0, count).astype(np.float32)
+    increment = np.float32(2 * math.pi / count).item()
+    turned = math.remainder(yaw + first, 2 * math.pi)
+    ahead = np.roll(ranges, math.floor(turned / increment + 0.25))  # the first reading from straight ahead on is first
+    expected = [part.min() for part in np.array_split(ahead, 32)]
+    read = read_scan(scan(ranges, np.float32(first).item(), increment))
+    assert cut(read.mounted(yaw), 32).tolist() == pytest.approx(expected)
+    assert (cut(read.mounted(yaw), 32) == LidarPooling(count, 32, 12.0)(torch.from_numpy(ahead)[None])[0]).all()
+
+
+def test_segments_of_a_scan_that_is_no_full_turn_or_has_too_few_readings():
+    half = read_scan(scan(np.arange(1.0, 322.0), first=-math.pi / 2, increment=2 * math.pi / 640))
+    segments = cut(half.mounted(0.0), 32)
+    assert segments[0] == 161.0  # straight ahead
+    assert torch.isposinf(segments[9:24]).all()
+    assert segments[24] == 1.0  # from the right on
+    assert cut(read_scan(scan([1.0] * 31)).mounted(0.0), 32) is None
+
+
+@pytest.mark.parametrize("yaw", [0.0, math.pi, math.pi / 2, 0.3])
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_a_lidar_that_hangs_upside_down_is_rolled_before_it_is_turned(yaw, clockwise):
+    angles = -math.pi + np.arange(360) * 2 * math.pi / 360
+    at = math.radians(-60.0)  # in the lidar's frame
+    ranges = np.where(np.abs(angles - at) < 0.01, 1.0, 8.0)
+    message = scan(ranges[::-1], angles[-1], -2 * math.pi / 360) if clockwise else scan(ranges, -math.pi)
+    # Rotation by a roll of pi, then by the yaw.
+    direction = Rotation.from_euler("xz", [math.pi, yaw]).apply([math.cos(at), math.sin(at), 0.0])
+    beam = round(math.atan2(direction[1], direction[0]) / (2 * math.pi / 360)) % 360
+    read = read_scan(message)
+    assert ScanAlignment(360, yaw, inverted=True)(read).ranges.argmin() == beam
+    assert cut(read.mounted(yaw, inverted=True), 360)[[beam - 1, beam, (beam + 1) % 360]].min() == 1.0
 
 
 def test_the_layout_of_scans_may_change():

@@ -193,6 +193,18 @@ def test_every_lidar_reading_becomes_a_valid_observation(rover, ranges, seen):
     env.close()
 
 
+@pytest.mark.parametrize("count", [640, 360, 1440])
+@pytest.mark.parametrize("yaw", [0.0, math.pi])
+def test_the_observed_segments_are_cut_from_the_raw_scan(rover, count, yaw):
+    rover.ranges = np.random.default_rng(0).uniform(0.5, 14.0, count).astype(np.float32)
+    rover.ranges[7], rover.ranges[-9] = math.inf, -math.inf
+    env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none", settle=0.05, step_timeout=20.0, lidar_yaw=yaw))
+    lidar = env.reset()["lidar"][0].numpy()
+    ahead = np.roll(rover.ranges, 0 if yaw else -count // 2)  # the first reading is at -pi of the lidar
+    np.testing.assert_allclose(lidar, [part.min().clip(0, 12) for part in np.array_split(ahead, 32)], rtol=1e-6)
+    env.close()
+
+
 def test_a_live_rover_drives_a_policy_of_a_task_with_contact_and_senses_none(rover):
     rover.ranges[0] = 0.1
     env = make_env(TaskConfig(collision_from="contact", collision_window=0))

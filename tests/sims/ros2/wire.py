@@ -26,6 +26,7 @@ from rover_rl.sims.ros2.messages import (
     PoseArray,
     PoseStamped,
     PoseWithCovariance,
+    PoseWithCovarianceStamped,
     Quaternion,
     Time,
     Twist,
@@ -121,6 +122,7 @@ class Rover:
             "odometry": wire.publisher("/odometry/wheels", Odometry),
             "pose": wire.publisher("/rover/pose_array", PoseArray),
             "localizer": wire.publisher("/pose", PoseStamped),
+            "amcl": wire.publisher("/amcl_pose", PoseWithCovarianceStamped),
         }
         wire.subscribe("/cmd_vel", Twist, self.obey)
         wire.subscribe("/rover/set_pose", PoseStamped, self.move_to)
@@ -149,6 +151,7 @@ class Rover:
             "odometry": Odometry(header, pose=PoseWithCovariance(pose), twist=TwistWithCovariance(twist)),
             "pose": PoseArray(header, [pose]),
             "localizer": PoseStamped(header, pose),
+            "amcl": PoseWithCovarianceStamped(header, PoseWithCovariance(pose)),
             "scan": self.scan(header, self.ranges.copy()),
         }
         for kind, message in messages.items():
