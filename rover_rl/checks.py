@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from typing import Any
 
 MAX_SEED = 2**63 - 1
@@ -15,6 +16,9 @@ MAX_NUMBER = 1e30
 """Upper limit of real-valued settings: products with 32-bit floats stay finite."""
 MAX_SECONDS = 1e6
 """Longest drive that can be evaluated or filmed, s."""
+
+MAX_TOPIC = 247
+"""Largest number of characters of a topic, as in ROS 2."""
 
 
 def check_count(most: int, **counts: Any) -> int:
@@ -62,3 +66,14 @@ def check_positive(most: float, **numbers: float) -> None:
     for name, number in numbers.items():
         if not 0 < number <= most:
             raise ValueError(f"{name} must be positive and at most {most:g}, got {number}")
+
+
+def check_topics(**topics: Any) -> None:
+    """Raises ``ValueError`` for the first topic, by the name of its setting, that ROS 2 does not allow."""
+    part = "[A-Za-z_][A-Za-z0-9_]*"
+    for name, topic in topics.items():
+        if not (isinstance(topic, str) and len(topic) <= MAX_TOPIC and re.fullmatch(f"/?{part}(/{part})*", topic)):
+            raise ValueError(
+                f"{name} must be a topic of ROS 2, such as /scan or /robot1/scan: letters, digits and _ in parts that "
+                f"begin with no digit, at most {MAX_TOPIC} characters, got {topic!r}"
+            )

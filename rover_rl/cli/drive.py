@@ -122,6 +122,9 @@ class Drive:
     """Topic of the velocity command."""
     stamped: bool = False
     """Send TwistStamped instead of Twist."""
+    give_way: bool = False
+    """While another node sends commands, such as that of a joystick, send none, and drive on 0.5 s after its last one.
+    Default: stop, and name the node."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
     """Direction in which the lidar's zero angle points, rad. The default, pi, is backward: the original rover's lidar
     is mounted turned by 180 degrees, so that its first beam, at -pi, points forward. Most others face forward: 0."""
@@ -154,22 +157,19 @@ class Drive:
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs import RoverEnv
             from rover_rl.envs.config import name_of_part
-            from rover_rl.sims.ros2.watchdog import Watchdog
+            from rover_rl.sims.ros2.simulator import Ros2Simulator
 
             check_log(self.log)
             policy = self._policy()
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings(policy.module)
             described = self._description(policy, settings)
-            checks = [raise_if_interrupted]
             page = self._open_page(stack) if self.view else None
-            if not self.dry_run:
-                watchdog = stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
-                checks.append(watchdog.alive)
-                if page is not None:
-                    page.on_stop = watchdog.halt
             env = RoverEnv(described)
             stack.callback(env.close)
+            assert isinstance(env.simulator, Ros2Simulator)
+            if page is not None:
+                page.on_stop = env.simulator.halt
             runner = PolicyRunner(policy.module, env=env) if page is None else page.runner(policy.module, env)
             log = stack.enter_context(
                 DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, name_of_part(described.robot))
@@ -178,8 +178,7 @@ class Drive:
             for number, goal in enumerate(goals, 1):
 
                 def on_step(moment: Moment | None, label: str = f"goal {number} of {len(goals)}") -> None:
-                    for check in checks:
-                        check()
+                    raise_if_interrupted()
                     if page is not None:
                         page.check()
                     if moment is not None:
@@ -187,7 +186,7 @@ class Drive:
                         if page is not None:
                             page.show(env, moment)
 
-                on_step(None)  # arms the watchdog: it stops the rover if the next call is late
+                on_step(None)
                 ending = drive_to(
                     env,
                     runner,
@@ -226,6 +225,7 @@ class Drive:
         check_at_least(0, MAX_COUNT, random=self.random)
         check_seed(self.seed)
         self._settings()
+        _ = self._connection  # checks the topics
 
     def _policy(self) -> ResolvedPolicy:
         """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
@@ -365,6 +365,7 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 @contextmanager
 def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
     """Yields a function that shows the status of a drive, in one line of a terminal or in one line per step."""
+    told = set()  # goals for which it is told that the drive waits for room
     with Live(console=console, refresh_per_second=10, transient=True, auto_refresh=console.is_terminal) as live:
 
         def show_status(label: str, moment: Moment) -> None:
@@ -374,7 +375,10 @@ def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str
                 f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
                 f"{', held: no lidar coverage' if moment.held else ''}"
             )
-            if each_step:
+            if moment.seconds == 0 and not console.is_terminal and label not in told:
+                told.add(label)
+                print(f"{label}: waits for room, nearest {moment.nearest:.2f} m", flush=True)
+            elif each_step:
                 print(status, flush=True)
             else:
                 live.update(status)

@@ -416,8 +416,9 @@ class RoverEnv(EnvBase):
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
-        live = isinstance(self.simulator, ScanCarrier)
-        self._pooling = LivePooling(self.simulator, self.lidar) if live else self.lidar
+        self._pooling = self.lidar
+        if isinstance(self.simulator, ScanCarrier):
+            self._pooling = LivePooling(self.simulator, self.lidar)
         self._meet_movers()
         if self.config.compensate_delay and isinstance(self.simulator, StampedSensors):
             self.simulator.follow_clock()

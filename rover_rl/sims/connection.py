@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rover_rl.checks import check_topics
 from rover_rl.plain import take_numbers
 
 
@@ -27,6 +28,9 @@ class Connection:
         joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, likewise.
         contact_topic: Topic of the contacts, a ``ros_gz_interfaces/Contacts``. ``None``: contacts are not received, and
             a sensor that asks for them is refused, since silence means that there is none.
+
+    Raises:
+        ValueError: if a topic is not allowed in ROS 2.
     """
 
     scan_topic: str = "/scan"
@@ -42,6 +46,8 @@ class Connection:
 
     def __post_init__(self) -> None:
         take_numbers(self)
+        topics = {name: topic for name, topic in vars(self).items() if name.endswith("_topic")}
+        check_topics(**{name: topic for name, topic in topics.items() if (name, topic) != ("contact_topic", None)})
 
     @property
     def image_topics(self) -> dict[str, str]:

@@ -35,8 +35,7 @@ class LivePage(Page):
 
     Attributes:
         address: address of the page.
-        on_stop: function that stops the rover at once, such as
-            ``Watchdog.halt``.
+        on_stop: function that stops the rover at once, such as ``Ros2Simulator.halt``.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:

@@ -13,7 +13,7 @@ from zlib import crc32
 import torch
 from torch import Tensor
 
-from rover_rl.checks import MAX_COUNT, check_at_least
+from rover_rl.checks import MAX_COUNT, check_at_least, check_topics
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.delays import SensorDelays
 from rover_rl.envs.perception import Perception, SensedPose
@@ -250,6 +250,8 @@ class Sensor(ABC):
         check_at_least(1, MAX_COUNT, period=self.period)
         if not self.name.isidentifier():
             raise ValueError(f"the name of a sensor must be an identifier, got {self.name!r}")
+        if (topic := getattr(self, "topic", None)) is not None:
+            check_topics(topic=topic)
 
     @property
     @abstractmethod

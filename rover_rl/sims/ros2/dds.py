@@ -1,8 +1,8 @@
 """ROS 2 transport through Eclipse Cyclone DDS, without a ROS installation: ROS 2 topics are plain DDS topics.
 
-Domain and discovery range are selected as in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_LOCALHOST_ONLY`` and
-``ROS_AUTOMATIC_DISCOVERY_RANGE``. Settings in ``CYCLONEDDS_URI`` take precedence. If ``ROS_DISTRO`` is set,
-``ros2 node list`` also shows the nodes.
+Domain and discovery range are selected as in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_AUTOMATIC_DISCOVERY_RANGE``,
+``ROS_STATIC_PEERS`` and ``ROS_LOCALHOST_ONLY``. Settings in ``CYCLONEDDS_URI`` take precedence. ``ros2 node list``
+shows the nodes; that of Humble and older distributions does if ``ROS_DISTRO`` names them.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Any
 from weakref import WeakValueDictionary
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 try:
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
     from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
     from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.idl import IdlStruct, make_idl_struct, types
@@ -36,18 +37,22 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher, ThrottledLogger
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, ActiveSenders, Publisher, ThrottledLogger
 
-MAX_PUBLISHERS = 10_000
-"""Largest number of publishers in a domain among which those of a topic are looked up."""
+MAX_ENDPOINTS = 10_000
+"""Largest number of publishers or subscribers in a domain among which those of a topic are looked up."""
+MAX_PASSES = 8
+"""Largest number of looks for messages that have arrived before those that were found are passed on."""
 MAX_DOMAIN_ID = 232
 """Highest domain ID. Higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)."""
-ACTIVE_TIME = 1.0
-"""Time since its last message during which a publisher counts as active, s."""
+NAMING_TIME = 0.3
+"""Time to wait for the name of the node of a publisher, s."""
 NODE_LIST = "ros_discovery_info"
 """DDS name of the topic that announces nodes. Unlike the names of ROS topics, it has no prefix."""
 LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
 """Distributions with identifiers of 24 bytes; later ones have 16. Only their names distinguish them."""
+DISCOVERY_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+"""Values of ``ROS_AUTOMATIC_DISCOVERY_RANGE``. As in ROS 2, any other one is taken for ``LOCALHOST``."""
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +86,22 @@ class DdsTransport:
         """See :meth:`Transport.subscribe`."""
         # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
         qos = _qos(reliable, HISTORY_DEPTH)
-        reader = _Reader(topic, DataReader(self._require_open().entity, self._topic(topic, kind), qos), receive)
+        self._add(_Reader(topic, self._data_reader(topic, kind, qos), lambda message, _: receive(message)))
+
+    def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
+        """See :meth:`Transport.overhear`."""
+        participant, node = self._require_open(), self.node
+
+        def hear(message: Any, sender: str) -> None:
+            if not participant.sends(node, sender):
+                receive(message, sender)
+
+        self._add(_Reader(topic, self._data_reader(topic, kind, _qos(False, HISTORY_DEPTH)), hear))
+
+    def _data_reader(self, topic: str, kind: Any, qos: Qos) -> DataReader[Any]:
+        return DataReader(self._require_open().entity, self._topic(topic, kind), qos)
+
+    def _add(self, reader: _Reader) -> None:
         with self._lock:
             self._readers.append(reader)
             self._wait_set.attach(reader.condition)
@@ -102,22 +122,26 @@ class DdsTransport:
 
     def subscribers(self, topic: str) -> int:
         """See :meth:`Transport.subscribers`."""
-        return self._writers[topic].get_publication_matched_status().current_count
+        with self._lock:
+            own = sum(reader.topic == topic for reader in self._readers)
+        return max(0, self._writers[topic].get_publication_matched_status().current_count - own)
 
     def publishers(self, topic: str) -> int:
-        """Returns the number of publishers that have sent usable messages on ``topic`` within the last second.
-
-        DDS itself detects only after many seconds that a publisher was killed.
-        """
+        """See :meth:`Transport.publishers`."""
         with self._lock:
             readers = [reader for reader in self._readers if reader.topic == topic]
-        return max((reader.publishers() for reader in readers), default=0)
+        return max((reader.senders.count() for reader in readers), default=0)
 
-    def types(self, topic: str) -> set[str]:
+    def types(self, topic: str, receivers: bool = False) -> set[str]:
         """See :meth:`Transport.types`."""
-        reader = BuiltinDataReader(self._require_open().entity, BuiltinTopicDcpsPublication)
-        found = (sample for sample in reader.read(MAX_PUBLISHERS) if sample.topic_name == _dds_name(topic))
+        builtin = BuiltinTopicDcpsSubscription if receivers else BuiltinTopicDcpsPublication
+        reader = BuiltinDataReader(self._require_open().entity, builtin)
+        found = (sample for sample in reader.read(MAX_ENDPOINTS) if sample.topic_name == _dds_name(topic))
         return {sample.type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for sample in found}
+
+    def name_of(self, sender: str, topic: str) -> str:
+        """See :meth:`Transport.name_of`."""
+        return self._require_open().node_of(sender) or "a publisher of no known node"
 
     def close(self) -> None:
         """See :meth:`Transport.close`."""
@@ -159,8 +183,16 @@ class DdsTransport:
                 return
             with self._lock:
                 readers = list(self._readers)
-            for reader in readers:
-                reader.take()
+            # Of two messages, the first may arrive after its reader was looked at, and the second before its own is.
+            # Another look finds it.
+            found: list[tuple[_Reader, Any]] = []
+            for _ in range(MAX_PASSES):
+                new = [(reader, sample) for reader in readers for sample in reader.take()]
+                if not new:
+                    break
+                found += new
+            for reader, sample in sorted(found, key=lambda pair: pair[1].sample_info.source_timestamp):
+                reader.deliver(sample)
 
 
 def _dds_name(topic: str) -> str:
@@ -168,39 +200,42 @@ def _dds_name(topic: str) -> str:
 
 
 class _Reader:
-    """A subscription and its callback."""
+    """A subscription and its callback, which gets messages and the identifiers of their publishers."""
 
-    def __init__(self, topic: str, reader: DataReader[Any], receive: Callable[[Any], object]) -> None:
+    def __init__(self, topic: str, reader: DataReader[Any], receive: Callable[[Any, str], object]) -> None:
         self.topic, self.reader, self._receive = topic, reader, receive
         self.condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        self.senders = ActiveSenders()
         self._throttled_log = ThrottledLogger(_log)
-        self._last_heard: dict[int, float] = {}
+        self._identifiers: dict[int, str] = {}
 
-    def publishers(self) -> int:
-        now = time.monotonic()
-        return sum(now - last_heard < ACTIVE_TIME for last_heard in list(self._last_heard.values()))
+    def take(self) -> list[Any]:
+        """Returns new samples."""
+        return [sample for sample in self.reader.take(HISTORY_DEPTH, self.condition) if sample.sample_info.valid_data]
 
-    def take(self) -> None:
-        """Passes new messages on. One that is malformed, or raises an error there, is ignored with a warning."""
-        for sample in self.reader.take(HISTORY_DEPTH, self.condition):
-            if not sample.sample_info.valid_data:
-                continue
-            try:
-                if isinstance(sample, ValueError):
-                    raise sample
-                if self._receive(sample) is not False:
-                    self._last_heard[sample.sample_info.publication_handle] = time.monotonic()
-            except ValueError as error:
-                self._throttled_log.warning(self.topic, "%s: ignored a message: %s", self.topic, error)
-            except Exception:
-                _log.exception("%s: the callback failed", self.topic)
+    def deliver(self, sample: Any) -> None:
+        """Passes a message on. One that is malformed, or raises an error there, is ignored with a warning."""
+        handle = sample.sample_info.publication_handle
+        try:
+            if isinstance(sample, ValueError):
+                raise sample
+            if self._receive(sample, self._identifier(handle)) is not False:
+                self.senders.heard(handle)
+        except ValueError as error:
+            self._throttled_log.warning(self.topic, "%s: ignored a message: %s", self.topic, error)
+        except Exception:
+            _log.exception("%s: the callback failed", self.topic)
+
+    def _identifier(self, handle: int) -> str:
+        """Returns the identifier of a publisher as hexadecimal digits; empty if it has left before it was known."""
+        if handle not in self._identifiers:
+            publisher = self.reader.get_matched_publication_data(handle)
+            self._identifiers[handle] = "" if publisher is None else publisher.key.hex
+        return self._identifiers[handle]
 
 
 class _Participant:
-    """A process's DDS participant in a domain.
-
-    In a ROS distribution it announces its nodes for ``ros2 node list``, at each change. Topics work without that.
-    """
+    """A process's DDS participant in a domain. It announces its nodes for ``ros2 node list``, at each change."""
 
     def __init__(self, number: int, settings: str, distribution: str) -> None:
         self.pid = os.getpid()
@@ -208,17 +243,14 @@ class _Participant:
         # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
         self.entity = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
         self._nodes: dict[int, Any] = {}
-        self._distribution = distribution
-        if distribution:
-            self._gid, self._node, self._message = announcement_messages(distribution)
-            topic = Topic(self.entity, NODE_LIST, _sample_type(self._message))
-            # Late subscribers receive the last announcement.
-            self._writer = DataWriter(self.entity, topic, _qos(True, 1, Policy.Durability.TransientLocal))
+        self._size = 24 if distribution in LONG_IDENTIFIERS else 16
+        self._gid, self._node, self._message = announcement_messages(distribution)
+        self._list = Topic(self.entity, NODE_LIST, _sample_type(self._message))
+        # Late subscribers receive the last announcement.
+        self._writer = DataWriter(self.entity, self._list, _qos(True, 1, Policy.Durability.TransientLocal))
 
     def announce(self, owner: int, name: str | None, readers: Iterable[Any] = (), writers: Iterable[Any] = ()) -> None:
         """Announces the node of a transport with its DDS entities, or the end of the node if ``name`` is ``None``."""
-        if not self._distribution:
-            return
         if name is None:
             del self._nodes[owner]
         else:
@@ -226,9 +258,28 @@ class _Participant:
             self._nodes[owner] = self._node("/", name, *gids)
         _write(self._writer, self._message(self._identifier(self.entity), [*self._nodes.values()]))
 
+    def sends(self, name: str, publisher: str) -> bool:
+        """Returns whether a node of this name in this process has a publisher, of hexadecimal digits."""
+        own = (gid for node in [*self._nodes.values()] if node.node_name == name for gid in node.writer_gid_seq)
+        return any(gid.data.tobytes().hex().startswith(publisher) for gid in own)
+
+    def node_of(self, publisher: str) -> str:
+        """Returns the full name of the node of a publisher, of hexadecimal digits; empty if none announces it."""
+        qos = _qos(True, 1, Policy.Durability.TransientLocal) + Qos(Policy.History.KeepAll)
+        reader: DataReader[Any] = DataReader(self.entity, self._list, qos)
+        deadline = time.monotonic() + NAMING_TIME
+        while publisher and time.monotonic() < deadline:
+            for sample in reader.take(MAX_ENDPOINTS):
+                if not sample.sample_info.valid_data or isinstance(sample, ValueError):
+                    continue
+                for node in sample.node_entities_info_seq:
+                    if any(gid.data.tobytes().hex().startswith(publisher) for gid in node.writer_gid_seq):
+                        return f"{node.node_namespace.rstrip('/')}/{node.node_name}"
+            time.sleep(0.01)
+        return ""
+
     def _identifier(self, entity: Any) -> Any:
-        size = 24 if self._distribution in LONG_IDENTIFIERS else 16
-        return self._gid(np.frombuffer(entity.guid.bytes.ljust(size, b"\0"), np.uint8))
+        return self._gid(np.frombuffer(entity.guid.bytes.ljust(self._size, b"\0"), np.uint8))
 
 
 @cache
@@ -271,16 +322,47 @@ def domain_settings(environment: Mapping[str, str]) -> str:
     """Returns Cyclone DDS's settings: XML fragments and file URIs, of which later ones take precedence."""
     # Fast DDS peers that offer type objects do not match without it.
     own = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-    discovery_range = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
-    if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST":
-        # Fast DDS peers that start second are not discovered without multicast and a short interval.
-        own += (
-            '<General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
-            "<AllowMulticast>spdp</AllowMulticast></General>"
-            "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-            '<SPDPInterval>1s</SPDPInterval><Peers><Peer address="localhost"/></Peers></Discovery>'
-        )
+    own += _discovery_settings(*discovery(environment))
     return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
+
+
+def discovery(environment: Mapping[str, str]) -> tuple[str, list[str]]:
+    """Returns the range of the automatic discovery, one of ``DISCOVERY_RANGES``, and addresses of other machines."""
+    if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
+        return "LOCALHOST", []
+    given = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip()
+    found = given.upper() or DISCOVERY_RANGES[0]
+    if found not in DISCOVERY_RANGES:
+        known = ", ".join(DISCOVERY_RANGES)
+        _log.warning("ROS_AUTOMATIC_DISCOVERY_RANGE=%s is none of %s: assuming LOCALHOST", given, known)
+        found = "LOCALHOST"
+    peers = [peer.strip() for peer in environment.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
+    return found, peers if found in ("SUBNET", "LOCALHOST") else []
+
+
+def _discovery_settings(discovery_range: str, peers: list[str]) -> str:
+    """Returns Cyclone DDS's settings of the discovery, those of ``rmw_cyclonedds``."""
+    if discovery_range == "OFF":  # the tag separates the process from all others
+        return (
+            "<General><AllowMulticast>false</AllowMulticast></General><Discovery>"
+            f"<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag></Discovery>"
+        )
+    general = ""
+    if discovery_range == "LOCALHOST":
+        # Fast DDS peers that start second are not discovered without multicast and a short interval.
+        others = '<NetworkInterface autodetermine="true" multicast="false"/>' if peers else ""
+        general = (
+            f'<General><Interfaces><NetworkInterface address="127.0.0.1"/>{others}</Interfaces>'
+            "<AllowMulticast>spdp</AllowMulticast></General>"
+        )
+        peers = ["localhost", *peers]
+    if not peers:
+        return ""
+    listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in peers)
+    return (
+        f"{general}<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32"
+        f"</MaxAutoParticipantIndex><SPDPInterval>1s</SPDPInterval><Peers>{listed}</Peers></Discovery>"
+    )
 
 
 def _qos(reliable: bool, depth: int, durability: Any = Policy.Durability.Volatile) -> Qos:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib import import_module
+from itertools import count
+from operator import itemgetter
 from typing import Any
 
 try:
@@ -22,7 +25,15 @@ except ImportError as error:
         "neither"
     ) from error
 
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, ActiveSenders, Publisher
+
+MAX_LOST = 100
+"""Largest number of messages of a publisher that may be lost one after the other."""
+REMEMBERED = 64
+"""Number of messages of this process that are remembered, to tell them from those of others."""
+
+_sent: defaultdict[tuple[str, str], deque[tuple[int, Any]]] = defaultdict(lambda: deque(maxlen=REMEMBERED))
+"""Latest messages of this process with their sequence numbers, by node and topic."""
 
 
 class RclpyTransport:
@@ -36,33 +47,76 @@ class RclpyTransport:
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(node, context=self._context)
         self._publishers: dict[str, Any] = {}
+        self._subscriptions: Counter[str] = Counter()
+        self._streams: defaultdict[str, _Streams] = defaultdict(_Streams)
+        self._arrived: list[tuple[int, Callable[[Any, Any], object], Any, Any]] = []
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name=f"{node} spins rclpy", daemon=True)
-        self._thread.start()
         self._closed = False
+        self._thread.start()
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         """See :meth:`Transport.subscribe`."""
-        self._node.create_subscription(_ros_class(kind), topic, receive, _qos_profile(reliable))
+        streams = self._streams[topic]
+
+        def take(message: Any, info: Any) -> None:
+            if receive(message) is not False:
+                streams.heard(info["publication_sequence_number"])
+
+        self._subscribe(topic, kind, take, _qos_profile(reliable))
+
+    def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
+        """See :meth:`Transport.overhear`. rclpy does not tell the publisher of a message, but its sequence number."""
+        sent = _sent[self._node.get_name(), topic]
+
+        def take(message: Any, info: Any) -> None:
+            number = info["publication_sequence_number"]
+            if not any(number in (None, own) and message == content for own, content in [*sent]):
+                receive(message, "")
+
+        self._subscribe(topic, kind, take, _qos_profile(False))
+
+    def _subscribe(self, topic: str, kind: Any, take: Callable[[Any, Any], object], qos: QoSProfile) -> None:
+        def collect(message: Any, info: Any) -> None:
+            self._arrived.append((info["source_timestamp"], take, message, info))
+
+        self._subscriptions[topic] += 1
+        self._node.create_subscription(_ros_class(kind), topic, collect, qos)
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
         """See :meth:`Transport.publisher`."""
         publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable))
         self._publishers[topic] = publisher
-        return lambda message: publisher.publish(_to_ros(message))
+        sent, numbers = _sent[self._node.get_name(), topic], count(1)
+
+        def publish(message: Any) -> None:
+            converted = _to_ros(message)
+            sent.append((next(numbers), converted))
+            publisher.publish(converted)
+
+        return publish
 
     def subscribers(self, topic: str) -> int:
         """See :meth:`Transport.subscribers`."""
-        return self._publishers[topic].get_subscription_count()
+        return max(0, self._publishers[topic].get_subscription_count() - self._subscriptions[topic])
 
     def publishers(self, topic: str) -> int:
-        """Returns the number of publishers of ``topic``, whether they send or not."""
-        return self._node.count_publishers(topic)
+        """See :meth:`Transport.publishers`."""
+        return self._streams[topic].count()
 
-    def types(self, topic: str) -> set[str]:
+    def types(self, topic: str, receivers: bool = False) -> set[str]:
         """See :meth:`Transport.types`."""
-        return {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
+        node = self._node
+        found = node.get_subscriptions_info_by_topic if receivers else node.get_publishers_info_by_topic
+        return {info.topic_type for info in found(topic)}
+
+    def name_of(self, sender: str, topic: str) -> str:
+        """Returns the names of all other nodes that publish on ``topic``, of which one has sent the message."""
+        own = Counter([self._node.get_name(), f"{self._node.get_name()}_watchdog"])
+        others = [info for info in self._node.get_publishers_info_by_topic(topic) if not _counted(own, info.node_name)]
+        names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in others})
+        return " or ".join(names) or "a publisher of no known node"
 
     def close(self) -> None:
         """See :meth:`Transport.close`."""
@@ -76,7 +130,37 @@ class RclpyTransport:
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
-            self._executor.spin()
+            while self._context.ok() and not self._closed:
+                # Of two messages, the first may arrive after its subscription was looked at, and the second before its
+                # own is. Another look finds it.
+                self._executor.spin_once()
+                found = 0
+                while len(self._arrived) > found:
+                    found = len(self._arrived)
+                    self._executor.spin_once(timeout_sec=0)
+                arrived, self._arrived = sorted(self._arrived, key=itemgetter(0)), []
+                for _, take, message, info in arrived:
+                    take(message, info)
+
+
+class _Streams(ActiveSenders):
+    """Publishers of a topic, which the sequence numbers of their messages tell apart."""
+
+    def heard(self, key: int | None) -> None:
+        """Takes note of the message with a sequence number, which goes on with that of the nearest lower number.
+
+        Without numbers, all messages are of one publisher.
+        """
+        before = [last for last in self.active() if key is not None and 0 < key - last <= MAX_LOST]
+        if before:
+            self._last_heard.pop(max(before))
+        super().heard(key)
+
+
+def _counted(names: Counter[str], name: str) -> bool:
+    """Returns whether a name is still counted, and counts it no more."""
+    names[name] -= 1
+    return names[name] >= 0
 
 
 def _qos_profile(reliable: bool) -> QoSProfile:

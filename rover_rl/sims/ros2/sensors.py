@@ -28,13 +28,15 @@ from rover_rl.sims.ros2.poses import (
 )
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
 from rover_rl.sims.served import ImageKind
 
 RATE_WINDOW = 20
 """Number of scan periods in a measurement of the scan rate."""
 POSES = 64
 """Number of poses that are kept, in which the one of the time of a scan is looked up."""
+COMPANY_TIME = 0.03
+"""Longest time to wait for messages that were measured with a scan, and arrive after it, s."""
 SUPPORTED_RATES = (0.75, 1.5)
 """Scan rates that policies support, in control rates of their training: 15 to 30 Hz for 20 Hz."""
 
@@ -47,12 +49,15 @@ _log = logging.getLogger(__name__)
 class ReceivedMessage(NamedTuple):
     """A value that was read from a message, the ``number``-th of its kind, from 1 on.
 
-    ``time`` is its arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
+    ``time`` is its arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time. ``company``
+    has the values of the other kinds that belong to a scan: those that were latest when it arrived, or whose stamps are
+    not newer than its own.
     """
 
     value: Any
     time: float
     number: int
+    company: dict[str, Any]
 
     @property
     def age(self) -> float:
@@ -70,7 +75,8 @@ class LatestMessages:
     def put(self, kind: str, value: Any) -> None:
         """Stores ``value`` as the latest of its kind."""
         with self._changed:
-            self._latest[kind] = ReceivedMessage(value, time.monotonic(), self.count(kind) + 1)
+            company = {other: message.value for other, message in self._latest.items()} if kind == "scan" else {}
+            self._latest[kind] = ReceivedMessage(value, time.monotonic(), self.count(kind) + 1, company)
             self._changed.notify_all()
 
     def latest(self, kind: str) -> ReceivedMessage | None:
@@ -138,6 +144,9 @@ class Sensors:
             sources["odometry"][2].update(sources.pop("pose")[2])
         self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
         self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
+        self._messages = {kind: message for kind, (_, message, _) in sources.items()}
+        # Stamps of the last two messages of each kind, s.
+        self._stamps: dict[str, tuple[float, float]] = {}
         for kind, (topic, message, _) in sources.items():
             transport.subscribe(topic, message, partial(self.receive, kind))
         self._transport, self._connection = transport, connection
@@ -183,7 +192,7 @@ class Sensors:
         """
         kind = f"{what} {topic}"
         if kind not in self.topics:
-            self._readers[kind], self.topics[kind] = {kind: read}, topic
+            self._readers[kind], self.topics[kind], self._messages[kind] = {kind: read}, topic, message
             if since is not None:
                 self.silent_topics.add(kind)
             self._transport.subscribe(topic, message, partial(self.receive, kind))
@@ -207,11 +216,31 @@ class Sensors:
         if "pose" in values:
             values["pose"] = self._pose_estimator.align_imu(values["pose"], self.imu_orientation)
             self.pose_frame = read_frame(msg)
+        stamp, scan = read_stamp(msg), self.messages.latest("scan")
         for name, value in values.items():
+            self._stamps[name] = (self._stamps.get(name, (0.0, 0.0))[1], stamp)
+            if scan is not None and stamp <= scan.value.stamp + STAMP_TOLERANCE:
+                scan.company[name] = value
             self.messages.put(name, value)
         if "pose" in values or "imu" in values:
-            self._poses.append((read_stamp(msg), *self._pose_estimator.estimate(self.pose, self.imu_orientation)))
+            self._poses.append((stamp, *self._pose_estimator.estimate(self.pose, self.imu_orientation)))
         return True
+
+    def wait_for_company(self, scan: ReceivedMessage) -> None:
+        """Waits shortly for the messages that were measured with a scan, and arrive after it."""
+        deadline = time.monotonic() + COMPANY_TIME
+        for kind in ("imu", "odometry", "pose"):
+            while self._is_due(kind, scan.value.stamp) and (left := deadline - time.monotonic()) > 0:
+                self.messages.wait(kind, self.messages.count(kind), left)
+
+    def _is_due(self, kind: str, stamp: float) -> bool:
+        """Returns whether the next message of a kind is from the time of a stamp, by those of the last two of the kind.
+
+        Not if the kind has ceased, or has another clock.
+        """
+        before, last = self._stamps.get(kind, (0.0, 0.0))
+        period, missing = last - before, stamp + STAMP_TOLERANCE - last
+        return 0.0 < period <= missing < 2 * period + STAMP_TOLERANCE
 
     def pose_at(self, stamp: float) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world at the time of a stamp, s, as ROS's tf does.
@@ -250,8 +279,15 @@ class Sensors:
         """Describes why there is no recent value of a kind."""
         if kind in self._rejections:
             return f"its messages cannot be used: {self._rejections[kind]}"
-        message = self.messages.latest(kind)
-        return "no message has arrived yet" if message is None else f"the last message is {message.age:.1f} s old"
+        if (latest := self.messages.latest(kind)) is not None:
+            return f"the last message is {latest.age:.1f} s old"
+        message = self._messages[kind]
+        others = other_types(self._transport, self.topics[kind], message)
+        if not others:
+            return "no message has arrived yet"
+        silence = f"its messages are {others}, and {message.ros_type.replace('/msg/', '/')} is read"
+        fits = [name for name, (each, _) in POSE_MESSAGES.items() if each.ros_type.replace("/msg/", "/") == others]
+        return f"{silence}: choose pose={fits[0]!r}, --pose {fits[0]}" if kind == "pose" and fits else silence
 
     def _check_scan_rate(self, stamp: float) -> None:
         """Warns of a scan rate, by the stamps or by the arrivals if the stamps do not advance, that is unsupported."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
+from rover_rl.checks import check_topics
 from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "wheels"]
@@ -39,6 +41,8 @@ class Ros2Settings:
         pose_topic: topic of the pose; unused with ``pose="wheels"``.
         command: message type of the commands: ``"twist"`` or ``"twist_stamped"``; ``"none"`` sends nothing (dry run).
         frame_id: frame of stamped commands.
+        give_way: what happens while another node sends commands, such as that of a joystick: if set, nothing is sent
+            until 0.5 s after its last one; else the rover is stopped, and an error names the node.
         lidar_yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad. The original's lidar
             faces backward; most others face forward: 0.
         lidar_inverted: whether the lidar hangs upside down, rolled by pi before it is turned by ``lidar_yaw``.
@@ -68,7 +72,7 @@ class Ros2Settings:
             the last one is skipped.
 
     Raises:
-        ValueError: if a choice is unknown, or a number is out of range.
+        ValueError: if a choice is unknown, a number is out of range, or ROS 2 does not allow a name.
     """
 
     transport: TransportName = "dds"
@@ -77,6 +81,7 @@ class Ros2Settings:
     pose_topic: str = "/rover/pose_array"
     command: Command = "twist"
     frame_id: str = "base_link"
+    give_way: bool = False
     lidar_yaw: float = math.pi
     lidar_inverted: bool = False
     max_invalid: float = 0.1
@@ -98,6 +103,9 @@ class Ros2Settings:
     control_dt: float = CONTROL_DT
 
     def __post_init__(self) -> None:
+        check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})
+        if not (isinstance(self.node, str) and re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", self.node)):
+            raise ValueError(f"node must be letters, digits and _, and begin with no digit, got {self.node!r}")
         positive = ("reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt")
         limits = [name for name in _LIMITS if getattr(self, name) is not None]
         for name in (*positive, *limits):

@@ -19,6 +19,7 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.reports import SIDES
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.commands import Commands
 from rover_rl.sims.ros2.contacts import contact_force, read_contacts
 from rover_rl.sims.ros2.ground import LivePoints
 from rover_rl.sims.ros2.images import resized
@@ -29,7 +30,7 @@ from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cut
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
 from rover_rl.sims.worlds import World
 
 _log = logging.getLogger(__name__)
@@ -46,12 +47,18 @@ BRAKE_PERIODS = 1.5
 """The same time in periods of the last two scans. The longer of both applies."""
 GUARD_BEAMS = 128
 """Number of beams of a simulator without a scanner: the guard looks at them."""
+HEARTBEAT_INTERVAL = 0.1
+"""Longest time between two heartbeats of the watchdog during a step, s."""
 MAX_UNUSABLE_SCANS = 20
 """Number of consecutive unusable scans after which waiting for the first usable one ends."""
 PUBLISHER_CHECK_INTERVAL = 1.0
 """Time between two checks of the number of publishers, s."""
 REST_VELOCITY = (0.05, 0.1)
 """Forward speed (m/s) and yaw rate (rad/s) below which the wheels are at rest."""
+FROZEN_DISTANCE = 0.25
+"""Distance (m) or angle (rad) that the wheels may go while the scan stays the same."""
+FROZEN_SCANS = 5
+"""Number of times that a scan may come again meanwhile. Some drivers send each scan several times."""
 REST_DISTANCE = 0.05
 """Distance below which a rover at rest may move while it settles, m."""
 
@@ -64,7 +71,7 @@ class Ros2Simulator:
 
     The command path limits speed, yaw rate and their rates of change, and cancels the forward speed towards directions
     that no valid lidar beam covers. A rover without a usable scan is stopped after 0.25 s, and counts as lost after
-    ``step_timeout``.
+    ``step_timeout``. One whose program dies or hangs is stopped by a watchdog process, and goes on with the next step.
 
     Args:
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
@@ -110,10 +117,10 @@ class Ros2Simulator:
         self._scan: ReceivedMessage | None = None
         self._set_beams(GUARD_BEAMS)
         self._dt = self.control_dt
+        self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency, self.held = 0.0, False
         self._transport = make_transport(settings.transport, settings.node)
-        topic = connection.cmd_vel_topic
-        self._commands = CommandPublisher(self._transport, topic, settings.command, settings.frame_id)
+        self._commands = Commands(self._transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
         self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self._transport)
         self._placer = Placer(settings, self._world.name, self._transport)
@@ -151,11 +158,13 @@ class Ros2Simulator:
         return True
 
     def require_robot(self) -> None:
-        """Checks that exactly one robot sends usable scans.
+        """Checks that exactly one robot sends usable scans, and that nothing else drives it.
 
         Raises:
-            RobotLostError: if there is no robot, or several. A stop command was sent.
+            RobotLostError: if there is no robot, there are several, or another node commands it.
+            ValueError: if it receives commands of another type.
         """
+        self._require_only_driver()
         if not self.robot_connected:
             raise self._lost("scan")
         self._require_one_robot()
@@ -184,10 +193,11 @@ class Ros2Simulator:
 
         Raises:
             PoseResetError: if the rover does not come to rest at the pose in time.
-            RobotLostError: if its messages cease.
+            RobotLostError: if its messages cease, or another node commands it.
         """
         if not mask.any():
             return self.state()
+        self._require_only_driver()
         if not self._sensors.messages.count("scan"):
             _log.warning("no robot has appeared on %s yet: observations are empty", self._sensors.topics["scan"])
             return self.state()
@@ -286,12 +296,14 @@ class Ros2Simulator:
         Without recent scans, sends a stop command instead.
 
         Raises:
-            RobotLostError: if a topic is silent for ``step_timeout``, or there are several robots. A stop command was
-                sent.
+            RobotLostError: if a topic is silent for ``step_timeout``, there are several robots, or another node
+                commands the rover. A stop command was sent.
             ValueError: if the command is not finite.
+            ChildProcessError: if the watchdog is gone.
         """
         if active is not None and not active.any():
             return self.state()
+        self._require_only_driver()
         if time.monotonic() - self._publishers_checked > PUBLISHER_CHECK_INTERVAL:
             self._require_one_robot()
         scans_before = self._sensors.messages.count("scan")
@@ -321,10 +333,16 @@ class Ros2Simulator:
         """Sends a stop command, several times."""
         self._commands.stop()
 
+    def halt(self) -> None:
+        """Stops the rover for good, whatever is sent later. Any thread may call it."""
+        self._commands.halt()
+
     def state(self) -> RoverState:
-        """Returns the state from the latest messages; zeros before the first ones."""
-        twist = self._sensors.wheel_velocity[None]
-        position, orientation = self._world_pose()
+        """Returns the state from the messages of the latest step's scan; zeros before the first ones."""
+        company = {} if self._scan is None else self._scan.company
+        twist = company.get("odometry", self._sensors.wheel_velocity)[None]
+        pose, imu = company.get("pose", self._sensors.pose), company.get("imu", self._sensors.imu_orientation)
+        position, orientation = self._pose_estimator.estimate(pose, imu)
         scan = self._scan.value if self._scan else None
         return RoverState.pack(
             position=position[None],
@@ -400,7 +418,9 @@ class Ros2Simulator:
                 break
             after = scan.number
         self._require_recent_messages()
+        self._sensors.wait_for_company(scan)
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
+        self._require_changes(scan)
         self._step_start = self._scan.time if self._scan else -math.inf
         self._scan, self._aligned_scan = scan, self._align(scan.value)
 
@@ -408,7 +428,11 @@ class Ros2Simulator:
         """Waits for a scan with a sequence number above ``after``. Stops the rover well before it counts as lost."""
         timeout, messages = self.settings.step_timeout, self._sensors.messages
         brake_timeout = min(timeout, max(BRAKE_TIMEOUT, BRAKE_PERIODS * self._dt))
-        scan = messages.wait("scan", after, brake_timeout)
+        scan, left = None, brake_timeout
+        while scan is None and left > 0:
+            scan = messages.wait("scan", after, min(left, HEARTBEAT_INTERVAL))
+            self._commands.keep_alive()
+            left -= HEARTBEAT_INTERVAL
         if scan is None:
             self.stop()
             scan = messages.wait("scan", after, timeout - brake_timeout)
@@ -416,9 +440,23 @@ class Ros2Simulator:
             raise self._lost("scan")
         return scan
 
+    def _require_only_driver(self, since: float = -math.inf) -> None:
+        """Raises an error if another node has sent commands since then: it and this one would drive by turns."""
+        if not self.settings.give_way and (other := self._commands.other(since)):
+            if self._commands.last != (0.0, 0.0):
+                self.stop()
+            raise RobotLostError(
+                f"{other} also sends commands on {self._connection.cmd_vel_topic}, so that the rover is stopped: end "
+                "it, or let it win by Ros2Settings(give_way=True), --give-way"
+            )
+
     def _require_one_robot(self) -> None:
-        """Raises an error if several robots publish: their messages would mix, and all of them would be driven."""
+        """Raises an error if several robots publish: their messages would mix, and all of them would be driven.
+
+        Also if the only receivers of the commands expect another type.
+        """
         self._publishers_checked = time.monotonic()
+        self._commands.require_receiver()
         topics = self._sensors.topics
         for topic in (topics["scan"], topics.get("pose", topics["odometry"])):
             count = self._transport.publishers(topic)
@@ -437,6 +475,24 @@ class Ros2Simulator:
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)
 
+    def _require_changes(self, scan: ReceivedMessage) -> None:
+        """Raises an error if the scan stays the same while the wheels turn. One without any return may."""
+        after, before = scan.value.ranges, None if self._scan is None else self._scan.value.ranges
+        # As bits, since NaN differs from itself.
+        same = before is not None and torch.equal(before.view(torch.int32), after.view(torch.int32))
+        if not same or not after.isfinite().any():
+            self._repeated = (0, 0.0)
+        elif not self._wheels_at_rest():
+            count, way = self._repeated
+            self._repeated = (count + 1, way + self._dt * self._sensors.wheel_velocity.abs().max().item())
+        if self._repeated[0] > FROZEN_SCANS and self._repeated[1] > FROZEN_DISTANCE:
+            self._repeated = (0, 0.0)
+            self.stop()
+            raise RobotLostError(
+                f"the scans on {self._sensors.topics['scan']} stay the same to the last bit while the wheels turn, as "
+                "of a lidar that hangs; a stop command was sent"
+            )
+
     def _lost(self, kind: str) -> RobotLostError:
         """Stops the rover, and returns an error that names the silent topic."""
         self.stop()
@@ -449,10 +505,14 @@ class Ros2Simulator:
         ``poses_before`` is the number of pose messages before the reset.
         """
         settings, messages = self.settings, self._sensors.messages
-        deadline = time.monotonic() + settings.reset_timeout
-        rest_start, rest_position = time.monotonic(), self._world_pose()[0]
+        began = time.monotonic()
+        deadline = began + settings.reset_timeout
+        rest_start, rest_position = began, self._world_pose()[0]
         while time.monotonic() - rest_start < settings.settle:
             self._require_recent_messages()
+            self._require_only_driver(since=began)
+            if self._commands.gives_way:
+                deadline = time.monotonic() + settings.reset_timeout
             position = self._world_pose()[0]
             # The wheels also stand still while the rover falls or is carried.
             at_rest = self._wheels_at_rest() and torch.dist(position, rest_position) < REST_DISTANCE
@@ -491,7 +551,6 @@ class Ros2Scanner:
         return self._simulator.ranges()
 
 
-def _stop_and_close(commands: CommandPublisher, transport: Transport) -> None:
-    if commands.last != (0.0, 0.0):
-        commands.stop()
+def _stop_and_close(commands: Commands, transport: Transport) -> None:
+    commands.close()
     transport.close()

@@ -18,6 +18,8 @@ TRANSPORTS: dict[TransportName, str] = {"dds": "DdsTransport", "rclpy": "RclpyTr
 """Class of each transport, in the module of its name. Only the selected one is imported."""
 HISTORY_DEPTH = 5
 """Number of unread messages of a best-effort topic that are kept. Reliable publishers keep one."""
+ACTIVE_TIME = 1.0
+"""Time since its last message during which a publisher counts as active, s."""
 STOP_REPEATS = 3
 """Number of times that a stop command is sent, as a message may be lost."""
 WARNING_INTERVAL = 5.0
@@ -32,6 +34,8 @@ class Transport(Protocol):
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         """Subscribes to a topic. A message that cannot be decoded is ignored with a warning.
+
+        Messages that have arrived, on any topic, are passed on in the order in which they were sent.
 
         Args:
             topic: ROS 2 name of the topic.
@@ -51,16 +55,33 @@ class Transport(Protocol):
         """
         ...
 
+    def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
+        """Subscribes to what others send on a topic: neither this transport, nor one of the same name in this process.
+
+        ``receive`` is called with each message and an identifier of its publisher for :meth:`name_of`.
+        """
+        ...
+
+    def name_of(self, sender: str, topic: str) -> str:
+        """Returns the name of the node of a publisher of ``topic``: see :meth:`overhear`."""
+        ...
+
     def subscribers(self, topic: str) -> int:
-        """Returns the number of subscribers of this transport's publisher on ``topic``."""
+        """Returns the number of subscribers of this transport's publisher on ``topic``, without its own."""
         ...
 
     def publishers(self, topic: str) -> int:
-        """Returns the number of publishers that send usable messages on ``topic``, which must be subscribed to."""
+        """Returns the number of publishers that have sent usable messages on ``topic`` within the last second.
+
+        The topic must be subscribed to. DDS itself detects only after many seconds that a publisher was killed.
+        """
         ...
 
-    def types(self, topic: str) -> set[str]:
-        """Returns the ROS 2 names of the types that the known publishers of ``topic`` send."""
+    def types(self, topic: str, receivers: bool = False) -> set[str]:
+        """Returns the ROS 2 names of the types that known publishers of ``topic`` send, or known subscribers receive.
+
+        Those of this transport are among them.
+        """
         ...
 
     def close(self) -> None:
@@ -73,26 +94,47 @@ def make_transport(name: TransportName, node: str) -> Transport:
     return getattr(import_module(f"{__package__}.{name}"), TRANSPORTS[name])(node)
 
 
-def other_types(transport: Transport, topic: str, kind: Any) -> str:
+def other_types(transport: Transport, topic: str, kind: Any, receivers: bool = False) -> str:
     """Returns the types of a topic other than that of messages of class ``kind``; empty if it has no other.
 
-    Publishers and subscribers of different types do not meet.
+    Publishers and subscribers of different types do not meet. For ``receivers``, see :meth:`Transport.types`.
     """
-    return " and ".join(sorted(transport.types(topic) - {kind.ros_type})).replace("/msg/", "/")
+    return " and ".join(sorted(transport.types(topic, receivers) - {kind.ros_type})).replace("/msg/", "/")
+
+
+class ActiveSenders:
+    """Publishers of a topic that have sent within the last second, by any key."""
+
+    def __init__(self) -> None:
+        self._last_heard: dict[Any, float] = {}
+
+    def heard(self, key: Any) -> None:
+        """Takes note of a message."""
+        self._last_heard[key] = time.monotonic()
+
+    def active(self) -> list[Any]:
+        """Returns the keys of the active publishers."""
+        now = time.monotonic()
+        return [key for key, last in list(self._last_heard.items()) if now - last < ACTIVE_TIME]
+
+    def count(self) -> int:
+        """Returns their number."""
+        return len(self.active())
 
 
 class CommandPublisher:
     """Publishes a rover's velocity commands; with ``kind="none"``, it sends nothing.
 
-    ``last`` is the last command: forward speed (m/s) and yaw rate (rad/s). ``frame_id`` is the frame of stamped ones.
+    ``last`` is the last command: forward speed (m/s) and yaw rate (rad/s). ``message`` is the class of the messages,
+    and ``frame_id`` the frame of stamped ones.
     """
 
     def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:
         self.last = (0.0, 0.0)
         self._frame_id = frame_id
         self._stamped = kind == "twist_stamped"
-        message = TwistStamped if self._stamped else Twist
-        self._publish = None if kind == "none" else transport.publisher(topic, message, reliable=True)
+        self.message = TwistStamped if self._stamped else Twist
+        self._publish = None if kind == "none" else transport.publisher(topic, self.message, reliable=True)
 
     def send(self, speed: float, yaw_rate: float) -> None:
         """Sends a forward speed (m/s) and a yaw rate (rad/s)."""

@@ -49,10 +49,11 @@ def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[s
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     """Transport of all simulators in the test, whose waiting steps the rovers on it."""
-    from tests.sims.ros2.wire import Wire
+    from tests.sims.ros2.wire import QuietWatchdog, Wire
 
     wire = Wire()
     monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda name, node: wire)
+    monkeypatch.setattr("rover_rl.sims.ros2.commands.Watchdog", QuietWatchdog)
     monkeypatch.setattr(
         "rover_rl.sims.ros2.sensors.LatestMessages.wait", lambda *args, **kwargs: wire.wait(*args, **kwargs)
     )

@@ -133,6 +133,32 @@ def test_domain_and_discovery_range_follow_ros_variables():
     assert domain_settings({"CYCLONEDDS_URI": "file:///mine.xml"}).endswith(",file:///mine.xml")
 
 
+def test_the_discovery_follows_ros_variables():
+    def found(**variables: str) -> str:
+        return domain_settings({f"ROS_{name}": value for name, value in variables.items()})
+
+    default = found()
+    assert found(AUTOMATIC_DISCOVERY_RANGE="SUBNET") == found(AUTOMATIC_DISCOVERY_RANGE="") == default
+    assert found(AUTOMATIC_DISCOVERY_RANGE="SYSTEM_DEFAULT", STATIC_PEERS="10.0.0.1") == default
+    off = found(AUTOMATIC_DISCOVERY_RANGE="OFF", STATIC_PEERS="10.0.0.1")
+    assert f"<Tag>ros_discovery_off_{os.getpid()}</Tag>" in off
+    assert "Peer" not in off
+    peers = found(STATIC_PEERS="10.0.0.1; robot.local;")
+    assert '<Peers><Peer address="10.0.0.1"/><Peer address="robot.local"/></Peers>' in peers
+    assert "127.0.0.1" not in peers
+    local = found(AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", STATIC_PEERS="10.0.0.1")
+    assert '<Peer address="localhost"/><Peer address="10.0.0.1"/>' in local
+    assert "127.0.0.1" in local
+    assert found(LOCALHOST_ONLY="1", AUTOMATIC_DISCOVERY_RANGE="OFF", STATIC_PEERS="10.0.0.1") == found(
+        LOCALHOST_ONLY="1"
+    )
+
+
+def test_an_unknown_discovery_range_is_this_machine_with_a_warning(caplog):
+    assert "127.0.0.1" in domain_settings({"ROS_AUTOMATIC_DISCOVERY_RANGE": "subnets"})
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=subnets is none of SUBNET, LOCALHOST, OFF" in caplog.text
+
+
 def open_resources() -> tuple[int, int, int]:
     """Returns the numbers of Python threads, open files and sockets, and all threads of this process."""
     return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
@@ -165,7 +191,7 @@ def nodes(reader: DataReader):
     return samples[-1], {node.node_name for node in samples[-1].node_entities_info_seq}
 
 
-@pytest.mark.parametrize(("distribution", "length"), [("humble", 24), ("jazzy", 16)])
+@pytest.mark.parametrize(("distribution", "length"), [("humble", 24), ("jazzy", 16), ("", 16)])
 def test_nodes_are_announced_with_their_readers_and_writers(domain, distribution, length):
     transport = DdsTransport("rover_rl", {**domain, "ROS_DISTRO": distribution})
     transport.subscribe("/scan", LaserScan, print)
@@ -187,15 +213,3 @@ def test_nodes_are_announced_with_their_readers_and_writers(domain, distribution
     transport.close()
     assert nodes(reader)[1] == {"other"}
     other.close()
-
-
-def test_nothing_is_announced_without_a_distribution(domain):
-    transport = DdsTransport("quiet", domain)
-    transport.publisher("/cmd_vel", Twist, reliable=True)
-    participant = DomainParticipant(int(domain["ROS_DOMAIN_ID"]))
-    announcements = node_reader(participant, "jazzy")
-    commands = DataReader(participant, Topic(participant, "rt/cmd_vel", _sample_type(Twist)), _qos(True, 1))
-    # Writers are discovered in their order: that of announcements would come first.
-    until(lambda: commands.get_subscription_matched_status().current_count)
-    assert not announcements.get_subscription_matched_status().current_count
-    transport.close()

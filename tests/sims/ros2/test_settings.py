@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import product
 
 import pytest
@@ -9,7 +9,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.heights import HeightScan
+from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
+from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.timing import MIN_REVERSAL
@@ -84,3 +88,28 @@ def test_invalid_settings_are_rejected(names, values, message):
     for name, value in product(names, values):
         with pytest.raises(ValueError, match=f"{name} {message}"):
             Ros2Settings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    "name", ["", "/", "my scan", "scan/", "/a//b", "1scan", "/a/1b", "~/scan", "{ns}/scan", "a" * 248, None]
+)
+def test_invalid_topics_are_refused_at_once_by_the_name_of_their_setting(name):
+    for setting in ("odometry_topic", "pose_topic", "reset_topic"):
+        with pytest.raises(ValueError, match=f"{setting} must be a topic of ROS 2, such as /scan"):
+            Ros2Settings(**{setting: name})
+    for field in fields(Connection):
+        if field.name.endswith("_topic") and (field.name, name) != ("contact_topic", None):
+            with pytest.raises(ValueError, match=f"{field.name} must be a topic"):
+                Connection(**{field.name: name})
+    if name is not None:
+        for sensor in (DepthCamera, ColorCamera, HeightScan, Lidar3D):
+            with pytest.raises(ValueError, match="topic must be a topic"):
+                sensor(topic=name)
+
+
+def test_valid_topics_and_nodes_are_taken():
+    Connection(scan_topic="scan", imu_topic="/robot_1/imu/Data2", contact_topic="_c")
+    Ros2Settings(node="rover_2")
+    for node in ("my node", "/rover", "2rover", ""):
+        with pytest.raises(ValueError, match="node must be letters"):
+            Ros2Settings(node=node)

@@ -25,7 +25,7 @@ from rover_rl.sims.ros2.messages import (
     TwistWithCovariance,
     Vector3,
 )
-from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.ros2.simulator import FROZEN_SCANS, Ros2Simulator
 from rover_rl.sims.worlds import get_world
 from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
@@ -71,6 +71,7 @@ def test_scans_of_a_fast_lidar_are_skipped(rover, sim):
 
 def test_stamped_commands(wire, rover):
     wire.receivers["/cmd_vel"].clear()
+    wire.received["/cmd_vel"] = {"geometry_msgs/msg/TwistStamped"}
     sim = simulator(command="twist_stamped", reset="none")
     sim.reset(ALL, POSE)
     drive(sim)
@@ -360,3 +361,80 @@ def test_a_late_scan_is_paired_with_the_pose_of_its_time_and_a_late_pose_is_carr
     with pytest.raises(ValueError, match=r"compensate_delay needs sensors=\('scan_pose',\) with a live rover"):
         RoverEnv(**settings, compensate_delay=True)
     robot.rover.close()
+
+
+def test_a_frozen_scan_stops_the_rover_that_drives(wire, rover, sim):
+    rover.frozen = True
+    drive(sim, steps=FROZEN_SCANS)  # some drivers send each scan several times
+    with pytest.raises(RobotLostError, match=r"scans on /scan stay the same to the last bit while the wheels turn"):
+        drive(sim, steps=10)
+    assert wire.sent["/cmd_vel"][-1] == Twist()
+
+
+@pytest.mark.parametrize("case", ["stands", "sees nothing", "slow"])
+def test_the_same_scan_may_come_again(rover, sim, case):
+    rover.frozen = True
+    rover.ranges[:] = math.inf if case == "sees nothing" else 5.0
+    for _ in range(30):
+        sim.step(torch.tensor([[{"stands": 0.0, "slow": 0.1}.get(case, 0.5), 0.0]]))
+
+
+def test_messages_that_arrive_after_their_scan_belong_to_it(wire, rover, sim):
+    rover.scan_first = True
+    drive(sim)
+    for _ in range(3):
+        rover.yaw += 0.1
+        drive(sim)
+        assert yaw_of(sim.state()) == pytest.approx(rover.yaw, abs=1e-5)
+        assert sim.state().stamp.item() == pytest.approx(rover.stamp)
+
+
+def test_messages_of_the_next_scan_do_not_belong_to_the_last(rover, sim):
+    drive(sim)
+    before = sim.state()
+    rover.silent.add("scan")
+    rover.yaw, rover.speed = rover.yaw + 0.3, 0.9
+    rover.publish()
+    after = sim.state()
+    assert all(torch.equal(before.get(key), after.get(key)) for key in before.keys())  # noqa: SIM118
+
+
+def test_another_driver_stops_the_rover_and_is_named(wire, rover, sim):
+    drive(sim)
+    wire.say("/cmd_vel", Twist(Vector3(x=0.1)), "/joystick")
+    for use in (drive, lambda sim: sim.reset(ALL, POSE), Ros2Simulator.require_robot):
+        with pytest.raises(
+            RobotLostError, match="/joystick also sends commands on /cmd_vel, so that the rover is stop"
+        ):
+            use(sim)
+        assert wire.sent["/cmd_vel"][-1] == Twist()
+
+
+def test_another_driver_of_long_ago_is_forgotten_and_one_with_priority_wins(wire, rover, monkeypatch):
+    sim = simulator(reset="none", give_way=True)
+    sim.reset(ALL, POSE)
+    wire.say("/cmd_vel", Twist(Vector3(x=-0.1)), "/joystick")
+    count = len(wire.sent["/cmd_vel"])
+    drive(sim, steps=3)
+    assert len(wire.sent["/cmd_vel"]) == count
+    assert sim.last_command == (-0.1, 0.0)
+    monkeypatch.setattr("rover_rl.sims.ros2.commands.OTHER_TIME", 0.0)
+    drive(sim)
+    assert wire.sent["/cmd_vel"][-1].linear.x == 0.5
+
+
+def test_topics_of_other_types_are_named(wire, rover):
+    wire.kinds["/pose"] = {"geometry_msgs/msg/PoseWithCovarianceStamped"}
+    rover.silent.add("localizer")
+    sim = simulator(reset="none", pose="pose_stamped", pose_topic="/pose", step_timeout=0.3)
+    with pytest.raises(
+        RobotLostError, match="PoseWithCovarianceStamped, and geometry_msgs/PoseStamped is read: choose p"
+    ):
+        sim.reset(ALL, POSE)
+    wire.received["/cmd_vel"] = {"geometry_msgs/msg/TwistStamped"}
+    wire.receivers["/cmd_vel"].clear()
+    with pytest.raises(
+        ValueError, match="/cmd_vel expects geometry_msgs/TwistStamped, and geometry_msgs/Twist would be"
+    ):
+        simulator(reset="none").require_robot()
+    simulator(reset="none", command="twist_stamped").require_robot()

@@ -52,7 +52,8 @@ class Wire:
         receivers: callbacks of the subscriptions, by topic.
         sent: published messages, by topic.
         robots: number of publishers that :meth:`publishers` reports.
-        kinds: types that are published, by topic.
+        kinds, received: types that are published, and those that are subscribed to, by topic.
+        ears: callbacks that hear what other nodes send, by topic.
         tamper: function that modifies the messages of a topic, by topic.
         rovers: functions that step the rovers, which then publish.
         closed: whether the transport is closed.
@@ -63,12 +64,15 @@ class Wire:
         self.sent: dict[str, list[Any]] = {}
         self.robots = 1
         self.kinds: dict[str, set[str]] = {}
+        self.received: dict[str, set[str]] = {}
+        self.ears: dict[str, list[Callable[[Any, str], object]]] = {}
         self.tamper: dict[str, Callable[[Any], Any]] = {}
         self.rovers: list[Callable[[], object]] = []
         self.closed = False
 
     def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
         self.receivers.setdefault(topic, []).append(receive)
+        self.received.setdefault(topic, set()).add(kind.ros_type)
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False):
         self.kinds.setdefault(topic, set()).add(kind.ros_type)
@@ -82,17 +86,30 @@ class Wire:
 
         return publish
 
+    def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
+        self.ears.setdefault(topic, []).append(receive)
+
+    def name_of(self, sender: str, topic: str) -> str:
+        return sender
+
     def subscribers(self, topic: str) -> int:
         return len(self.receivers.get(topic, []))
 
     def publishers(self, topic: str) -> int:
         return self.robots
 
-    def types(self, topic: str) -> set[str]:
-        return self.kinds.get(topic, set())
+    def types(self, topic: str, receivers: bool = False) -> set[str]:
+        return (self.received if receivers else self.kinds).get(topic, set())
 
     def close(self) -> None:
         self.closed = True
+
+    def say(self, topic: str, message: Any, sender: str) -> None:
+        """Lets another node send a message."""
+        for receive in self.receivers.get(topic, []):
+            receive(message)
+        for hear in self.ears.get(topic, []):
+            hear(message, sender)
 
     def wait(self, messages: LatestMessages, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
         """Replaces :meth:`LatestMessages.wait`: steps the rovers for the given time."""
@@ -102,6 +119,18 @@ class Wire:
             if messages.count(kind) > after:
                 return messages.latest(kind)
         return None
+
+
+class QuietWatchdog:
+    """Stands for a watchdog, of which it keeps what it was told."""
+
+    may_be_stopping = False
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.told: list[str] = []
+
+    def __getattr__(self, name: str) -> Callable[[], None]:
+        return lambda: self.told.append(name)
 
 
 class Rover:
@@ -115,6 +144,9 @@ class Rover:
         self.ranges = np.full(BEAMS, 5.0, np.float32)
         self.layout: tuple[float, float] | None = None  # angle of the first beam, and angle increment
         self.silent: set[str] = set()
+        self._odd = True
+        self.scan_first = False  # whether the scan is published before the other messages
+        self.frozen = False  # whether all scans are the same
         self.stamp = 0.0
         self._publish = {
             "scan": wire.publisher("/scan", LaserScan),
@@ -152,11 +184,18 @@ class Rover:
             "pose": PoseArray(header, [pose]),
             "localizer": PoseStamped(header, pose),
             "amcl": PoseWithCovarianceStamped(header, PoseWithCovariance(pose)),
-            "scan": self.scan(header, self.ranges.copy()),
+            "scan": self.scan(header, self._noisy()),
         }
-        for kind, message in messages.items():
+        for kind in sorted(messages, key=lambda kind: (kind == "scan") != self.scan_first):
             if kind not in self.silent:
-                self._publish[kind](message)
+                self._publish[kind](messages[kind])
+
+    def _noisy(self) -> np.ndarray:
+        """Returns the ranges, of which the second differs in its last bit from scan to scan while the rover drives."""
+        self._odd = not self._odd and not self.frozen and (self.speed, self.turn) != (0.0, 0.0)
+        ranges = self.ranges.copy()
+        ranges[1:2] = np.nextafter(ranges[1:2], np.float32(100.0)) if self._odd else ranges[1:2]
+        return ranges
 
     def scan(self, header: Header, ranges: np.ndarray) -> LaserScan:
         first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
