@@ -31,6 +31,8 @@ HIGHEST_FLOOR = 0.05
 """Largest height of a floor, such as a carpet, over the ground that it lies on, m."""
 NARROWEST_FLOOR = 0.5
 """Least width of a floor on other ground, m."""
+SMALLEST_FLOOR = 1.0
+"""Least area of a floor on other ground, m^2. The foot of a table is smaller."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,8 @@ def floors_on(terrain: Terrain, pieces: list[Piece]) -> list[Surface]:
     return [
         Surface.of(piece)
         for piece in pieces
-        if np.ptp(piece.vertices[:, :2], axis=0).min() >= NARROWEST_FLOOR
+        if (size := np.ptp(piece.vertices[:, :2], axis=0)).min() >= NARROWEST_FLOOR
+        and size.prod() >= SMALLEST_FLOOR
         and STEP < height_over(terrain, piece) <= HIGHEST_FLOOR + 1e-6
     ]
 

@@ -580,7 +580,8 @@ def test_floors_on_other_ground_carry_the_wheels(tmp_path, floors, top):
 
 def test_what_is_higher_or_narrower_than_a_floor_is_an_obstacle_and_may_be_named_as_ground(tmp_path):
     sill = slab(0.03, (0.2, 2, 0.03), 5, name="sill")
-    assert len(world_of(tmp_path, WALLS + sill).obstacles) == 5
+    foot = slab(0.04, (0.6, 0.6, 0.04), 5, name="foot")
+    assert [len(world_of(tmp_path, WALLS + low).obstacles) for low in (sill, foot)] == [5, 5]
     areas = {"spawn_range": ((-1, 1), (-1, 1)), "goal_range": ((-3, 3), (-3, 3))}
     with pytest.raises(ValueError, match=r"no free ground .* slab/l/c are ground, name them, .* ground=.slab\*."):
         world_of(tmp_path, WALLS + slab(0.08, (8, 8, 0.1)), **areas)
