@@ -87,20 +87,33 @@ def _mark(path: Path) -> None:
         file.write(mark if end == b"\0\0" else mark + end)
 
 
-def check_outputs(*outputs: Path, inputs: Iterable[str | Path] = (), force: bool = False) -> None:
+def check_writable(path: Path, option: str) -> None:
+    """Checks that a file or folder can be written. Raises ``PermissionError`` with the option that names another."""
+    place = next(one for one in path.absolute().parents if os.path.lexists(one))
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        reason = "may not be written to" if place.is_dir() else "is no folder"
+        raise PermissionError(f"{path} cannot be written, since {place} {reason}: name another place with {option}")
+
+
+def check_outputs(
+    *outputs: Path, inputs: Iterable[str | Path] = (), force: bool = False, option: str = "--out"
+) -> None:
     """Checks, before any work, that a command writes over no input and over no file that this package did not make.
 
     Args:
         outputs: files that the command writes.
         inputs: what it reads. Words that name no file are ignored.
         force: whether the user allows it to write over such files.
+        option: option that names another place to write to.
 
     Raises:
+        PermissionError: if the place cannot be written to.
         ValueError: if an output is an input, or if two outputs are the same file.
         FileExistsError: if there is a file that this package did not make.
     """
     read = [Path(word) for word in inputs if os.path.exists(word)]
     for number, path in enumerate(outputs):
+        check_writable(path, option)
         if any(path.absolute() == other.absolute() for other in outputs[:number]):
             raise ValueError(f"two results would be written to {path}: name different files")
         if force or not os.path.lexists(path) or path.is_dir():

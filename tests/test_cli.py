@@ -482,3 +482,37 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
     assert env("--randomize", "harsh").randomization.scan_latency == (0, 4)
     with pytest.raises(ValueError, match="--randomize takes one name, got late noise"):
         env("--randomize", "late", "noise")
+
+
+@pytest.mark.parametrize(
+    ("option", "command"),
+    [
+        ("--runs", ["train", "--world", "maze", "--runs", "OUT"]),
+        ("--runs", ["train", "--world", "maze", "--name", "mine", "--runs", "OUT/deeper"]),
+        ("--out", ["evaluate", "scripted", "--world", "maze", "--episodes", "1", "--out", "OUT"]),
+        ("--html", ["evaluate", "scripted", "--world", "maze", "--html", "OUT/page.html"]),
+        ("--out", ["film", "scripted", "--out", "OUT/film.gif"]),
+        ("--html", ["film", "scripted", "--html", "OUT/page.html"]),
+        ("--out", ["export", "pretrained:moon-sac", "--out", "OUT/sac.onnx"]),
+        ("--out", ["compare", "runs", "--out", "OUT"]),
+        ("--runs", ["sweep", "--vary", "gamma=0.9,0.95", "--world", "maze", "--runs", "OUT"]),
+        ("--log", ["drive", "pretrained:moon-sac", "--goal", "1", "0", "--log", "OUT/drive.jsonl"]),
+        ("--out", ["worlds", "show", "maze", "--out", "OUT/maze.png"]),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_told_with_the_option_that_names_another(
+    option: str, command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if command[0] == "sweep":
+        pytest.importorskip("optuna")
+    # A file in place of the folder, and a folder that is read-only, which root does not notice.
+    file, folder = tmp_path / "file", tmp_path / "folder"
+    file.touch()
+    folder.mkdir()
+    usual = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder and usual(path, mode))
+    for place, reason in ((file, "is no folder"), (folder, "may not be written to")):
+        assert main([word.replace("OUT", str(place)) for word in command]) == 2
+        told = capsys.readouterr().err
+        assert f"cannot be written, since {place} {reason}: name another place with {option}\n" in told
+        assert told.count("\n") == 1

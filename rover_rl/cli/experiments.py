@@ -85,7 +85,9 @@ class SweepCommand:
         from rover_rl.algos.train.run_folder import default_name
 
         folder = Path(config.run.runs, config.run.name or f"sweep-{default_name(config)}")
-        check_outputs(*(folder / file for file in (STUDY, "trials.csv", "trials.png")), force=self.force)
+        check_outputs(
+            *(folder / file for file in (STUDY, "trials.csv", "trials.png")), force=self.force, option="--runs"
+        )
         sweep = Sweep(config, space, folder, self.episodes)
         try:
             complete = sweep.run(self.trials, lambda text: print(text, flush=True))

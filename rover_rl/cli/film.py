@@ -123,7 +123,8 @@ class Film:
     def _check_outputs(self, films: list[Path]) -> None:
         rewards = [] if self.rewards is None else [self.rewards]
         inputs = (self.policy, self.world or "", self.evaluation or "", self.environment.env or "")
-        check_outputs(*films, *rewards, inputs=inputs, force=self.force)
+        option = "--html" if self.html else "--rrd" if self.rrd else "--out"
+        check_outputs(*films, *rewards, inputs=inputs, force=self.force, option=option)
 
     @property
     def _style(self) -> Style:
@@ -314,7 +315,7 @@ class Play:
         from rover_rl.algos.video.recording import recording_of_log
 
         path = Path(self.policy).with_suffix(".gif")
-        check_outputs(path, force=self.force)
+        check_outputs(path, force=self.force, option="rover-rl film --out")
         drive = recording_of_log(Path(self.policy), world=self.world)
         film_recording(drive.last(self.seconds), path, Style(width=PLAY_WIDTH, height=PLAY_HEIGHT))
         return path, drive
@@ -327,7 +328,7 @@ class Play:
         path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-").replace(
             "*", "x"
         )
-        check_outputs(path, force=self.force)
+        check_outputs(path, force=self.force, option="rover-rl film --out")
         size: dict[str, Any] = {"width": PLAY_WIDTH, "height": PLAY_HEIGHT}
         drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
         if drive.ending != "goal":

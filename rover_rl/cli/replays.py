@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.cli.policies import ResolvedPolicy
+from rover_rl.files import check_writable
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 if TYPE_CHECKING:
@@ -22,9 +23,10 @@ SECONDS = 240.0
 
 
 def check_page(path: Path) -> None:
-    """Checks the name of a page to write. Raises ``ValueError`` for another suffix."""
+    """Checks the name and the place of a page to write. Raises ``ValueError`` or ``PermissionError``."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"--html takes a file whose name ends in .html, got {path}")
+    check_writable(path, "--html")
 
 
 def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPolicy], file: Path, page: Path) -> int:

@@ -19,6 +19,7 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.metrics import Trajectory, count_reversals
 from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.files import check_writable
 from rover_rl.sims import RoverState
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
@@ -102,7 +103,9 @@ def check_log(path: Path) -> None:
 
     Raises:
         FileExistsError: if it is another file.
+        PermissionError: if it cannot be written.
     """
+    check_writable(path, "--log")
     head = json.dumps({"format": FORMAT})[:-1]
     if path.is_file() and path.read_bytes()[: len(head)] not in (b"", head.encode()):
         raise FileExistsError(f"{path} is no log of drives, so nothing is appended to it: name another --log")

@@ -21,7 +21,7 @@ from rover_rl.algos.archives import read_archive, write_archive
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import plain_settings, read_sessions, run_config, write_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
-from rover_rl.files import written_whole
+from rover_rl.files import check_writable, written_whole
 
 STATE = "training_state.pt"  # name of the file in a run's folder from which training continues
 _FORMAT = "rover_rl training state, version 2"
@@ -95,6 +95,7 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
         raise ValueError(f"name must be the name of a folder, got {name!r}")
     for candidate in [name] if name is not None else (default if i == 1 else f"{default}-{i}" for i in count(1)):
         folder = Path(runs) / candidate
+        check_writable(folder, "--runs")
         try:
             folder.mkdir(parents=True)
             return folder
