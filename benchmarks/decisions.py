@@ -74,6 +74,6 @@ def table(rows: list[dict[str, Any]]) -> Table:
     """Formats the rows for the terminal."""
     table = Table("policy", "decisions", "median, ms", "95th percentile, ms", title="A decision in ONNX Runtime")
     for row in rows:
-        figures = f"{row['median_ms']:.2g}", f"{row['p95_ms']:.2g}"
+        figures = f"{row['median_ms']:.1f}", f"{row['p95_ms']:.1f}"
         table.add_row(f"{row['policy']}, {POLICIES[row['policy']]}", str(row["decisions"]), *figures)
     return table
