@@ -81,7 +81,7 @@ def evaluate(
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
             with memory the number in training.
-        seconds: time limit of each episode, s; ``None``: that of :func:`usual_seconds`.
+        seconds: time limit of each episode, s; ``None``: that of ``usual_seconds``.
         rows: number of rovers that drive at once; each takes the next episode in its world when its own has ended.
         env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
             are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else

@@ -18,7 +18,7 @@ class EncodedObservation(Transform):
 
     Args:
         encoder: encoder of the entries to read. ``None``: that of the environment that the transform is appended to,
-            :meth:`ObservationEncoder.of`, with all of its own sensors.
+            ``ObservationEncoder.of``, with all of its own sensors.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4).append_transform(EncodedObservation())
