@@ -21,7 +21,7 @@ def make(num_envs: int = 6, agents: int = 3, **settings) -> RoverEnv:
 @pytest.mark.parametrize("done_on_any", [False, True])
 def test_specs_match(done_on_any: bool) -> None:
     check_env_specs(GroupedRovers(make(), done_on_any))
-    check_env_specs(GroupedRovers(RoverEnv(FLAT, backend="warp", num_envs=4, agents=2), done_on_any))
+    check_env_specs(GroupedRovers(RoverEnv(world_n=FLAT, backend="warp", num_envs=4, agents=2), done_on_any))
 
 
 def test_entries_of_rovers_are_in_groups() -> None:
@@ -97,4 +97,4 @@ def test_transforms_go_inside_and_around() -> None:
 
 def test_one_rover_without_a_batch_is_refused() -> None:
     with pytest.raises(ValueError, match="GroupedRovers needs a batch of rovers"):
-        GroupedRovers(RoverEnv(FLAT, backend="warp", num_envs=None))
+        GroupedRovers(RoverEnv(world_n=FLAT, backend="warp", num_envs=None))

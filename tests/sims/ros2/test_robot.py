@@ -165,7 +165,7 @@ def test_random_payloads_on_every_topic_are_ignored(domain, monkeypatch):
     for key, value in {**domain, "ROS_DOMAIN_ID": str(number), "CYCLONEDDS_URI": IGNORE_TYPES}.items():
         monkeypatch.setenv(key, value)
     robot = start_robot(dict(os.environ), "--world", "maze", "--rate", "2")
-    env = make_env()
+    env = make_env(replace(LIVE, give_way=True))  # some payloads are commands
     try:
         env.reset()
         sender = subprocess.Popen(
