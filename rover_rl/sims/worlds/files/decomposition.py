@@ -19,7 +19,7 @@ from rover_rl.sims.worlds.files.triangles import (
     volume_of,
 )
 
-VERSION = "2"
+VERSION = "3"
 """Changes when the same mesh would give other parts."""
 MAX_FACES = 200_000
 TINY = 1e-10
@@ -32,6 +32,8 @@ SAMPLES = 6_000
 """Points with which the error of a decomposition is measured."""
 COARSE = 2.5
 """Factor on the accepted error with which the decomposition starts: flat walls come out exact, with few parts."""
+COARSER = (1, 2, 4, 8)
+"""Factors on the accepted error with which an open surface of many faces, such as a dome, is simplified."""
 
 
 def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, closed: bool) -> list[np.ndarray]:
@@ -76,6 +78,9 @@ def _parts(vertices: np.ndarray, faces: np.ndarray, error: float, closed: bool) 
     if len(faces) > FEW_FACES:
         points, triangles = simplify(vertices, faces, min(error, thickness) / 4)
     plates = shells_of(points, triangles) if closed else plates_of(points, triangles)
+    for factor in () if closed else COARSER:
+        if plates is None:
+            plates = plates_of(*simplify(vertices, faces, factor * error))
     if plates is not None and closed and not _fits(vertices, faces, plates, volume, error):
         plates = None
     if plates is not None and (len(plates) <= FEW_PLATES or thickness <= 2 * error):

@@ -188,6 +188,17 @@ def test_open_rooms_stay_empty_whatever_side_their_walls_face():
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize(("radius", "off"), [(0.5, 0.02), (2.0, 0.04)])
+def test_a_bowl_becomes_plates_and_stays_hollow(radius, off):
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0)
+    solids = parts_of(mesh)
+    assert 1 < len(solids) <= 400
+    reach = torch.cat([solid.vertices for solid in solids]).norm(dim=1)
+    assert radius - off - 0.02 <= reach.min() <= reach.max() <= radius + off + 0.02
+    assert holds(solids, (0.0, 0.0, -0.5 * radius)) == [False]
+
+
 def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
     (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     (tmp_path / "point.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
