@@ -23,10 +23,10 @@ from rover_rl import EnvConfig, RoverEnv, Sensor
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
+from rover_rl.rotations import rotate
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
-from rover_rl.sims.rotations import rotate
 from rover_rl.sims.warp.settings import WarpSettings
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from rover_rl.sims.robots import Robot
+from rover_rl.robots import Robot
 
 GRAVITY = 9.81
 """Gravitational acceleration of the simulators, m/s^2."""

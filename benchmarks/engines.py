@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from rover_rl.robots import get_robot
 from rover_rl.sims import Backend, make_simulator
 from rover_rl.sims.backends import BACKENDS, resolve_backend
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.worlds import Terrain, World
 
 HARDWARE = ("ros2",)
 """Built-in backends that are no simulators."""

@@ -26,9 +26,9 @@ from rover_rl import RoverEnv
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.envs import TaskConfig
 from rover_rl.files import write_json
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, World
+from rover_rl.worlds import WORLDS, World
 
 EVENTS = ("flipped", "jammed", "collision", "out_of_bounds", "stuck")
 STEPS_PER_SECOND = 20

@@ -26,7 +26,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.warp.simulator import GPU_LIDAR_LANES
 
 MODULES = (

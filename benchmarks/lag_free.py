@@ -32,14 +32,14 @@ from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
+from rover_rl.robots import Robot
+from rover_rl.rotations import matrix_to_quaternion, quaternion_to_euler
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 DT = 0.05
 """Control step, s."""

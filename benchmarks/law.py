@@ -23,8 +23,8 @@ from benchmarks import coulomb, maneuvers
 from benchmarks.engines import choose_engines, with_friction
 from benchmarks.options import Options
 from benchmarks.told import told
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.inertial_model import read_inertial_model
+from rover_rl.robots import get_robot
+from rover_rl.robots.inertial_model import read_inertial_model
 
 FRICTION = 0.5
 """Friction coefficient between rover and ground."""

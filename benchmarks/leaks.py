@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rover_rl import make_env
-from rover_rl.sims.worlds import Terrain, World, boulder, box
+from rover_rl.worlds import Terrain, World, boulder, box
 
 WORLDS = ("inspect", "moon", "maze", "new")
 """Built-in worlds, and ``"new"`` for a world created for each environment."""

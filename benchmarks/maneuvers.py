@@ -17,10 +17,10 @@ from torch import Tensor
 
 from benchmarks.engines import with_friction
 from benchmarks.physics import STEPS_PER_SECOND, Trajectories
+from rover_rl.robots import Robot, get_robot
+from rover_rl.rotations import quaternion_to_euler, wrap_angle
 from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.worlds import Terrain, World
 
 DIRECTIONS = torch.arange(16) * (2 * math.pi / 16)
 """Directions of the rovers, or toward which the ground rises, rad."""

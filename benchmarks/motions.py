@@ -19,10 +19,10 @@ from rich.table import Table
 
 from rover_rl.rng import row_keys
 from rover_rl.sims.movers import MoverField
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, Slider, SocialForce, Wander, Waypoints
-from rover_rl.sims.worlds.movers.motions.base import Others
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import get_world
+from rover_rl.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, Slider, SocialForce, Wander, Waypoints
+from rover_rl.worlds.movers.motions.base import Others
+from rover_rl.worlds.table import WorldTable
 
 ROVER_RADIUS = 0.3
 MOTIONS: tuple[Motion, ...] = (

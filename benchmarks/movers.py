@@ -23,8 +23,8 @@ from rich.table import Table
 
 from rover_rl import RoverEnv
 from rover_rl.files import write_json
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 
 SIDE = 20.0
 """Side of the yard, m."""

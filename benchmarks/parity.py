@@ -26,8 +26,8 @@ from benchmarks.law import center_of_mass
 from benchmarks.options import Options
 from benchmarks.physics import NUDGE, SECONDS, Trajectories, grounds
 from benchmarks.told import told
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain, World, box
 
 ROLLOVER_ANGLE = math.radians(85)
 """Roll or pitch above which a rover counts as rolled over, rad."""

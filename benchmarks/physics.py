@@ -20,12 +20,12 @@ from torch import Tensor
 from benchmarks.options import Options
 from benchmarks.ratios import paired
 from benchmarks.told import told
+from rover_rl.robots import get_robot
+from rover_rl.rotations import quaternion_to_euler, wrap_angle
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.settings import PRESETS
 from rover_rl.sims.bullet.simulator import BulletSimulator
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
-from rover_rl.sims.worlds import Terrain, World, get_world
+from rover_rl.worlds import Terrain, World, get_world
 
 ALL_CONTACTS = BulletSettings(contact_threshold=math.inf)
 REFERENCE = replace(ALL_CONTACTS, substeps=50)

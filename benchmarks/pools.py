@@ -33,13 +33,13 @@ from torchrl.envs import EnvBase
 
 from rover_rl import RoverEnv, make_env
 from rover_rl.envs.config import RobotLike
+from rover_rl.robots import Robot, get_robot, get_robots
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.robots import Robot, get_robot, get_robots
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.worlds import _make_world, get_world
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds import _make_world, get_world
+from rover_rl.worlds.pool import WorldPool
 
 
 @dataclass

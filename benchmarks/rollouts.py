@@ -22,7 +22,7 @@ from benchmarks.collecting import make_worker_env, rollouts
 from benchmarks.options import Options
 from benchmarks.ratios import rate
 from benchmarks.told import told
-from rover_rl.sims.native.bullet import pybullet
+from rover_rl.native.bullet import pybullet
 
 WARM_UP = 3
 """Number of initial steps that are not measured."""

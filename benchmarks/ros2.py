@@ -41,10 +41,10 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.files import write_json
+from rover_rl.robots import get_robot
 from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 LIVE = Ros2Settings(reset="topic")
 

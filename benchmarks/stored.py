@@ -5,7 +5,7 @@ from __future__ import annotations
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.envs.config import EnvConfig
-from rover_rl.sims.worlds.names import WorldRange
+from rover_rl.worlds.names import WorldRange
 
 
 def stored_worlds(env: EnvConfig) -> list[str]:

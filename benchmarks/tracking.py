@@ -26,7 +26,7 @@ from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs.seen_map.scans import reading_directions
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 from rover_rl.sims.timing import CONTROL_DT
 
 WITHIN, MOVING = 6.0, 0.35

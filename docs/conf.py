@@ -130,7 +130,7 @@ nitpick_ignore = [
 ]
 autodoc_type_aliases = {
     "RoverEnv": "rover_rl.RoverEnv",
-    "Worlds": "rover_rl.sims.worlds.world.Worlds",
+    "Worlds": "rover_rl.worlds.world.Worlds",
     **{name: name for name in ("BackendLike", "RewardLike", "RobotLike", "RobotSettings", "WorldLike")},
 }
 

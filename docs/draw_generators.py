@@ -18,13 +18,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.draw import FREE, GOAL
 from rover_rl.sims.movers.draw import draw_movers
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, World, get_world
-from rover_rl.sims.worlds.draw import draw_map
-from rover_rl.sims.worlds.region import Area, expanded, overlap, union
+from rover_rl.worlds import WORLDS, World, get_world
+from rover_rl.worlds.draw import draw_map
+from rover_rl.worlds.region import Area, expanded, overlap, union
 
 FOLDER = Path(__file__).parent / "images"
 SEEDS, DIFFICULTIES = (1, 2), (0, 0.5, 1)

@@ -10,9 +10,9 @@ from pathlib import Path
 import torch
 from PIL import Image, ImageDraw
 
+from rover_rl.robots import ROBOTS, get_robot
 from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import ROBOTS, get_robot
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 PATH = Path(__file__).parent / "images" / "robots.jpg"
 SIZE = (480, 300)

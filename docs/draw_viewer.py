@@ -26,7 +26,7 @@ from rover_rl import make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.train import train
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.view import Viewer
 
 IMAGES = Path(__file__).parent / "images"

@@ -20,8 +20,8 @@ import torch
 from rover_rl import make_env
 from rover_rl.algos.deploy.export import export
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.draw import draw_map
+from rover_rl.worlds import get_world
+from rover_rl.worlds.draw import draw_map
 
 # %%
 # Export

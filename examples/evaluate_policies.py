@@ -16,7 +16,7 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.sims.worlds.draw import draw_map
+from rover_rl.worlds.draw import draw_map
 
 # %%
 # Evaluation

@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rover_rl  # noqa: F401, registers the environment with Gymnasium
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.draw import draw_map
+from rover_rl.worlds import get_world
+from rover_rl.worlds.draw import draw_map
 
 STEPS = 200  # of 0.05 s
 

@@ -21,9 +21,9 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.policy.names import make_baseline
 from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.draw import draw_world
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds.draw import draw_map
+from rover_rl.worlds.draw import draw_map
 
 # %%
 # The files

@@ -14,9 +14,9 @@ import torch
 from matplotlib.axes import Axes
 
 from rover_rl import EnvConfig, LidarConfig, Randomization, make_env
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.draw import draw_map
+from rover_rl.robots import get_robot
+from rover_rl.worlds import get_world
+from rover_rl.worlds.draw import draw_map
 
 MOUNT = get_robot("rover_zero").lidar_position[0]  # the lidar is 0.17 m ahead of the center of the rover
 

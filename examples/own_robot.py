@@ -17,8 +17,8 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl import make_env
-from rover_rl.sims.drives import SkidSteer
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.drives import SkidSteer
 
 # %%
 # The URDF

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from rover_rl import Terrain, World, box, cylinder, make_env
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.draw import draw_world
-from rover_rl.sims.robots import get_robot
 
 # %%
 # Ground and obstacles

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
         register_sensor,
     )
     from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
+    from rover_rl.robots import Robot, RobotOptions, register_robot
     from rover_rl.sims.backends import register_backend
-    from rover_rl.sims.robots import Robot, RobotOptions, register_robot
-    from rover_rl.sims.worlds import Terrain, World, box, cylinder, register_world
+    from rover_rl.worlds import Terrain, World, box, cylinder, register_world
 
 __version__ = "0.1.0"
 
@@ -102,8 +102,8 @@ __all__ = [
 _OUTSIDE_OF_ENVS = {
     "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
     "rover_rl.sims.backends": ("register_backend",),
-    "rover_rl.sims.robots": ("Robot", "RobotOptions", "register_robot"),
-    "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
+    "rover_rl.robots": ("Robot", "RobotOptions", "register_robot"),
+    "rover_rl.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
 }
 """Public names that are not in ``rover_rl.envs``, by module."""
 _HOMES = {name: module for module, names in _OUTSIDE_OF_ENVS.items() for name in names}

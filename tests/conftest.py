@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests.extras import BACKENDS
 from tests.pages import ROOT, blocks
 
 # No test depends on how fast the machine is.
@@ -23,7 +24,13 @@ settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
 
 _FOLDER = pytest.StashKey[str]()
-_REGISTRIES = ("sims.backends", "sims.robots", "sims.worlds", "envs.rewards")
+_REGISTRIES = ("sims.backends", "robots", "worlds", "envs.rewards")
+
+
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
+    """Name of a simulation backend."""
+    return request.param
 
 
 @pytest.fixture
@@ -53,7 +60,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_finish() -> None:
     """Lets one process compile a kernel that all others wait for. In an empty cache, each would compile it."""
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.native.warp import wp
 
     module = type(wp.get_module(__name__))
     compiled = module._compile

@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from rover_rl.sims.drives import Ackermann, SkidSteer
-from rover_rl.sims.robots import Robot
+from rover_rl.robots import Robot
+from rover_rl.robots.drives import Ackermann, SkidSteer
 
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 

@@ -23,7 +23,7 @@ from rover_rl.cli.demo import Demo
 from rover_rl.cli.policies import NO_POLICY
 from rover_rl.cli.train import train_defaults
 from rover_rl.envs import EnvConfig, Randomization, imperfect
-from rover_rl.sims.worlds import WORLDS
+from rover_rl.worlds import WORLDS
 from tests.full_disk import largest_file
 
 

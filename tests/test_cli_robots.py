@@ -10,9 +10,9 @@ from PIL import Image
 from rover_rl.cli.main import main
 from rover_rl.cli.policies import EnvOptions
 from rover_rl.cli.train import train_defaults
-from rover_rl.sims.robots import RobotOptions, get_robot, robot_names
+from rover_rl.robots import RobotOptions, get_robot, robot_names
 from rover_rl.sims.spin import measured_track
-from tests.sims.robots.public_urdfs import Machine, car
+from tests.robots.public_urdfs import Machine, car
 
 
 @pytest.fixture(autouse=True)

@@ -25,20 +25,20 @@ LAYERS = (
         "tensordicts",
         "tiny_xml",
         "torch_defaults",
+        "rotations",
+        "native",
     ),
+    ("worlds", "robots"),
     (
         "sims.base",
         "sims.connection",
         "sims.elevation_map",
-        "sims.drives",
-        "sims.native",
         "sims.reports",
-        "sims.robots",
-        "sims.rotations",
         "sims.served",
         "sims.settings",
+        "sims.shapes",
+        "sims.simulated_drives",
         "sims.timing",
-        "sims.worlds",
     ),
     (
         "sims.command_limiter",
@@ -74,8 +74,8 @@ SEPARATE = {
     "sims.ros2": ("sims.bullet", "sims.mujoco", "sims.warp"),
     "sims.warp": ("sims.bullet", "sims.mujoco", "sims.ros2"),
     "envs": ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
-    "sims.robots": ("sims.free_space", "sims.worlds"),
-    "sims.worlds": ("sims.free_space", "sims.robots"),
+    "robots": ("sims", "worlds"),
+    "worlds": ("sims", "robots"),
 }
 """Packages, and other packages that they do not import, for types either, although the layers would permit it."""
 

@@ -12,7 +12,7 @@ import yaml
 
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 from tests.extras import BACKENDS
 from tests.fork_server import quick_workers
 from tests.pages import ROOT, blocks
@@ -67,7 +67,7 @@ from dataclasses import dataclass
 
 import torch
 
-from rover_rl.sims.drives import Drive, Joints
+from rover_rl.robots.drives import Drive, Joints
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from benchmarks.options import Options
 from rover_rl.envs.seen_map.mover_kernels import close_ways
 from rover_rl.envs.seen_map.route_kernels import plan_routes
 from rover_rl.envs.seen_map.scan_kernels import add_scans
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.placing import place

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 COPIED_BYTES = {"cuda": 2**32, "cpu": 2**26}
 """Size of the tensor that is copied, several times that of the cache."""

@@ -15,7 +15,7 @@ from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
 from rover_rl import make_env
 from rover_rl.algos.train.collectors import with_new_episodes
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.warp import WarpSettings
 
 DRIVEN = 40

@@ -305,7 +305,7 @@ class TrainingConfig:
             raise ValueError("freeze_encoder keeps the convolutions of a policy that training starts from: use --from")
 
     def _check_prior(self) -> None:
-        from rover_rl.sims.robots import get_robots
+        from rover_rl.robots import get_robots
 
         network, robots = self.network, get_robots(self.env.robot)
         tells_robot = ROBOT in network.observation or len(robots) > 1

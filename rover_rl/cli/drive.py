@@ -20,8 +20,8 @@ from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, 
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import SCAN_POSE, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
+from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ class Drive:
     def _policy(self) -> ResolvedPolicy:
         """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
         from rover_rl.cli.policies import resolve_policy
-        from rover_rl.sims.worlds.names import WorldRange
+        from rover_rl.worlds.names import WorldRange
 
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), self._robot)
         if policy.module is None or not policy.worlds:
@@ -299,7 +299,7 @@ class Drive:
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones."""
         from rover_rl.algos.evaluation.episodes import draw_episodes
-        from rover_rl.sims.worlds import get_world
+        from rover_rl.worlds import get_world
 
         goals = list(self.goal)
         if self.goals is not None:

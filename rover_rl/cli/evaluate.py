@@ -16,8 +16,8 @@ from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, 
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.files import check_outputs
+from rover_rl.robots import get_robots
 from rover_rl.sims.backends import name_of
-from rover_rl.sims.robots import get_robots
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -152,9 +152,9 @@ class Evaluate:
         """
         import torch
 
+        from rover_rl.robots.fleet import Fleet
         from rover_rl.sims import make_simulator
-        from rover_rl.sims.robots.fleet import Fleet
-        from rover_rl.sims.worlds import Terrain, World
+        from rover_rl.worlds import Terrain, World
 
         names = [*dict.fromkeys(self.backend)]
         if len(names) > 1:
@@ -176,8 +176,8 @@ class Evaluate:
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
-        from rover_rl.sims.worlds import get_world
-        from rover_rl.sims.worlds.pool import WorldPool
+        from rover_rl.worlds import get_world
+        from rover_rl.worlds.pool import WorldPool
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:

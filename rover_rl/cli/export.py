@@ -10,7 +10,7 @@ import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.files import check_outputs
-from rover_rl.sims.robots.options import RobotOptions, with_options
+from rover_rl.robots.options import RobotOptions, with_options
 
 
 @dataclass(frozen=True)

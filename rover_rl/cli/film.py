@@ -181,7 +181,7 @@ class Film:
         """Films an episode of a world, with the policy's usual time limit."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
         from rover_rl.algos.video.recording import record_episodes
-        from rover_rl.sims.worlds.pool import WorldPool
+        from rover_rl.worlds.pool import WorldPool
 
         assert self.episode is not None
         world = policy.worlds[0] if policy.worlds else "maze"
@@ -198,7 +198,7 @@ class Film:
         """Films rovers that drive from goal to goal."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
-        from rover_rl.sims.worlds.pool import WorldPool
+        from rover_rl.worlds.pool import WorldPool
 
         policy = self._resolve()
         world = policy.worlds[0] if policy.worlds else "maze"
@@ -337,7 +337,7 @@ class Play:
 
 
 def _compile_renderer() -> None:
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.native.warp import wp
     from rover_rl.sims.rendering.kernels import light, pictures
 
     for module in (pictures, light):

@@ -15,7 +15,7 @@ from rover_rl.algos.config_files import read_yaml
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
 from rover_rl.envs.config import EnvConfig, GuardConfig, env_from_plain
 from rover_rl.registry import perhaps
-from rover_rl.sims.robots.options import RobotOptions, with_options
+from rover_rl.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
@@ -108,7 +108,7 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
 
 def _unseen(config: TrainingConfig) -> tuple[str, ...]:
     """Returns the worlds of the training, or for a range one that was not in it."""
-    from rover_rl.sims.worlds.names import unseen
+    from rover_rl.worlds.names import unseen
 
     return tuple(map(unseen, config.env.world_names))
 

@@ -14,7 +14,7 @@ from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.sensors.suite import CONTACT, DEPTH, EFFORT, HEIGHTS, LIDAR3D, own_sensors
-from rover_rl.sims.robots.options import RobotOptions
+from rover_rl.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
@@ -104,10 +104,10 @@ class RobotCommand:
         described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.envs.served_rover import ServedRover
-        from rover_rl.sims.robots import get_robot
+        from rover_rl.robots import get_robot
         from rover_rl.sims.ros2.robot import RobotNode
         from rover_rl.sims.ros2.transport import make_transport
-        from rover_rl.sims.worlds import get_world
+        from rover_rl.worlds import get_world
 
         # An unknown world is told before an unknown robot.
         get_world(described.worlds[0])

@@ -12,10 +12,10 @@ import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.files import check_outputs, written_whole
-from rover_rl.sims.robots.options import RobotOptions, is_robot_file, split_options, with_options
+from rover_rl.robots.options import RobotOptions, is_robot_file, split_options, with_options
 
 if TYPE_CHECKING:
-    from rover_rl.sims.robots import Robot
+    from rover_rl.robots import Robot
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class ShowRobot:
 
     def __call__(self) -> int:
         """Runs the command."""
-        from rover_rl.sims.robots import get_robot
-        from rover_rl.sims.robots.draw import draw_robot
+        from rover_rl.robots import get_robot
+        from rover_rl.robots.draw import draw_robot
 
         name = with_options(self.robot, self.options)
         with warnings.catch_warnings(record=True) as caught:
@@ -59,7 +59,7 @@ class ShowRobot:
 
     def _spin(self, robot: Robot) -> str:
         """Returns a line on the effective track of a skid-steer robot."""
-        from rover_rl.sims.drives import SkidSteer
+        from rover_rl.robots.drives import SkidSteer
         from rover_rl.sims.spin import measured_track
 
         if not isinstance(robot.drive, SkidSteer):
@@ -85,8 +85,8 @@ class Robots:
         """Runs the command."""
         if self.action is not None:
             return self.action()
-        from rover_rl.sims.robots import FAMILIES, ROBOTS, get_robot, robot_names
-        from rover_rl.sims.robots.footprint import footprint
+        from rover_rl.robots import FAMILIES, ROBOTS, get_robot, robot_names
+        from rover_rl.robots.footprint import footprint
 
         print(f"{'name':12} {'mass':>9} {'size':>13} {'drive':12} {'speed':>9} {'turn':>12}  source")
         for name in robot_names():
@@ -110,9 +110,9 @@ class Robots:
 
 def describe(robot: Robot) -> list[str]:
     """Describes a robot, in lines: the first has its name, the others are indented."""
-    from rover_rl.sims.drives import Ackermann, SkidSteer
-    from rover_rl.sims.robots.draw import center_of_mass
-    from rover_rl.sims.robots.footprint import footprint
+    from rover_rl.robots.draw import center_of_mass
+    from rover_rl.robots.drives import Ackermann, SkidSteer
+    from rover_rl.robots.footprint import footprint
 
     outline, wheels, drive = footprint(robot), robot.wheels, robot.drive
     casters = len(drive.casters) if isinstance(drive, SkidSteer) else 0
@@ -158,7 +158,7 @@ def _notes(name: str) -> list[str]:
     own, options = split_options(name)
     if not is_robot_file(own):
         return []
-    from rover_rl.sims.robots.urdf import read_urdf
+    from rover_rl.robots.urdf import read_urdf
 
     read = read_urdf(Path(own), options)
     return [f"read as {read.summary}", *read.notes]

@@ -14,10 +14,10 @@ from rover_rl.checks import check_seed
 from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.files import check_outputs, written_whole
 from rover_rl.option_names import options_of_command
-from rover_rl.sims.robots.options import RobotOptions, with_options
+from rover_rl.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
-    from rover_rl.sims.worlds import World
+    from rover_rl.worlds import World
 
 MANY_MOVERS = 5.0
 """Number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors."""
@@ -72,7 +72,7 @@ class ImportWorld:
 
     def __call__(self) -> int:
         """Runs the command."""
-        from rover_rl.sims.worlds import World
+        from rover_rl.worlds import World
 
         out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
         check_outputs(out, inputs=[self.file], force=self.force)
@@ -113,9 +113,9 @@ class ShowWorld:
 
     def __call__(self) -> int:
         """Runs the command."""
+        from rover_rl.robots import get_robot
         from rover_rl.sims.free_space.draw import draw_task
-        from rover_rl.sims.robots import get_robot
-        from rover_rl.sims.worlds import get_world
+        from rover_rl.worlds import get_world
 
         # A map is often a pair of files such as lab.yaml and lab.png.
         out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.world.png")
@@ -157,10 +157,10 @@ class Worlds:
         """Runs the command."""
         if self.action is not None:
             return self.action()
+        from rover_rl.robots import get_robot
         from rover_rl.sims.free_space.draw import draw_world
         from rover_rl.sims.free_space.fitting import fitting_worlds
-        from rover_rl.sims.robots import get_robot
-        from rover_rl.sims.worlds import get_world, world_names
+        from rover_rl.worlds import get_world, world_names
 
         robot = get_robot(with_options(self.robot, self.robot_options))
         names = [*dict.fromkeys(fitting_worlds(name, robot) for name in self.world or world_names())]
@@ -189,7 +189,7 @@ def _place(name: str, numbers: tuple[float, ...] | None) -> Any:
 def _description(world: World) -> str:
     """Describes a world: its size, and what the importer has to say."""
     from rover_rl.envs.sensors.standard import clipped_pose
-    from rover_rl.sims.worlds.generators.crowds import ground_of_episodes
+    from rover_rl.worlds.generators.crowds import ground_of_episodes
 
     terrain = world.terrain
     (x_low, x_high), (y_low, y_high) = world.bounds

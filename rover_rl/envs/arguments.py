@@ -30,8 +30,8 @@ if TYPE_CHECKING:
         TaskConfig,
         WorldLike,
     )
+    from rover_rl.robots.options import RobotOptions
     from rover_rl.sims.connection import Connection
-    from rover_rl.sims.robots.options import RobotOptions
 
 
 class EnvSettings(TypedDict, total=False):

@@ -19,11 +19,11 @@ import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive, check_seed
 from rover_rl.plain import from_plain, take_numbers, to_plain
+from rover_rl.robots import names_several
+from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots import names_several
-from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from torchrl.envs import Transform
 
     from rover_rl.envs.sensors.base import Sensor
-    from rover_rl.sims.robots import Robot
-    from rover_rl.sims.worlds import World
-    from rover_rl.sims.worlds.pool import WorldSource as WorldLike
+    from rover_rl.robots import Robot
+    from rover_rl.worlds import World
+    from rover_rl.worlds.pool import WorldSource as WorldLike
 
     RobotLike: TypeAlias = str | Robot | Sequence[str | Robot]
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
@@ -185,7 +185,7 @@ class ActionConfig:
             >>> ActionConfig(min_speed=0.0).for_robot("rover_zero").max_speed
             1.0
         """
-        from rover_rl.sims.robots import get_robots
+        from rover_rl.robots import get_robots
 
         robots = get_robots(robot)
         most = max(robot.drive.max_speed for robot in robots)
@@ -666,8 +666,8 @@ class EnvConfig:
         backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
         if self.robot == EnvConfig.robot or backend == "ros2" or names_several(self.robot):
             return self
+        from rover_rl.robots import get_robot
         from rover_rl.sims.free_space.fitting import fitting_worlds
-        from rover_rl.sims.robots import get_robot
 
         world = fitting_worlds(self.world, get_robot(self.robot))
         return self if world is self.world else replace(self, world=world)
@@ -678,7 +678,7 @@ class EnvConfig:
         if self.robot == EnvConfig.robot:
             # It has none, and the robots need PyTorch.
             return self.sensors
-        from rover_rl.sims.robots import get_robots
+        from rover_rl.robots import get_robots
 
         return (*get_robots(self.robot)[0].sensors, *self.sensors)
 
@@ -769,7 +769,7 @@ def _with_view_of(made_for: EnvConfig, given: RobotLike) -> RobotLike:
     views = made_for.randomization.lidar_view
     if views is None or names_several(given):
         return given
-    from rover_rl.sims.robots import get_robot
+    from rover_rl.robots import get_robot
 
     expected, robot = get_robot(made_for.robot), get_robot(given)
     same = replace(robot, name=expected.name, lidar_view=expected.lidar_view) == expected
@@ -788,7 +788,7 @@ def _robots(made_for: RobotLike, given: RobotLike) -> tuple[str, str]:
     names = name_of_part(made_for), name_of_part(given)
     if isinstance(made_for, str) and isinstance(given, str):
         return names
-    from rover_rl.sims.robots import get_robots
+    from rover_rl.robots import get_robots
 
     if get_robots(made_for) == get_robots(given):
         return names[0], names[0]

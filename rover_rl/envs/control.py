@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import HeadingGains
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.rotations import wrap_angle
 
 
 def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from rover_rl.envs.config import Randomization
 from rover_rl.envs.perception import SensedPose
 from rover_rl.rng import random_bits, to_unit, whole_between
-from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
+from rover_rl.rotations import quaternion_to_euler, wrap_angle
 
 _LATENCY, _SCAN_LATENCY, _STATE_LATENCY, _SCAN_PERIOD, _LOST_SCANS = 3, 18, 19, 20, 21
 """Streams of random numbers."""

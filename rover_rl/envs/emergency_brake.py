@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.config import GuardConfig
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.slip import estimated_yaw_gain
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.slip import estimated_yaw_gain
 
 SPACING = 0.08
 """Distance of the places along the arc at which the outline is tested, m."""

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.placement import Placement, chosen_rows, scattered
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.table import WorldTable
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.table import WorldTable
+from rover_rl.worlds.world import World
 
 GAP = 1.0
 """Distance between the discs of the rovers of a group at the start, and between their discs at their goals, m."""
@@ -74,7 +74,7 @@ class GroupPlacement(Placement):
         """Chooses one of the candidates ``[M, K, k]`` of each of the ``rows``: ``[N, k]``."""
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.apart_kernels import choose_apart
-        from rover_rl.sims.native.warp import wp
+        from rover_rl.native.warp import wp
 
         device = candidates.device
         drawn = torch.ones(count, dtype=torch.bool, device=device) if mask is None else mask.squeeze(-1)

@@ -57,7 +57,7 @@ class MoverTracker(ScanTracker[Tracks]):
 
     def _follow(self, scans: Any, before: Tensor, after: Tensor) -> Tracks:
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         device, (count, points) = after.device, scans.ranges.shape
         moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)

@@ -8,7 +8,7 @@ beside it goes on beyond it. Else something nearer hides the rest.
 from __future__ import annotations
 
 from rover_rl.envs.scan_tracker_kernels import Scan, Scans, around, direction, first_gap, linked, scan_of
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 STATE = wp.constant(17)
 """Numbers of a track, as in ``mover_tracker``. All of them are 0 without one."""

@@ -17,12 +17,12 @@ from torch import Tensor
 
 from rover_rl.envs.config import Randomization
 from rover_rl.rng import random_bits, to_index, to_unit
+from rover_rl.robots import Robot
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.table import SlotTable, WorldTable
+from rover_rl.worlds import World
+from rover_rl.worlds.table import SlotTable, WorldTable
 
 _START, _GOAL, _DYNAMICS = 0, 1, 2
 """Streams of random numbers. Other modules of this package use 3 to 10 and 16."""

@@ -26,10 +26,10 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.envs.delays import CommandDelay, DelayLine
-from rover_rl.sims.drives.simulated import SimulatedDrives
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.skidding import yaw_gain
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.skidding import yaw_gain
+from rover_rl.rotations import wrap_angle
+from rover_rl.sims.simulated_drives import SimulatedDrives
 
 
 class Prediction:

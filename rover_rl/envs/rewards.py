@@ -22,7 +22,7 @@ from torchrl.envs.transforms import Transform
 from rover_rl.envs.config import RewardConfig
 from rover_rl.envs.task import StepEvent
 from rover_rl.registry import Registry
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.rotations import wrap_angle
 from rover_rl.tensordicts import in_rows, unchecked_tensordict
 
 STANDSTILL = 0.05

@@ -36,6 +36,8 @@ from rover_rl.envs.sensors.standard import LidarPooling, LivePooling, clipped_po
 from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.robots import Robot, get_robots
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import (
@@ -57,12 +59,10 @@ from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.company import Company
 from rover_rl.sims.movers.rays import MoverScanner
-from rover_rl.sims.robots import Robot, get_robots
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.torch_defaults import with_torch_defaults
+from rover_rl.worlds import World
+from rover_rl.worlds.pool import WorldPool, draws_worlds
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -102,9 +102,9 @@ class RoverEnv(EnvBase):
         length: number of steps after which an episode is truncated.
         scan_topic, imu_topic, cmd_vel_topic, camera_topic: ROS 2 topics of a live rover.
         world_n: name of a world (``"inspect"``, ``"moon"``, ``"maze"``, ``"maze:7"`` for seed 7, or
-            ``"module:attribute"``), a :class:`~rover_rl.sims.worlds.World`, or a list of worlds, which are assigned to
+            ``"module:attribute"``), a :class:`~rover_rl.worlds.World`, or a list of worlds, which are assigned to
             equal blocks of rows. With a range of seeds (``"maze:0-999"``, or ``"maze:*"`` for those from 0 to 9999), a
-            list that has one, or a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world.
+            list that has one, or a :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world.
         connection_check_timeout: time to wait for a live rover's first scan, s.
         lidar_points: number of lidar readings in an observation, each the minimum of a segment of the scan.
         max_lidar_range: maximum of a lidar reading, m. Larger ranges are clipped.
@@ -114,7 +114,7 @@ class RoverEnv(EnvBase):
             rover) or ``"module:attribute"``; or settings of a backend, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
         physics: physics preset of a backend given by name. Bullet has ``"default"``, ``"accurate"`` and ``"fast"``.
-        robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`. With a range of a family (``"any:0-255"``) or
+        robot: name of a robot, or a :class:`~rover_rl.robots.Robot`. With a range of a family (``"any:0-255"``) or
             a list, each episode draws a robot: see :class:`EnvConfig`.
         lidar_beams: number of beams of a raw scan.
         lidar_period: number of steps from one scan to the next: see :class:`LidarConfig`.

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from rover_rl.envs.config import LimitsConfig
 from rover_rl.rng import between, random_bits
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
-from rover_rl.sims.robots.fleet import Fleet
 
 _LIMITS = 26
 """Stream of random numbers."""

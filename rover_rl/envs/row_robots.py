@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.rng import random_bits, to_index
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 
 _ROBOT = 17
 """Stream of random numbers."""

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from rover_rl.rng import random_bits, to_index
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.ahead import WorldsAhead
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource, draws_worlds
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import World
+from rover_rl.worlds.ahead import WorldsAhead
+from rover_rl.worlds.pool import WorldPool, WorldSource, draws_worlds
+from rover_rl.worlds.table import WorldTable
 
 _WORLD = 16
 """Stream of random numbers."""
@@ -26,7 +26,7 @@ class RowWorlds:
     """The world of each row of a batch: one for life, or another one for each episode.
 
     Worlds without a range are assigned to equal blocks of rows. If ``world_n`` has a range of seeds, as in
-    ``"maze:*"``, or is a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world of the pool. The
+    ``"maze:*"``, or is a :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world of the pool. The
     draw depends on the seed of the row, the number of the episode and the weights of the worlds only.
 
     If there are no more worlds than rows to draw from, the pool is resident: all of its worlds are in slots of the

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_angles, reading_directions
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 
 Found = TypeVar("Found")
 
@@ -74,7 +74,7 @@ class ScanTracker(ABC, Generic[Found]):
         """Returns the scans as the kernels read them."""
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.scan_tracker_kernels import Scans
-        from rover_rl.sims.native.warp import wp
+        from rover_rl.native.warp import wp
 
         device = lidar.device
         self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)

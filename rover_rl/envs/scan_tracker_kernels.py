@@ -6,7 +6,7 @@ nearer.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 GAP, WIDENING = wp.constant(0.15), wp.constant(1.2)
 """Distance of neighboring readings below which they belong together, m, and what is added in distances of two beams."""

@@ -23,12 +23,12 @@ from rover_rl.envs.sensors.forces import ContactSensor, WheelEffort
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
+from rover_rl.robots.footprint import footprint
+from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.movers.overlap import check_standing
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.served import Report
 
 MAP_CELL = 0.1

@@ -25,9 +25,9 @@ from torch import Tensor
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.placement import Placement
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.footprint import collision_ranges
-from rover_rl.sims.rotations import angle_of, wrap_angle
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.footprint import collision_ranges
+from rover_rl.rotations import angle_of, wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
 
 

@@ -51,7 +51,7 @@ class WallTracker(ScanTracker[Walls]):
 
     def _follow(self, scans: Any, before: Tensor, after: Tensor) -> Walls:
         from rover_rl.envs.wall_tracker_kernels import PART, follow_walls
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         device, (count, points) = after.device, scans.ranges.shape
         moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)

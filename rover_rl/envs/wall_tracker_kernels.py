@@ -7,7 +7,7 @@ the distance along its normal. Scans are those of :mod:`~rover_rl.envs.scan_trac
 from __future__ import annotations
 
 from rover_rl.envs.scan_tracker_kernels import Scan, Scans, around, direction, first_gap, linked, scan_of
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 STATE = wp.constant(20)
 """Numbers of a track, as in ``wall_tracker``. All of them are 0 without one."""

@@ -14,10 +14,10 @@ from rover_rl.sims.timing import at_rate
 if TYPE_CHECKING:
     import torch
 
+    from rover_rl.robots import Robot
+    from rover_rl.robots.fleet import Fleet
     from rover_rl.sims.base import LidarCarrier, Scanner, Simulator
-    from rover_rl.sims.robots import Robot
-    from rover_rl.sims.robots.fleet import Fleet
-    from rover_rl.sims.worlds import World
+    from rover_rl.worlds import World
 
 
 class _BuiltIn(NamedTuple):
@@ -185,7 +185,7 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
     if "lidar" in simulator.capabilities:
         return cast("LidarCarrier", simulator).scanner(beams)
     from rover_rl.sims.rays import RayScanner
-    from rover_rl.sims.worlds.table import WorldTable
+    from rover_rl.worlds.table import WorldTable
 
     return RayScanner(simulator, WorldTable.of(worlds, simulator.device), robot, beams)
 

@@ -15,7 +15,7 @@ from rover_rl.tensordicts import unchecked_tensordict
 
 if TYPE_CHECKING:
     from rover_rl.sims.movers.field import MoverField
-    from rover_rl.sims.worlds import World
+    from rover_rl.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
 Report: TypeAlias = Literal["contact_force", "wheel_torque"]
@@ -332,7 +332,7 @@ class Reporter(Protocol):
 class RobotChanger(Protocol):
     """Interface of a simulator with the capability ``"robots"``.
 
-    The simulator is built with a :class:`~rover_rl.sims.robots.fleet.Fleet`, whose rows change robots.
+    The simulator is built with a :class:`~rover_rl.robots.fleet.Fleet`, whose rows change robots.
     """
 
     def enter_robots(self, mask: Tensor) -> None:
@@ -347,7 +347,7 @@ class RobotChanger(Protocol):
 class WorldChanger(Protocol):
     """Interface of a simulator whose rovers can change worlds. With other simulators, a rover keeps its first world.
 
-    The simulator is built with a :class:`~rover_rl.sims.worlds.table.WorldTable`, whose rows change worlds. It holds
+    The simulator is built with a :class:`~rover_rl.worlds.table.WorldTable`, whose rows change worlds. It holds
     worlds by slot. If a pool has no more worlds than rovers, all of them are in slots from the start, and a change of
     worlds is a new tensor of slots.
     """

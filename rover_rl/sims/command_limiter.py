@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.sims.robots import Robot
+from rover_rl.robots import Robot
 
 
 class CommandLimits(NamedTuple):

@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor
 
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Scanner
-from rover_rl.sims.robots.fleet import Fleet
 
 _TOLERANCE = 1e-6
 """Tolerance of angles at the borders of a view, rad."""

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from rover_rl.native.warp import stream_of, wp
+from rover_rl.robots import Robot
 from rover_rl.sims.base import RoverState, Simulator, beam_angles
-from rover_rl.sims.native.warp import stream_of, wp
-from rover_rl.sims.robots import Robot
 from rover_rl.sims.scenes.ray_kernels import aim_rays, cast_rays
 from rover_rl.sims.scenes.table import SceneTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds.table import WorldTable
 
 FAR = 1.0e4
 """Largest length of rays, m."""

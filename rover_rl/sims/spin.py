@@ -6,11 +6,11 @@ import math
 
 import torch
 
+from rover_rl.robots import Robot
+from rover_rl.robots.drives import SkidSteer
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.backends import make_simulator
-from rover_rl.sims.drives import SkidSteer
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.worlds import Terrain, World
 
 SETTLING, MEASURED = 1.0, 3.0
 """Time to settle, and time of the measurement, s."""
@@ -28,14 +28,14 @@ def measured_track(robot: Robot, backend: str = "warp") -> float:
     of the center of mass and on how the ground carries the wheels.
 
     Args:
-        robot: robot with a :class:`~rover_rl.sims.drives.SkidSteer` drive.
+        robot: robot with a :class:`~rover_rl.robots.drives.SkidSteer` drive.
         backend: simulator.
 
     Raises:
         ValueError: if the robot has another drive, or does not turn.
 
     Example:
-        >>> from rover_rl.sims.robots import get_robot
+        >>> from rover_rl.robots import get_robot
         >>> round(measured_track(get_robot("husky")), 2)
         1.04
     """

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 import viser
 
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.region import union
 from rover_rl.view.stage import ROOT
+from rover_rl.worlds import World
+from rover_rl.worlds.region import union
 
 Vector: TypeAlias = Sequence[float] | np.ndarray
 Mode = Literal["follow", "top", "free"]

@@ -15,7 +15,7 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.envs import RoverEnv
 from rover_rl.envs.specs import action_bounds
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, Page
 from rover_rl.view.pilot import Pilot

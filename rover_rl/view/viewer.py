@@ -33,9 +33,8 @@ from rover_rl.algos.video.live import LiveMoment
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
-from rover_rl.sims.robots import ROBOTS
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import world_names
+from rover_rl.robots import ROBOTS
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.view.cameras import Cameras
 from rover_rl.view.page import HOST, PORT, Page, check_address
 from rover_rl.view.panels import Panels, episode_table
@@ -43,6 +42,7 @@ from rover_rl.view.pilot import Pilot
 from rover_rl.view.recorder import Recorder
 from rover_rl.view.runs import Load, TrainingPanel
 from rover_rl.view.stage import MAP, Stage
+from rover_rl.worlds import world_names
 
 FRAMES = 30  # number of updates of the page, 1/s
 TRAINING_FRAMES = 1 / INTERVAL  # the same for the rovers of a training

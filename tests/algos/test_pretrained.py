@@ -13,7 +13,7 @@ from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
 from rover_rl.cli.train import train_defaults
 from rover_rl.envs import imperfect
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 
 FLOOR = {"inspect": 0.9, "moon": 0.9}
 """Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""

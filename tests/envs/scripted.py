@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
 from rover_rl.sims import RoverState
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 DT = 0.05
 """Control step in seconds."""

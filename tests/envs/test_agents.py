@@ -13,13 +13,13 @@ from torch import Tensor
 
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, make_env
 from rover_rl.envs.placement import Placement
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.robots.footprint import footprint
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.footprint import footprint
 from rover_rl.sims.warp.simulator import WarpSimulator
-from rover_rl.sims.worlds.movers import Mover, Waypoints
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.movers import Mover, Waypoints
+from rover_rl.worlds.pool import WorldPool
 from tests.extras import needs_mujoco
-from tests.sims.drives.vehicles import make_car, make_omni
+from tests.robots.drives.vehicles import make_car, make_omni
 
 FLAT = World("flat", Terrain.flat((24.0, 24.0)))
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", ("outcome", "mover_contact"))

@@ -17,7 +17,7 @@ from rover_rl.algos.policy.networks import make_action_critic, make_actor, make_
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D, Seen, SegmentationCamera
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 from tests.extras import BACKENDS
 from tests.sims.movers.test_seen import cast
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rover_rl import TaskConfig
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.footprint import COLLISION_MARGIN, collision_ranges, footprint
+from rover_rl.robots import get_robot
+from rover_rl.robots.footprint import COLLISION_MARGIN, collision_ranges, footprint
 from tests.envs.contract.scripted_env import bare, play, scripted
 from tests.envs.scripted import Moment
 from tests.fleet import husky

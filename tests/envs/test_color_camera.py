@@ -14,11 +14,11 @@ from rover_rl.algos.policy.images import UNITS, ImageFeatures
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.ray_images import Seen, SegmentationCamera
+from rover_rl.robots import get_robot
+from rover_rl.rotations import rotate
 from rover_rl.sims.rendering.camera import FIELD_OF_VIEW, Camera, Sight
 from rover_rl.sims.rendering.renderer import Renderer
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import rotate
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Person, Waypoints
+from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.extras import BACKENDS
 
 VIEW = {"size": (32, 40), "pitch": 0.1, "mount": (0.3, 0.1, 0.5)}

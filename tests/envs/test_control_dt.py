@@ -9,10 +9,10 @@ from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.envs import EnvConfig
+from rover_rl.robots import get_robot
 from rover_rl.sims import make_simulator
 from rover_rl.sims.bullet import BulletSettings
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.extras import BACKENDS
 
 

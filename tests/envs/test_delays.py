@@ -11,7 +11,7 @@ from rover_rl import Bounds, Randomization, RoverEnv, Sensor
 from rover_rl.envs import EnvConfig, LidarConfig, LimitsConfig, PoseConfig, imperfect
 from rover_rl.envs.imperfections import IMPERFECTIONS
 from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.rotations import wrap_angle
 
 ROWS, STEPS = 4, 16
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from rover_rl import RoverEnv, Terrain, World, box
 from rover_rl.envs.sensors.forces import ContactSensor, WheelEffort
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds.movers import Box
+from rover_rl.robots import get_robot
+from rover_rl.worlds.movers import Box
 from tests.envs.scripted import ScriptedBackend
 from tests.envs.test_sensors import LiveBackend
 from tests.extras import BACKENDS

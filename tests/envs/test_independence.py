@@ -10,7 +10,7 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import make_env
 from rover_rl.envs.config import PoseConfig, Randomization
 from rover_rl.envs.task import StepEvent
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool
 from tests.envs.test_sensors import Ground, RangeFinder
 from tests.envs.test_world_pools import ROOMS
 from tests.extras import needs_mujoco

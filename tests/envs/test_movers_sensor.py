@@ -14,8 +14,8 @@ from rover_rl.envs import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, TRACKED, Movers, movers_of, predicted_scans
 from rover_rl.envs.sensors.route import Route
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 
 PERIOD = 2
 PASSING = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))

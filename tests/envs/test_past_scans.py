@@ -12,8 +12,8 @@ from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.sensors.past_scans import PastScans
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Box, Mover, Waypoints
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.movers import Box, Mover, Waypoints
 
 SENSOR = PastScans(count=2, apart=5, points=64)
 AGES = 0.25, 0.5

@@ -12,8 +12,8 @@ from torch import Tensor
 from rover_rl import Randomization, RoverEnv
 from rover_rl.envs import EnvConfig, LidarConfig, imperfect
 from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.rotations import wrap_angle
+from rover_rl.worlds import Terrain, World
 
 FLAT = World("flat", Terrain.flat((40.0, 40.0)))
 LATE = Randomization(scan_latency=(0, 5), state_latency=(0, 3), latency=(1, 1))

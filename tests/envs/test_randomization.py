@@ -13,7 +13,7 @@ from rover_rl.envs import Randomization
 from rover_rl.envs.placement import draw_dynamics
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.worlds import Terrain, World
 from tests.extras import BACKENDS
 
 RISE = math.tan(math.radians(20)) * (torch.arange(33) * 0.25 - 4)

@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from rover_rl import GymWrapper, RoverEnv, Terrain, World, box, make_env
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 
 FLAT = World("flat", Terrain.flat((20, 20)), spawn_range=((-3, 3), (-3, 3)))
 

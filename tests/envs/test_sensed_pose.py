@@ -9,7 +9,7 @@ import torch
 
 from rover_rl import EnvConfig, RoverEnv
 from rover_rl.envs.config import PoseConfig, Randomization
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.worlds import Terrain, World
 
 LEVEL = World("level", Terrain.flat((56, 56)))
 

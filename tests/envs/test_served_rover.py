@@ -8,8 +8,8 @@ import torch
 from rover_rl import Randomization, World
 from rover_rl.envs import EnvConfig, LidarConfig, PoseConfig, imperfect
 from rover_rl.envs.served_rover import ServedRover
-from rover_rl.sims.worlds import Terrain
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.worlds import Terrain
+from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 
 # A cylinder comes along the x axis from 8 m away at 1 m/s.
 COMING = Mover(Waypoints([(0.0, 8.0, 0.0, 0.0), (6.0, 2.0, 0.0, 0.0)], repeat="once"), Cylinder(0.3, 1.0))

@@ -12,11 +12,11 @@ from rover_rl.algos.config import training_config
 from rover_rl.algos.train.run import prepare
 from rover_rl.envs.config import ActionConfig, EnvConfig, Randomization, require_match
 from rover_rl.envs.sensors.robot import RobotBody
+from rover_rl.robots import get_robot, get_robots
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.skidding import yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.robots import get_robot, get_robots
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.skidding import yaw_gain
-from rover_rl.sims.worlds import Terrain, World, box, get_world
+from rover_rl.worlds import Terrain, World, box, get_world
 
 ROBOTS = ("any:0-5", "leo", "husky", "racer", "rover_zero")
 PLAIN = World("plain", Terrain.flat((40.0, 40.0)), [box((2.5, 1.5, 0.5), (1, 1, 1)), box((-2, 2.5, 0.5), (1, 2, 1))])

@@ -12,8 +12,8 @@ from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import Randomization
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.walls import MovingWalls, belong_to_walls, walls_of
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Box, Mover, Waypoints
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.movers import Box, Mover, Waypoints
 
 SENSOR = MovingWalls(period=2)
 

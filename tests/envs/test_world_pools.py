@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl import EnvConfig, GymWrapper, RoverEnv, Terrain, World, box, make_env
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool
 
 ROOMS = [
     World(f"room {k}", Terrain.flat((12, 12)), [box((0.9 * k - 2, 1.5, 0.5), (0.6, 2.0 + 0.2 * k, 1))])

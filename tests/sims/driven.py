@@ -11,9 +11,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from rover_rl.robots import Robot, get_robot
 from rover_rl.sims import RoverState, Simulator, make_simulator
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.worlds import Terrain, World, box
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((40, 40)))

@@ -7,8 +7,8 @@ import math
 import torch
 
 from rover_rl.algos.evaluation.metrics import Trajectory, find_body_contacts
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import Terrain, World, box, cylinder
+from rover_rl.rotations import quaternion_to_euler
+from rover_rl.worlds import Terrain, World, box, cylinder
 from tests.sims.driven import ROVER, drive, placed
 
 SIDE = 0.18 + 0.045

@@ -10,7 +10,7 @@ import torch
 from benchmarks import coulomb, maneuvers
 from benchmarks.engines import with_friction
 from benchmarks.law import center_of_mass
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 
 FRICTION = 0.5
 LIMIT = coulomb.friction_angle(FRICTION)

@@ -11,8 +11,8 @@ import torch
 from rover_rl.sims import make_scanner
 from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
 from rover_rl.sims.rays import RayScanner
-from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.worlds.table import WorldTable
 from tests.sims.driven import ROVER, all_rows, placed, slope
 
 MOUNT = ROVER.lidar_position[0]

@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 
-from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.robots.inertial_model import read_inertial_model
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.worlds import Terrain, World, box
 from tests.sims.driven import FLAT, ROVER, drive, in_world, placed, slope
 
 MODEL = read_inertial_model(ROVER)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_rl.sims.rays import RayCaster
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.table import WorldTable
 
 FLAT = World("flat", Terrain.flat((20.0, 12.0), height=0.5))
 BOXES = [box((3.0, 0.0, 1.0), (2.0, 2.0, 2.0)), box((3.0, 5.0, 1.0), (1.0, 1.0, 2.0))]

@@ -10,7 +10,7 @@ from torchrl.envs.utils import check_env_specs
 
 from rover_rl import make_env
 from rover_rl.sims import RoverState, Simulator, make_scanner
-from rover_rl.sims.worlds import Terrain, World, box, get_world
+from rover_rl.worlds import Terrain, World, box, get_world
 from tests.extras import BACKENDS, needs_mujoco
 from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed
 

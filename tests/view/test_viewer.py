@@ -31,13 +31,13 @@ from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.sims.worlds import box, get_world
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.pilot import TURN
 from rover_rl.view.replay import ReplayPage, write_replay
 from rover_rl.view.stage import CUT, without_high_walls
+from rover_rl.worlds import box, get_world
 from tests.view.conftest import settle, training_in, until
 
 

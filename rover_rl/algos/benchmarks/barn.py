@@ -17,8 +17,8 @@ from rover_rl.algos.benchmarks.arrays import read_npy, read_npz
 from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import cylinders
-from rover_rl.sims.worlds.files.xml_tree import numbers, read_xml
+from rover_rl.worlds import cylinders
+from rover_rl.worlds.files.xml_tree import numbers, read_xml
 
 WORLDS = 300  # number of worlds
 TEST_WORLDS = tuple(range(0, WORLDS, 6))  # Worlds of the benchmark's score. A policy may be trained in the others.

@@ -15,8 +15,8 @@ import numpy as np
 from rover_rl.algos.benchmarks.moving import MotionFile, MovingSuite
 from rover_rl.algos.benchmarks.suite import Course, open_world
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Obstacle, boxes
-from rover_rl.sims.worlds.movers import Cylinder, Mover
+from rover_rl.worlds import Obstacle, boxes
+from rover_rl.worlds.movers import Cylinder, Mover
 
 START = (11.0, 0.0, math.pi)
 """x, y (m) and yaw (rad) of all starts."""

@@ -18,8 +18,8 @@ from rover_rl.algos.benchmarks.arrays import read_npz
 from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import boxes
-from rover_rl.sims.worlds.files.rectangles import cover
+from rover_rl.worlds import boxes
+from rover_rl.worlds.files.rectangles import cover
 
 GOAL_RADIUS = 0.3  # distance from the goal at which it is reached, m
 SECONDS = 50.0  # time limit, s

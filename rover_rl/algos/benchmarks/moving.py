@@ -18,8 +18,8 @@ from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.metrics import CONTACT, Estimate, Trajectory
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds.movers import Waypoints
+from rover_rl.robots import get_robot
+from rover_rl.worlds.movers import Waypoints
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from rover_rl.checks import MAX_COUNT, MAX_ROVERS, MAX_SECONDS, check_at_least, 
 from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.progress import ProgressDisplay
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 GOAL_RADIUS = 0.3
 """Distance from a goal at which it is reached, m."""

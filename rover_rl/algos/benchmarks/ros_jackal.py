@@ -16,8 +16,8 @@ from rover_rl.algos.benchmarks.moving import MotionFile, MovingSuite
 from rover_rl.algos.benchmarks.suite import Course, open_world
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.specs import action_bounds
-from rover_rl.sims.worlds import Obstacle, cylinders
-from rover_rl.sims.worlds.movers import Box, Mover
+from rover_rl.worlds import Obstacle, cylinders
+from rover_rl.worlds.movers import Box, Mover
 
 START = (-2.0, 3.0, 1.57)
 """x, y (m) and yaw (rad) of all starts."""

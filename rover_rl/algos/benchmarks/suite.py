@@ -29,11 +29,11 @@ from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.specs import action_bounds
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.worlds import Obstacle, Terrain, World
-from rover_rl.sims.worlds.movers import Mover
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.footprint import footprint
+from rover_rl.worlds import Obstacle, Terrain, World
+from rover_rl.worlds.movers import Mover
+from rover_rl.worlds.pool import WorldPool
 
 RATES = {"success_rate": ("success", "%"), "contact_rate": ("contacts", "%"), "time_limit_rate": ("time-outs", "%")}
 TIME = {"mean_time": ("mean time", "s")}  # columns of the metrics that all suites share

@@ -20,13 +20,13 @@ from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.metrics import Trajectory, count_reversals
 from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.files import check_writable
+from rover_rl.robots import get_robot
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import RoverState
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds import get_world
+from rover_rl.worlds.pool import WorldPool
 
 FORMAT = "rover_rl drive, version 1"  # name of the file format
 BEAMS = 180  # largest number of lidar readings in each line of a log

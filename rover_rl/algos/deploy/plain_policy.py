@@ -18,7 +18,7 @@ from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROBOT, ROUTE, WALLS
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 
 STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
 ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]

@@ -8,12 +8,12 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
+from rover_rl.robots.footprint import footprint
+from rover_rl.rotations import euler_to_matrix
 from rover_rl.sims.free_space.space import distance_to_polygon
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.rotations import euler_to_matrix
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
+from rover_rl.worlds import World
+from rover_rl.worlds.obstacles import Obstacle, groups_of
 
 TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
 _OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
@@ -23,7 +23,7 @@ _CHUNK = 4096  # Number of poses that are tested against an obstacle at once. Li
 def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
     """Returns whether the rover's body touches an obstacle in each of several poses, bool ``[P]``.
 
-    The body touches an obstacle if its footprint (:func:`rover_rl.sims.robots.footprint.footprint`), at the height of
+    The body touches an obstacle if its footprint (:func:`rover_rl.robots.footprint.footprint`), at the height of
     the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
 
     Args:

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from rover_rl.algos.workers import usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

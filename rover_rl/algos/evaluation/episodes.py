@@ -33,13 +33,13 @@ from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.robots import Robot, get_robots
+from rover_rl.robots.fleet import largest_of
 from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import Robot, get_robots
-from rover_rl.sims.robots.fleet import largest_of
-from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import WORLDS, World, WorldName, get_world
+from rover_rl.worlds.pool import WorldPool, WorldSource
+from rover_rl.worlds.table import WorldTable
 
 DEFAULT_SEED = 20_000  # seed of the stored episodes
 STORED_WORLDS = ("inspect", "moon", "maze")  # worlds with a stored set
@@ -58,7 +58,7 @@ class EpisodeSet:
 
     Attributes:
         name: name of the world or of the range of worlds as requested, such as ``"maze:7"``.
-        pool: worlds of the episodes. A :class:`~rover_rl.sims.worlds.World` is converted to a pool.
+        pool: worlds of the episodes. A :class:`~rover_rl.worlds.World` is converted to a pool.
         seed: seed of the first draw.
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.

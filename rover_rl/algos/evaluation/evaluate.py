@@ -34,12 +34,12 @@ from rover_rl.envs.config import RobotLike, require_match
 from rover_rl.envs.groups import first_of_group
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.robots import get_robots, names_several
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.robots import get_robots, names_several
-from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.worlds import World, get_world
 
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",

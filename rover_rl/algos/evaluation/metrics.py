@@ -23,10 +23,10 @@ from torch import Tensor
 
 from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.envs.rewards import STANDSTILL as STANDSTILL
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.robots import Robot
+from rover_rl.rotations import wrap_angle
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 ROUGH_TILT = math.radians(10)
 """Smallest tilt of the rover, in any direction, on rough ground, rad. Rough ground makes up most of inspect, a tenth of
@@ -78,7 +78,7 @@ class MoverTrack(NamedTuple):
     A track of the last seconds of an episode begins later.
 
     Attributes:
-        kind: index in ``rover_rl.sims.worlds.movers.shapes.KINDS``, int32 ``[P]``.
+        kind: index in ``rover_rl.worlds.movers.shapes.KINDS``, int32 ``[P]``.
         half: half of the length, width and height, float32 ``[P, 3]``, m.
         mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
         position: centers, float32 ``[T + 1, P, 3]``, m.

@@ -15,7 +15,7 @@ from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.sims.movers.draw import EDGES, WAY, seen_from_above
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.scenery import MOVER
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 TRACE = 3.0
 """Duration for which the movers of an episode leave a trace before its end, s."""

@@ -21,7 +21,7 @@ from rover_rl.algos.evaluation.evaluate import (
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the

@@ -31,9 +31,9 @@ from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.draw import draw_map
-from rover_rl.sims.worlds.world import Area
+from rover_rl.worlds import World
+from rover_rl.worlds.draw import draw_map
+from rover_rl.worlds.world import Area
 
 BLUE, ORANGE, GREEN, PURPLE, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9"
 GREY, GRID = "#6b7280", "#e5e7eb"

@@ -13,7 +13,7 @@ import torch
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.parallel import EPISODES_PER_PART
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool
 
 FILE = "evaluation.json"  # name of the file in the folder of a run
 

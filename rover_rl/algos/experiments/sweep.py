@@ -38,7 +38,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
 from rover_rl.algos.train.run_folder import training_lock
 from rover_rl.files import written_whole
-from rover_rl.sims.worlds.names import TRAINING_SEEDS, WorldRange
+from rover_rl.worlds.names import TRAINING_SEEDS, WorldRange
 
 if TYPE_CHECKING:
     from optuna import Study

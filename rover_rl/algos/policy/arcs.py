@@ -21,8 +21,8 @@ from torch import Tensor
 from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.sims.robots.robot import FULL_VIEW
-from rover_rl.sims.rotations import angle_of
+from rover_rl.robots.robot import FULL_VIEW
+from rover_rl.rotations import angle_of
 
 RESERVE = 1.08  # smallest radius of an arc, relative to the robot's, for what steering lags behind
 RADII = (1.0, 2.0, 4.0)  # radii of arcs, in smallest ones

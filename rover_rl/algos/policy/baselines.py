@@ -21,12 +21,12 @@ from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.robots.slip import turn_gain
+from rover_rl.rotations import wrap_angle
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.rover_zero import ROVER_ZERO
-from rover_rl.sims.robots.slip import turn_gain
-from rover_rl.sims.rotations import wrap_angle
 
 _ACTIONS = 0  # stream of random draws for actions
 

@@ -46,11 +46,11 @@ from torch import Tensor
 
 from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
+from rover_rl.robots import get_robot
+from rover_rl.robots.footprint import covering_discs, footprint
+from rover_rl.robots.slip import YAW_GAIN as YAW_GAIN
+from rover_rl.robots.slip import estimated_yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.footprint import covering_discs, footprint
-from rover_rl.sims.robots.slip import YAW_GAIN as YAW_GAIN
-from rover_rl.sims.robots.slip import estimated_yaw_gain
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
 

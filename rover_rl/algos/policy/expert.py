@@ -17,10 +17,10 @@ from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
+from rover_rl.robots import Robot, get_robot
+from rover_rl.rotations import wrap_angle
 from rover_rl.sims.free_space.path_distance import PathDistances
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds.world import Worlds
+from rover_rl.worlds.world import Worlds
 
 # Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them
 # points into a lane that is one cell wide.

@@ -28,15 +28,15 @@ from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds
 from rover_rl.envs.transforms.path_reward import CAUTION, world_of
+from rover_rl.robots import get_robot
+from rover_rl.robots.slip import estimated_yaw_gain
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers import MoverField
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.slip import estimated_yaw_gain
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.clearance import clearance_on_grid
-from rover_rl.sims.worlds.movers.shapes import KINDS
-from rover_rl.sims.worlds.world import Worlds
+from rover_rl.worlds import World
+from rover_rl.worlds.clearance import clearance_on_grid
+from rover_rl.worlds.movers.shapes import KINDS
+from rover_rl.worlds.world import Worlds
 
 REPLAN = 20  # number of steps from one plan to the next
 DECIDE = 2  # number of steps from one decision to the next

@@ -23,9 +23,9 @@ from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROUTE
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.slip import turn_gain
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.slip import turn_gain
 
 MARGIN = 0.02  # free distance on each side of the footprint in the lane ahead, m
 STOP = 0.05  # free distance in front of the footprint at which the rover stops, m

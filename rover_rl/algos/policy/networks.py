@@ -27,7 +27,7 @@ from rover_rl.envs.sensors.base import Sensor, mirrored_signs
 from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 from rover_rl.torch_defaults import with_torch_defaults
 
 DRIVER = "driver"

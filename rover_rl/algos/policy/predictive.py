@@ -26,8 +26,8 @@ from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE, WALLS
 from rover_rl.envs.sensors.walls import walls_of
 from rover_rl.envs.specs import action_bounds
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.slip import estimated_yaw_gain
+from rover_rl.robots import get_robot
+from rover_rl.robots.slip import estimated_yaw_gain
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
 THICK = 0.08  # half of the thickness of a wall that moves, m

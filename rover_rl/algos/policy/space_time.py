@@ -21,8 +21,8 @@ from torch import Tensor
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
 from rover_rl.envs.config import HeadingGains
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.footprint import covering_discs, footprint
+from rover_rl.robots import Robot
+from rover_rl.robots.footprint import covering_discs, footprint
 
 LAYER_DT = 0.25  # largest time from one instant of a plan to the next, s
 LAYER_WAY = 0.25  # largest way from one instant of a plan to the next, m
@@ -169,7 +169,7 @@ def moving_struct(places: list[Tensor], yaw: list[Tensor], form: Tensor) -> Any:
             do not exist, and are last.
     """
     from rover_rl.algos.policy.space_time_kernels import Moving
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.native.warp import wp
 
     poses = [
         torch.cat((place, angle.cos()[..., None], angle.sin()[..., None]), -1)
@@ -190,7 +190,7 @@ def fixed_struct(grid: Tensor, frames: Tensor, clearance: Tensor) -> Any:
         clearance: distances, row by row, ``[G, points]``, m.
     """
     from rover_rl.algos.policy.space_time_kernels import Fixed
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.native.warp import wp
 
     fixed = Fixed()
     fixed.world, fixed.frame = wp.from_torch(grid), wp.from_torch(frames)
@@ -199,14 +199,14 @@ def fixed_struct(grid: Tensor, frames: Tensor, clearance: Tensor) -> Any:
 
 
 def _pairs(values: Tensor) -> Any:
-    from rover_rl.sims.native.warp import wp
+    from rover_rl.native.warp import wp
 
     return wp.from_torch(values.float().contiguous(), dtype=wp.vec2)
 
 
 def _launch(kernel: Any, dim: tuple[int, ...], inputs: list[Any], device: torch.device) -> None:
     """Launches a kernel, in Torch's stream on a GPU."""
-    from rover_rl.sims.native.warp import stream_of, wp
+    from rover_rl.native.warp import stream_of, wp
 
     stream = stream_of(device) if device.type == "cuda" else None
     wp.launch(kernel, dim, inputs, device=wp.device_from_torch(device), stream=stream)

@@ -18,10 +18,10 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
+from rover_rl.robots import get_robots
 from rover_rl.sims.free_space.robot_groups import RobotGroups
-from rover_rl.sims.robots import get_robots
-from rover_rl.sims.worlds.names import WorldName
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.names import WorldName
+from rover_rl.worlds.pool import WorldPool
 
 _UPDATE_ATTEMPTS = 64  # number of attempts after which the weights of the worlds are updated
 _HALF_LIFE = 2_000  # number of attempts, in all worlds together, after which an attempt counts half

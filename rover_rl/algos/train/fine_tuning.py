@@ -16,7 +16,7 @@ from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, RunConfig, Trainin
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.envs.config import require_match
-from rover_rl.sims.worlds.pool import draws_worlds
+from rover_rl.worlds.pool import draws_worlds
 
 MINUTES = 2.0  # default duration of fine-tuning, minutes
 _RATE = 0.5  # default learning rate, as a fraction of that of the policy's training

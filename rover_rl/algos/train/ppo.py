@@ -44,8 +44,8 @@ from rover_rl.algos.train.run import Learner
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.sensors.base import Sensor
 from rover_rl.envs.sensors.suite import ROUTE
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.robots import get_robot
+from rover_rl.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner"]
 

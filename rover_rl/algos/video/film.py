@@ -29,7 +29,7 @@ from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import View
 from rover_rl.sims.rendering.cache import MAX_SIDE
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 CANDIDATES = 8
 """Number of starts from which :func:`film_to_goal` drives."""

@@ -15,7 +15,7 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_in
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.worlds import World, get_world
 
 STALE = 30.0
 """Age from which on what is written is no longer live, s. Updates of the policy take some seconds."""

@@ -27,12 +27,12 @@ from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
+from rover_rl.robots import Robot, get_robot
+from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.rotations import euler_to_matrix, matrix_to_quaternion
-from rover_rl.sims.worlds import Terrain, World, get_world
+from rover_rl.worlds import Terrain, World, get_world
 
 NO_WORLD = "none"
 """Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""

@@ -27,11 +27,11 @@ from rover_rl.envs.make import RewardedEnv, make_env
 from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.specs import action_bounds
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 KEPT = 600
 """Number of steps that are kept."""

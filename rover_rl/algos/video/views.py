@@ -21,6 +21,8 @@ from torch import Tensor
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
 from rover_rl.algos.video.recording import Moment, Recording
+from rover_rl.robots import Robot
+from rover_rl.rotations import quaternion_to_euler, rotate
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.draw import parts_from_above
 from rover_rl.sims.movers.parts import Parts
@@ -28,10 +30,8 @@ from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
 from rover_rl.sims.rendering.renderer import Renderer
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import quaternion_to_euler, rotate
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.world import Area
+from rover_rl.worlds import World
+from rover_rl.worlds.world import Area
 
 _INCHES = 3.75
 """Height of every frame, so that text and lines scale with the resolution."""

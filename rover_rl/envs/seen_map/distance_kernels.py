@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.envs.seen_map.scan_kernels import HALF, LAST, OCCUPIED, PARTS, SIZE, address, away
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 REACH = wp.constant(5)
 """Number of cells around a cell in which the nearest obstacle is looked for."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.envs.seen_map.scan_kernels import CROSSED, HALF, address
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 STEPS = wp.constant(16)
 """Number of instants at which what moves is looked at."""

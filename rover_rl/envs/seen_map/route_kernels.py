@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from rover_rl.envs.seen_map.mover_kernels import TIGHT
 from rover_rl.envs.seen_map.scan_kernels import CELL, CROSSED, DOUBTFUL, HALF, LAST, OPEN, SIZE, address
+from rover_rl.native.warp import wp
 from rover_rl.sims.free_space.path_kernels import link, unlink
-from rover_rl.sims.native.warp import wp
 
 STRAIGHT = wp.constant(5)
 """Length of a step along an axis."""

@@ -8,7 +8,7 @@ over to the opposite edge.
 from __future__ import annotations
 
 from rover_rl.envs.seen_map import scans
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 SIZE, HALF, LAST = wp.constant(scans.SIZE), wp.constant(scans.HALF), wp.constant(scans.SIZE - 1)
 CELL, PARTS, UNSEEN = wp.constant(scans.CELL), wp.constant(scans.PARTS), wp.constant(scans.UNSEEN)

@@ -44,9 +44,9 @@ from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, WALLS
 from rover_rl.envs.sensors.walls import belong_to_walls
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.footprint import footprint
+from rover_rl.robots import get_robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.footprint import footprint
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
@@ -249,7 +249,7 @@ class SeenMap:
             ValueError: if the map was made without ``keep_passed``.
         """
         from rover_rl.envs.seen_map.distance_kernels import find_distances
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         if not self._passed.shape[-1]:
             raise ValueError("distances need a map that is made with keep_passed=True")
@@ -262,7 +262,7 @@ class SeenMap:
     def _closed(self, observation: TensorDictBase | Mapping[str, Tensor], bounds: Tensor | None) -> Tensor:
         """Returns which cells count as obstacles without evidence, as they are stored, bool ``[N, SIZE * SIZE]``."""
         from rover_rl.envs.seen_map.distance_kernels import find_closed
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         readings, mask = self._readings[self._fleet.index], observation.get(LIDAR_MASK, None)
         is_seen = readings[:, NUMBERS:] > 0
@@ -299,7 +299,7 @@ class SeenMap:
         from rover_rl.envs.seen_map.mover_kernels import close_ways
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         options = launch_options(rows.device)
         before, center = self._state[:, :2].int(), scan.center.int()

@@ -19,14 +19,14 @@ from rover_rl.envs.delays import SensorDelays
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims import RoverState
 from rover_rl.sims.base import Report
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import cast_at_movers
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.table import TerrainTable, WorldTable
+from rover_rl.worlds import World
+from rover_rl.worlds.table import TerrainTable, WorldTable
 
 if TYPE_CHECKING:
     from rover_rl.sims.rays import RayCaster

@@ -14,9 +14,9 @@ from torch.nn.functional import pad
 from rover_rl.checks import MAX_NUMBER, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Rig, RigSensor, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.reports import SIDES
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 MAX_WHEELS = 64
 """Largest number of wheels of an entry."""

@@ -14,10 +14,10 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.standard import LidarPooling, hidden_beams
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import ScanCarrier, beam_angles
 from rover_rl.sims.field_of_view import seen
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 WHOLE = 0.9999
 """Share of the beams from which on a reading is covered. The mean of many ones may be a little less than 1."""

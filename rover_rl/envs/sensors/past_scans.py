@@ -15,7 +15,7 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import PAST_SCANS
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.robots.fleet import Fleet
 
 CHANGE = 4.0
 """Factor of the changes that a network reads: 1 is what has come from 3 m to 2.1 m."""
@@ -118,7 +118,7 @@ class _KeptScans:
         """Adds the scans of the rows that are due, and returns the values of the sensor."""
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.sensors.past_scans_kernels import keep, show
-        from rover_rl.sims.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, wp
 
         sensor, entries, rows = self._sensor, inputs.observation, len(self._ranges)
         due = inputs.due(sensor.period)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 FAR = wp.constant(1.0e6)
 """Length of a beam without a return, m."""

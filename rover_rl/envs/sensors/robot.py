@@ -13,10 +13,10 @@ from torch import Tensor
 
 from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.skidding import yaw_gain
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.skidding import yaw_gain
 
 TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 1.0, 0.2, 0.2, 0.4, 2 * math.pi)
 """Values that networks read as 1, or -1."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.rotations import wrap_angle
+from rover_rl.rotations import wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)

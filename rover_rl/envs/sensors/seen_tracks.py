@@ -15,8 +15,8 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 
 
 class SeenTracks(ABC):

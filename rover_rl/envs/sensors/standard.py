@@ -14,11 +14,11 @@ from rover_rl.envs.perception import Perception
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
+from rover_rl.rotations import quaternion_product
 from rover_rl.sims.base import ScanCarrier, beam_angles
 from rover_rl.sims.field_of_view import seen
-from rover_rl.sims.rotations import quaternion_product
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.region import overlap
+from rover_rl.worlds import World
+from rover_rl.worlds.region import overlap
 
 _LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE, _ODOMETRY_SCALE = 4, 5, 6, 10, 25
 _VIEW, _SECTORS, _SECTOR_WIDTHS, _SECTOR_PLACES, _MIN_RANGE = 27, 28, 29, 30, 31

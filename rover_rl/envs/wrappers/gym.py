@@ -25,7 +25,7 @@ from rover_rl.envs.wrappers.numpy_batch import (
     require_one_of,
     row_of,
 )
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:

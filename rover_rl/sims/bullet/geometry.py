@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from rover_rl.native.bullet import pybullet
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.native.shapes import make_hull, make_mesh, terrain_strips
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.region import expanded
+from rover_rl.sims.shapes import make_hull, make_mesh, terrain_strips
+from rover_rl.worlds import World
+from rover_rl.worlds.region import expanded
 
 STATIC, ROVERS = 1, 2
 """Collision groups. Rovers collide with the world and not with one another."""

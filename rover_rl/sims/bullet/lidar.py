@@ -12,11 +12,11 @@ from operator import itemgetter
 
 import numpy as np
 
+from rover_rl.native.bullet import pybullet
+from rover_rl.robots import Robot
 from rover_rl.sims.bullet.geometry import add_mesh_bodies
-from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.solids import SolidTest
+from rover_rl.worlds import World
+from rover_rl.worlds.solids import SolidTest
 
 RAYS_PER_CALL = 1024
 """Rays per call of ``rayTestBatch``.

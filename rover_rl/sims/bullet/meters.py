@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rover_rl.native.bullet import pybullet
 from rover_rl.sims.base import Report
-from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.reports import SIDES, by_side
 
 _NORMAL, _NORMAL_FORCE = 7, 9

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from rover_rl.native.bullet import pybullet
 from rover_rl.sims.bullet.geometry import set_contact
 from rover_rl.sims.bullet.rover import is_touching
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.movers.near import NearParts, turned
-from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.worlds.movers import Part
+from rover_rl.worlds.movers import Part
 
 _FAR = 1e4
 """Coordinates of where bodies are made, m."""

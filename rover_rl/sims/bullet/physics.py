@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rover_rl.native.bullet import pybullet
+from rover_rl.robots import Robot
+from rover_rl.rotations import rotation_forms
 from rover_rl.sims.base import Report
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
 from rover_rl.sims.bullet.meters import Meters
@@ -15,11 +18,8 @@ from rover_rl.sims.bullet.movers import MoverBodies
 from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.movers.near import NearParts, fastest_point
-from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import rotation_forms
-from rover_rl.sims.worlds import Obstacle, World
-from rover_rl.sims.worlds.movers import Part
+from rover_rl.worlds import Obstacle, World
+from rover_rl.worlds.movers import Part
 
 ROVERS_PER_CLIENT = 64
 """Maximum number of rovers in a Bullet client.

@@ -23,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rover_rl.native.bullet import pybullet
+from rover_rl.robots import Robot
+from rover_rl.robots.description import child
+from rover_rl.robots.meshes import find_mesh
 from rover_rl.sims.bullet.geometry import ROVERS, STATIC, set_contact
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.description import child
-from rover_rl.sims.robots.meshes import find_mesh
 from rover_rl.tiny_xml import parse_xml
 
 _LINK_SHARE = 1e-3

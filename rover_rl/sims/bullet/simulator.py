@@ -10,21 +10,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.native.bullet import disconnect
+from rover_rl.robots import Robot
+from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.reports import empty_reports, of_rows
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.worlds import World
+from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.worlds import World
 
 
 class BulletSimulator:

@@ -11,7 +11,7 @@ import torch
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from rover_rl.sims.worlds.region import Area, Region
+from rover_rl.worlds.region import Area, Region
 
 CELL = 0.1
 """Side length of a cell, m."""

@@ -14,14 +14,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from scipy.ndimage import label
 
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cell_grid import cells_of
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.sims.movers.draw import SECONDS, WAY, draw_movers
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
-from rover_rl.sims.worlds.region import Area, Region, expanded, overlap
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
+from rover_rl.worlds.region import Area, Region, expanded, overlap
+from rover_rl.worlds.world import World
 
 MARGIN = 3.0
 """Width of the margin around the bounds of the world, m."""

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any, TypeVar
 
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World, takes_scale
-from rover_rl.sims.worlds.names import SCALES
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.robots import Robot
+from rover_rl.worlds import World, takes_scale
+from rover_rl.worlds.names import SCALES
+from rover_rl.worlds.pool import WorldPool
 
 Source = TypeVar("Source")
 

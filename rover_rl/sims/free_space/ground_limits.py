@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cell_grid import CellGrid, ring
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.terrain import Terrain
+from rover_rl.worlds.terrain import Terrain
 
 CLIFF_SLOPE = math.radians(30)
 """Slope above which ground counts as an obstacle, which no part of the rover may be above, rad."""
@@ -32,9 +32,9 @@ def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
 
     They are at the distance of the corners, between the directions of the edges of the terrain's triangles.
     """
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import measure_slopes
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import ground_of
+    from rover_rl.worlds.ground_kernels import ground_of
 
     around = (ring(8, start=math.pi / 8) * grid.half_diagonal).numpy()
     squares = np.empty(grid.shape)
@@ -49,9 +49,9 @@ def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor,
     lidar in the cell. Returns bits of int64, ``[S]``, and the position of the lidar relative to the center of the cell
     at each heading, ``[S, 64, 2]``, m.
     """
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import RINGS, find_rest_headings
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import ground_of
+    from rover_rl.worlds.ground_kernels import ground_of
 
     headings = torch.zeros(len(cells), dtype=torch.int64)
     offsets = torch.empty(len(cells), len(yaws), 2, dtype=torch.float64)
@@ -67,9 +67,9 @@ def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -
 
     On rolling ground, this quick test makes free space two to four times as fast. It may miss cells.
     """
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import find_level_cells
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import ground_of
+    from rover_rl.worlds.ground_kernels import ground_of
 
     level = torch.zeros(len(cells), dtype=torch.bool)
     inputs = [ground_of(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
@@ -79,8 +79,8 @@ def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -
 
 def _stance(robot: Robot, grid: CellGrid):
     """Returns the dimensions of a rover and the limits for its rest as a struct of the kernels."""
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import Stance
-    from rover_rl.sims.native.warp import wp
 
     wheels = np.array(robot.wheels.hubs)[:, :2]
     middle = wheels.mean(0)

@@ -6,8 +6,8 @@ equal for a symmetric footprint.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.worlds.ground_kernels import Ground, plane_at
+from rover_rl.native.warp import wp
+from rover_rl.worlds.ground_kernels import Ground, plane_at
 
 RINGS = wp.constant(4)
 """Number of rings of test points around a cell."""

@@ -1,7 +1,7 @@
 """Narrow passages: cells that a rover passes in some orientations only, where its footprint fits.
 
 The footprint, a rectangle, is covered by discs along the rover's x axis
-(:func:`rover_rl.sims.robots.footprint.covering_discs`). It is free at the center of a cell in an orientation of
+(:func:`rover_rl.robots.footprint.covering_discs`). It is free at the center of a cell in an orientation of
 :mod:`rover_rl.sims.free_space.path_steps`, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the
 distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of each disc, where r is the radius
 of the discs, and the last term covers the half bin.
@@ -27,10 +27,10 @@ from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from rover_rl.robots import Robot
+from rover_rl.robots.footprint import covering_discs
 from rover_rl.sims.free_space.cell_grid import CellGrid, ring
 from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS, ORIENTATIONS, STEP_ORIENTATIONS, STEPS, free_steps
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.footprint import covering_discs
 
 MARGIN = 0.02
 """Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
@@ -48,8 +48,8 @@ def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: flo
     ``room`` is the distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m. The footprint
     keeps the ``margin`` (m).
     """
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import fit_footprint
-    from rover_rl.sims.native.warp import wp
 
     centers, radius = covering_discs(robot)
     discs = centers[centers > -1e-9]

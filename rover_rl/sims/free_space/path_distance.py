@@ -17,9 +17,9 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.table import SlotTable
-from rover_rl.sims.worlds.world import World, Worlds
+from rover_rl.robots import Robot
+from rover_rl.worlds.table import SlotTable
+from rover_rl.worlds.world import World, Worlds
 
 SQUARE = 0.5
 """Side length of the squares whose goals share a field, m."""

@@ -8,16 +8,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.native.warp import wp
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cell_grid import CellGrid, distance_to_cells
 from rover_rl.sims.free_space.ground_limits import slopes_on_grid
 from rover_rl.sims.free_space.path_kernels import BUCKETS, spread_costs
 from rover_rl.sims.free_space.path_steps import LONGEST, STEPS, free_steps
 from rover_rl.sims.free_space.space import FreeSpace, free_space
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.region import overlap
-from rover_rl.sims.worlds.terrain import MAX_SLOPE
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.region import overlap
+from rover_rl.worlds.terrain import MAX_SLOPE
+from rover_rl.worlds.world import World
 
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""

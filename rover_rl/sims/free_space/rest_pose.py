@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from rover_rl.sims.robots import Robot
+from rover_rl.robots import Robot
 
 CLEARANCE = 5e-4
 """Gap between the lowest wheel and the ground, which avoids initial penetration, m."""
@@ -17,7 +17,7 @@ RIM_ANGLE, RIM_POINTS = 1.2, 13
 
 
 class Ground(Protocol):
-    """Ground that rovers stand on: a :class:`~rover_rl.sims.worlds.World`, or the terrain of each row of a batch."""
+    """Ground that rovers stand on: a :class:`~rover_rl.worlds.World`, or the terrain of each row of a batch."""
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the height of the ground (m) at points ``xy [N, ..., 2]``, without obstacles: ``[N, ...]``."""

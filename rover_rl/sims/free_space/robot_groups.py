@@ -9,12 +9,12 @@ from itertools import pairwise
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import largest_of
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import largest_of
-from rover_rl.sims.worlds import World, WorldName, takes_scale
-from rover_rl.sims.worlds.names import WorldRange, is_world_file
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.worlds import World, WorldName, takes_scale
+from rover_rl.worlds.names import WorldRange, is_world_file
+from rover_rl.worlds.pool import WorldPool, WorldSource
 
 GROUPS = 4
 """Number of groups, which have about the same number of robots."""

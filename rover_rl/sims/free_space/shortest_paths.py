@@ -17,10 +17,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.path_steps import ORIENTATIONS, STEPS, free_steps
 from rover_rl.sims.free_space.space import free_space
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.world import World
 
 GOAL_RADIUS = 0.5
 """Distance at which the contract's task counts a goal as reached, m."""

@@ -14,7 +14,8 @@ import torch
 from scipy.ndimage import binary_opening
 from torch import Tensor
 
-from rover_rl.sims import robots, worlds
+from rover_rl import robots, worlds
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cell_grid import CellGrid, cells_of, distance_to_cells, ring
 from rover_rl.sims.free_space.ground_limits import (
     CLIFF_SLOPE,
@@ -32,12 +33,11 @@ from rover_rl.sims.free_space.passages import (
     orientations_of_bins,
 )
 from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
-from rover_rl.sims.worlds.clearance import clearance_on_grid
-from rover_rl.sims.worlds.region import overlap
-from rover_rl.sims.worlds.terrain import MAX_SLOPE
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
+from rover_rl.worlds.clearance import clearance_on_grid
+from rover_rl.worlds.region import overlap
+from rover_rl.worlds.terrain import MAX_SLOPE
+from rover_rl.worlds.world import World
 
 HEADINGS = 64
 """Number of heading bins. Bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
@@ -319,8 +319,8 @@ def _clear_headings(
 
     The headings in which the rover ``rests``, and ``offsets`` of the lidar there, are those of each cell or of all.
     """
+    from rover_rl.native.warp import wp
     from rover_rl.sims.free_space.kernels import find_headings
-    from rover_rl.sims.native.warp import wp
 
     headings = torch.zeros(len(cells), dtype=torch.int64)
     field = [clearance.numpy(), wp.vec2d(*grid.origin), grid.cell, least]

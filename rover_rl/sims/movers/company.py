@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from rover_rl.robots import Robot
+from rover_rl.robots.description import Description, Frame, Shape
+from rover_rl.robots.footprint import half_sizes
+from rover_rl.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import MAX_SPEED
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.description import Description, Frame, Shape
-from rover_rl.sims.robots.footprint import half_sizes
-from rover_rl.sims.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
-from rover_rl.sims.worlds.movers.shapes import Part
+from rover_rl.worlds.movers.shapes import Part
 
 
 class Solids(NamedTuple):

@@ -20,11 +20,11 @@ from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.movers import Door, Motion, Slider, Waypoints
-from rover_rl.sims.worlds.movers.motions.base import Others
-from rover_rl.sims.worlds.region import Area
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import World
+from rover_rl.worlds.movers import Door, Motion, Slider, Waypoints
+from rover_rl.worlds.movers.motions.base import Others
+from rover_rl.worlds.region import Area
+from rover_rl.worlds.table import WorldTable
 
 SECONDS = 2.0
 """Duration of the way that is drawn of each mover, s."""

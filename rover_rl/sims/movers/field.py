@@ -16,12 +16,12 @@ from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.company import Company, Solids
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.walls import WallTable
-from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Others, Scene
-from rover_rl.sims.worlds.movers.mover import Mover
-from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
-from rover_rl.sims.worlds.region import union
-from rover_rl.sims.worlds.table import SlotTable, TerrainTable, WorldTable
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.movers.motions.base import Courses, Motion, Others, Scene
+from rover_rl.worlds.movers.mover import Mover
+from rover_rl.worlds.movers.shapes import KINDS, Part, radius_of
+from rover_rl.worlds.region import union
+from rover_rl.worlds.table import SlotTable, TerrainTable, WorldTable
+from rover_rl.worlds.world import World
 
 STRIDE = 1.3
 """Length of a stride of a walking mover, in which each leg swings forward and back, m: two steps of 0.65 m."""

@@ -7,10 +7,10 @@ intersection of the intervals of half-spaces and quadrics. The ray meets it at `
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 CYLINDER, BOX, CAPSULE = 0, 1, 2
-"""Indices in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`."""
+"""Indices in :data:`~rover_rl.worlds.movers.shapes.KINDS`."""
 MISS = wp.constant(1.0e9)
 """Distance of a ray that meets nothing, m."""
 TWO_PI = wp.constant(6.2831853)

@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from rover_rl.sims.worlds.movers.shapes import KINDS, Part
+from rover_rl.worlds.movers.shapes import KINDS, Part
 
 
 def outlines(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -> list[np.ndarray]:
@@ -20,7 +20,7 @@ def corners(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -
     """Returns the corners of each part, ``[corners, 3]``, m.
 
     Args:
-        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, ``[P]``.
+        kind: index in :data:`~rover_rl.worlds.movers.shapes.KINDS`, ``[P]``.
         half: half of the length, width and height, ``[P, 3]``, m.
         position: center, ``[P, 3]``, m.
         orientation: unit quaternion (x, y, z, w), ``[P, 4]``.

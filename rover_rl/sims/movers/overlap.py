@@ -9,13 +9,13 @@ import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from rover_rl.robots import Robot
 from rover_rl.sims.free_space.rest_pose import rest_on_ground
 from rover_rl.sims.movers.company import solids_of
 from rover_rl.sims.movers.outlines import corners
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.obstacles import groups_of
+from rover_rl.worlds import World
+from rover_rl.worlds.obstacles import groups_of
 
 
 def check_standing(world: World, robot: Robot, pose: tuple[float, float, float], movers: Parts | None = None) -> None:

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
+from rover_rl.native.warp import stream_of, wp
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.placing_kernels import Placed, Solid, place_parts
-from rover_rl.sims.native.warp import stream_of, wp
-from rover_rl.sims.worlds.ground_kernels import grounds_of
-from rover_rl.sims.worlds.movers.motions.base import Courses
-from rover_rl.sims.worlds.table import TerrainRows
+from rover_rl.worlds.ground_kernels import grounds_of
+from rover_rl.worlds.movers.motions.base import Courses
+from rover_rl.worlds.table import TerrainRows
 
 
 def place(

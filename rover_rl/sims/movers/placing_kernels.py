@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from rover_rl.native.warp import wp
 from rover_rl.sims.movers.parts import MAX_SPEED
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.worlds.ground_kernels import Grounds, height_at
+from rover_rl.worlds.ground_kernels import Grounds, height_at
 
 PI = wp.constant(3.14159265358979)
 FASTEST = wp.constant(MAX_SPEED)
@@ -24,7 +24,7 @@ class Placed:
 
 @wp.struct
 class Solid:
-    """Parts in the frames of their movers: see :class:`~rover_rl.sims.worlds.movers.shapes.Part`."""
+    """Parts in the frames of their movers: see :class:`~rover_rl.worlds.movers.shapes.Part`."""
 
     mover: wp.array2d[wp.int64]
     center: wp.array2d[wp.vec3]

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Scanner, Simulator
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
 
 if TYPE_CHECKING:
     from rover_rl.sims.movers.kernels import PartArrays
@@ -27,8 +27,8 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
         ranges: distances to what does not move, ``[N, K]``, m.
     """
     # Importing NVIDIA Warp takes half a second.
+    from rover_rl.native.warp import stream_of, wp
     from rover_rl.sims.movers.kernels import cast_at_parts
-    from rover_rl.sims.native.warp import stream_of, wp
 
     ranges = ranges.clone()
     with wp.ScopedStream(stream_of(ranges.device)):
@@ -40,8 +40,8 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
 
 def part_arrays(parts: Parts) -> PartArrays:
     """Returns the parts as kernels read them, in the same memory."""
+    from rover_rl.native.warp import wp
     from rover_rl.sims.movers.kernels import PartArrays
-    from rover_rl.sims.native.warp import wp
 
     arrays = PartArrays()
     arrays.kind = wp.from_torch(parts.kind)
@@ -86,8 +86,8 @@ class MoverScanner:
 
     def _shorten(self, parts: Parts, ranges: Tensor, rows: Tensor) -> None:
         """Shortens the beams that meet a mover, in place."""
+        from rover_rl.native.warp import stream_of, wp
         from rover_rl.sims.movers.kernels import scan_parts
-        from rover_rl.sims.native.warp import stream_of, wp
 
         state = self._simulator.state()
         poses = torch.cat((state.position, state.orientation), -1).contiguous()

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.worlds.clearance import clearance_on_grid
-from rover_rl.sims.worlds.movers.motions.base import WallGrids
-from rover_rl.sims.worlds.table import SlotTable, WorldTable
-from rover_rl.sims.worlds.world import World
+from rover_rl.worlds.clearance import clearance_on_grid
+from rover_rl.worlds.movers.motions.base import WallGrids
+from rover_rl.worlds.table import SlotTable, WorldTable
+from rover_rl.worlds.world import World
 
 CELL = 0.1
 """Least spacing of the grid of distances, m."""

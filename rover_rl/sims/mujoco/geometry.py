@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.worlds import Obstacle, World
-from rover_rl.sims.worlds.region import expanded
+from rover_rl.native.mujoco import mujoco
+from rover_rl.worlds import Obstacle, World
+from rover_rl.worlds.region import expanded
 
 GROUND_MARGIN = 3.0
 """Width of the ground for contacts beyond a world's bounds, m."""

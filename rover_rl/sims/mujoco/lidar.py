@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from rover_rl.native.mujoco import mujoco
+from rover_rl.robots import Robot
 from rover_rl.sims.mujoco.geometry import add_ground_tiles, add_obstacles
-from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.solids import SolidTest
+from rover_rl.worlds import World
+from rover_rl.worlds.solids import SolidTest
 
 NUDGE = np.array((1.3e-6, 0.7e-6, 0.0))
 """Shift of all rays, m. A ray exactly along the edge of two triangles may miss both, and edges are on round numbers."""

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from rover_rl.native.mujoco import mujoco
+from rover_rl.robots import Robot
+from rover_rl.robots.drives import Drive
+from rover_rl.robots.inertial_model import InertialModel
 from rover_rl.sims.base import Report
-from rover_rl.sims.drives import Drive
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
 from rover_rl.sims.mujoco.parts import add_parts
 from rover_rl.sims.mujoco.settings import MujocoSettings
-from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.inertial_model import InertialModel
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.movers import Part
+from rover_rl.worlds import World
+from rover_rl.worlds.movers import Part
 
 IMPEDANCE = 0.1
 """Constraint impedance of contacts: the share of the violation that a hard constraint would remove.

@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rover_rl.native.mujoco import mujoco
+from rover_rl.robots import Robot
 from rover_rl.sims.base import Report
 from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco.model import scaled_model
 from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
-from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.movers import Part
+from rover_rl.worlds.movers import Part
 
 _FAR, _SPACING = 1e4, 10.0
 """Place of parts that are not near, and distance from one to the next, m."""

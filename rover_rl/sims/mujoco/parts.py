@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from rover_rl.sims.native.mujoco import mujoco
-from rover_rl.sims.worlds.movers import Part
+from rover_rl.native.mujoco import mujoco
+from rover_rl.worlds.movers import Part
 
 INERTIA = 1e6
 """Inertia of a part along and about each axis, kg and kg m^2. A rover of 10 kg slows it by 10 um/s per m/s."""

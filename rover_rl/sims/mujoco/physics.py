@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rover_rl.native.mujoco import Rollout, mujoco
+from rover_rl.robots import Robot
 from rover_rl.sims.base import Report
 from rover_rl.sims.mujoco.model import MAX_FELT, scaled_model
 from rover_rl.sims.mujoco.settings import MujocoSettings
-from rover_rl.sims.native.mujoco import Rollout, mujoco
 from rover_rl.sims.reports import SIDES, by_side
-from rover_rl.sims.robots import Robot
 
 _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)
 """Position (m) and orientation (w, x, y, z) of the base frame in a state. The time comes first."""

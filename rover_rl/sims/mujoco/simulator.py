@@ -10,8 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
+from rover_rl.robots.inertial_model import read_inertial_model
+from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
-from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
@@ -24,10 +26,8 @@ from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.reports import empty_reports, of_rows
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.worlds import World
+from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.worlds import World
 
 MIN_ROVERS_PER_THREAD = 4
 """Minimum number of rovers per thread; with fewer, another thread does not pay."""
@@ -45,7 +45,7 @@ class MujocoSimulator:
 
     Raises:
         ValueError: for a robot whose URDF is not supported: see
-            :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
+            :func:`rover_rl.robots.inertial_model.read_inertial_model`.
     """
 
     capabilities: frozenset[Capability] = frozenset(

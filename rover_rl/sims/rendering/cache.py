@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from rover_rl.checks import check_at_least
+from rover_rl.robots import Robot
 from rover_rl.sims.base import View
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 if TYPE_CHECKING:
     from rover_rl.sims.movers.parts import Parts

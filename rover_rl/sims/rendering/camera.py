@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.native.warp import wp
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.base import View
-from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels import light
 from rover_rl.sims.rendering.launches import array, launch
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 FIELD_OF_VIEW = 60.0
 """Vertical field of view, degrees."""

@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from rover_rl.native.warp import stream_of, wp
 from rover_rl.sims.movers.field import MoverField
-from rover_rl.sims.native.warp import stream_of, wp
 from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.kernels.colors import trace_colors
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.mover_surfaces import Form, FormMeshes
 from rover_rl.sims.rendering.scenes import AT_ORIGIN, FAR_BELOW, scene_of, traced_mesh
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.table import SlotTable, WorldTable
+from rover_rl.worlds import World
+from rover_rl.worlds.table import SlotTable, WorldTable
 
 
 class _Built(NamedTuple):

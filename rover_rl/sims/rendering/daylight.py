@@ -19,7 +19,7 @@ from rover_rl.sims.rendering.renderer import SCENERY_REACH, sky_openness, sunlig
 from rover_rl.sims.rendering.scenery import GROUND, HORIZON, ZENITH
 from rover_rl.sims.rendering.scenes import traced_mesh
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 SHADOW = 0.55
 """Brightness of the ground in the shadow of obstacles and hills."""

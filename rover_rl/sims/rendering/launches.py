@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 DEVICE = "cpu"
 """Device of the renderer, the same on every machine, so that pictures are the same too."""

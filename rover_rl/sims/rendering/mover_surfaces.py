@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
+from rover_rl.native.warp import wp
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import in_view
-from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.launches import DEVICE, array
 from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.rendering.scenery import SKIN
 from rover_rl.sims.rendering.scenes import traced_mesh
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.movers.shapes import KINDS, Kind
+from rover_rl.worlds import World
+from rover_rl.worlds.movers.shapes import KINDS, Kind
 
 SHOULDERS, HEAD = 0.32, 0.11
 """Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from rover_rl.robots import Robot
+from rover_rl.robots.description import Description, Frame, Shape
+from rover_rl.robots.meshes import find_mesh, load_mesh
 from rover_rl.sims.rendering.scenery import UNPAINTED
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.description import Description, Frame, Shape
-from rover_rl.sims.robots.meshes import find_mesh, load_mesh
 
 
 def robot_surface(robot: Robot) -> Surface:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.rendering.kernels import light, rays
 from rover_rl.sims.rendering.launches import DEVICE, array, launch
 from rover_rl.sims.rendering.surfaces import Surface
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 
 AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion (x, y, z, w) of the scenery."""

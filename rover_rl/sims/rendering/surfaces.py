@@ -14,8 +14,8 @@ from trimesh.graph import smooth_shade
 from trimesh.remesh import subdivide_to_size
 
 from rover_rl.sims.rendering.scenery import GOAL, GROUND, OBSTACLE, POST_LENGTH, POST_RADIUS
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.obstacles import groups_of
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.obstacles import groups_of
 
 SEGMENTS = 48
 """Number of sides of the prisms that stand for cylinders."""

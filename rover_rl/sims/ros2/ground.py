@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from rover_rl.rotations import rotate
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.ros2.elevation_maps import read_elevation_map
@@ -18,7 +19,6 @@ from rover_rl.sims.ros2.point_clouds import read_points
 from rover_rl.sims.ros2.sensors import Sensors, read_frame, read_stamp
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
-from rover_rl.sims.rotations import rotate
 
 GROUND_TYPES = {kind.ros_type: kind for kind in (GridMap, PointCloud2)}
 """Messages that the ground is read from, by type."""

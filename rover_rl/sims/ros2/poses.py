@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped, PoseWithCovarianceStamped
 from rover_rl.sims.ros2.pose_reset import TargetPose
 from rover_rl.sims.ros2.settings import PoseSource
-from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
 
 IDENTITY_ORIENTATION = torch.tensor([0.0, 0.0, 0.0, 1.0])
 """Level orientation with yaw 0, as (x, y, z, w)."""

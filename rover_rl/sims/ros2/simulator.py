@@ -13,11 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
 from rover_rl.sims.base import Capability, Report, RoverState, View, beam_angles
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.reports import SIDES
-from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.commands import Commands
 from rover_rl.sims.ros2.contacts import contact_force, read_contacts
@@ -31,7 +31,7 @@ from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cu
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
-from rover_rl.sims.worlds import World
+from rover_rl.worlds import World
 
 _log = logging.getLogger(__name__)
 

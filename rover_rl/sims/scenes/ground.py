@@ -1,12 +1,12 @@
 """Terrain queries: height, slope and normal of the triangulated height grid.
 
 World frame, m. Each grid cell is split into two triangles along the diagonal from (i + 1, j) to (i, j + 1), exactly as
-:class:`rover_rl.sims.worlds.Terrain` does. Outside the grid, the height of the nearest edge continues.
+:class:`rover_rl.worlds.Terrain` does. Outside the grid, the height of the nearest edge continues.
 """
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
 
 

@@ -9,7 +9,7 @@ Lengths in m; u and v are x and y in cells of the ground, from its first height.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.ground import ground_at
 from rover_rl.sims.scenes.scene import Scene
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 
 @wp.struct

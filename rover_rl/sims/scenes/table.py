@@ -10,12 +10,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from rover_rl.sims import worlds
-from rover_rl.sims.native.warp import wp
+from rover_rl import worlds
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
-from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
-from rover_rl.sims.worlds.obstacles import Solids, groups_of
+from rover_rl.worlds import World
+from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
+from rover_rl.worlds.obstacles import Solids, groups_of
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""
@@ -36,7 +36,7 @@ ADDRESSES = [getattr(type(Scene().__ctype__()), name).offset // 8 for name in AR
 
 
 class SceneTable:
-    """Scenes of the worlds in a :class:`~rover_rl.sims.worlds.table.WorldTable`, by slot, in one array.
+    """Scenes of the worlds in a :class:`~rover_rl.worlds.table.WorldTable`, by slot, in one array.
 
     Args:
         capacity: maximum number of slots.

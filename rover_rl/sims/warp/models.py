@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.inertial_model import InertialModel
+from rover_rl.native.warp import wp
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel
 
 

@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.native.warp import wp
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
-from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.scenes.table import SceneTable
+from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.placing import place
@@ -30,8 +30,8 @@ from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.sims.worlds import Obstacle, Terrain, World
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.worlds import Obstacle, Terrain, World
+from rover_rl.worlds.table import WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
@@ -56,7 +56,7 @@ class WarpSimulator:
 
     Raises:
         ValueError: for a robot with too many wheels, or whose URDF is not supported: see
-            :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
+            :func:`rover_rl.robots.inertial_model.read_inertial_model`.
     """
 
     capabilities: frozenset[Capability] = frozenset(

@@ -8,11 +8,11 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from rover_rl.native.warp import wp
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.inertial_model import InertialModel, MassTable
 from rover_rl.sims.base import Dynamics, Report
-from rover_rl.sims.native.warp import wp
 from rover_rl.sims.reports import empty_reports
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.inertial_model import InertialModel, MassTable
 from rover_rl.sims.warp.kernels.types import RoverArrays
 
 

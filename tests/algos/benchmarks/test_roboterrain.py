@@ -18,8 +18,8 @@ from rover_rl.algos.benchmarks.roboterrain import (
 )
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Mover, Person, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Mover, Person, Waypoints
 from tests.algos.drivers import standing
 
 WARP = EnvConfig(backend="warp")

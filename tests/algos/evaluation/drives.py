@@ -14,7 +14,7 @@ from rich.console import Console
 
 from rover_rl import World
 from rover_rl.algos.evaluation.metrics import Trajectory
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 

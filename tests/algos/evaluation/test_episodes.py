@@ -17,10 +17,10 @@ from rover_rl.algos.evaluation.episodes import (
     stored_episodes,
     write_episodes,
 )
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, box, get_world
+from rover_rl.worlds import Terrain, box, get_world
 from tests.algos.evaluation.drives import FIELD
 
 ROVER = get_robot("rover_zero")

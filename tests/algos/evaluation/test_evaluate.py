@@ -21,7 +21,7 @@ from rover_rl.cli import main
 from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.config import ActionConfig, LidarConfig, Randomization, TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.sims.worlds import Terrain, box
+from rover_rl.worlds import Terrain, box
 from tests.algos.drivers import ahead, standing, straight
 from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, printed
 from tests.algos.policy.memories import CountingPolicy, recurrent_checkpoint

@@ -21,8 +21,8 @@ from rover_rl.algos.evaluation.metrics import (
     proportion,
     ratio,
 )
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, box
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain, box
 from tests.algos.evaluation.drives import FIELD, line
 
 ROVER = get_robot("rover_zero")

@@ -16,8 +16,8 @@ from rover_rl.algos.evaluation.metrics import MoverTrack, Trajectory
 from rover_rl.algos.evaluation.mover_traces import draw_mover_traces
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Person, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import standing
 from tests.algos.evaluation.drives import line
 

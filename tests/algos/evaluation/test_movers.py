@@ -23,10 +23,10 @@ from rover_rl.algos.evaluation.metrics import (
 )
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain
-from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain
+from rover_rl.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import standing
 from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, line, printed
 

@@ -32,8 +32,8 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import LidarConfig, Randomization
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain
 from tests.algos.evaluation.drives import assert_same
 from tests.fork_server import fork_server
 

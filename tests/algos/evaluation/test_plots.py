@@ -13,7 +13,7 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT
 from rover_rl.algos.evaluation.plots import draw_paths, draw_reward_components
-from rover_rl.sims.worlds import Terrain, box
+from rover_rl.worlds import Terrain, box
 from tests.algos.evaluation.drives import line
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)), [box((2.0, 2.0, 0.5), (1.0, 1.0, 1.0))])

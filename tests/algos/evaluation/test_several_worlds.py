@@ -22,9 +22,9 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import Randomization
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, box, get_world
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain, box, get_world
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import ahead
 from tests.algos.evaluation.drives import assert_same, csv_rows, line, printed
 from tests.fork_server import fork_server

@@ -16,8 +16,8 @@ from rover_rl.algos.evaluation.metrics import EARLY_ENDINGS, METRICS, TIME_LIMIT
 from rover_rl.algos.evaluation.report import check_columns, print_table
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.evaluation.tables import folded
-from rover_rl.sims.worlds import Terrain
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds import Terrain
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.evaluation.drives import line
 
 FIELD = World("field", Terrain.flat((40.0, 40.0)))

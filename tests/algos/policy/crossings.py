@@ -7,8 +7,8 @@ import torch
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs import EnvConfig, TaskConfig
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Waypoints
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.movers import Box, Cylinder, Mover, Waypoints
 
 START, GOAL = (-5.0, 0.0, 0.0), (5.0, 0.0)
 

@@ -15,9 +15,9 @@ from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World
-from tests.sims.drives.vehicles import make_car
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain, World
+from tests.robots.drives.vehicles import make_car
 
 BEHIND = math.radians(150)
 OPEN = World("open", Terrain.flat((20, 20)))

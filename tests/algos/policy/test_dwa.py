@@ -18,9 +18,9 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.dwa import LIDAR, YAW_GAIN, DynamicWindowPolicy
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.rover_zero import ROVER_ZERO
-from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
+from rover_rl.robots.footprint import footprint
+from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.rotations import quaternion_to_euler, wrap_angle
 
 POLICY = DynamicWindowPolicy()
 CLEAR = torch.full((1, 128), 12.0)

@@ -10,8 +10,8 @@ from rover_rl import RoverEnv, Terrain, World, box, make_env
 from rover_rl.algos.policy.expert import MapExpert, PrivilegedExpert
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.transforms.path_reward import CAUTION
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.path_distance import PathDistances
-from rover_rl.sims.robots import get_robot
 
 ROVER = get_robot("rover_zero")
 POCKET = World(

@@ -14,7 +14,7 @@ from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow, wa
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import TaskConfig
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 from tests.fleet import racer
 
 ROBOT = get_robot("rover_zero")

@@ -24,9 +24,9 @@ from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.movers import Movers
-from rover_rl.sims.robots.rover_zero import ROVER_ZERO
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Box, Cylinder, Door, Mover, Slider, Waypoints
+from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.movers import Box, Cylinder, Door, Mover, Slider, Waypoints
 from tests.algos.policy.crossings import crossing, drive
 
 SPEEDS = (0.6, 1.0, 1.4)

@@ -24,7 +24,7 @@ from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, environment_sensors
 from rover_rl.envs.specs import ACTION
-from rover_rl.sims.robots import get_robot
+from rover_rl.robots import get_robot
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
 

@@ -25,16 +25,16 @@ from rover_rl.algos.train.sac import SACLearner
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.robots import Robot
+from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims import RoverState
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource
-from rover_rl.sims.worlds.table import TerrainTable, WorldTable
+from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.pool import WorldPool, WorldSource
+from rover_rl.worlds.table import TerrainTable, WorldTable
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
 

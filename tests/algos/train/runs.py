@@ -20,7 +20,7 @@ from rover_rl.algos.train.progress import read_progress
 from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.algos.train.run_folder import load_state
 from rover_rl.algos.train.sac import SACLearner
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.worlds import Terrain, World, box
 
 FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
 """Worlds that are quick to prepare and to simulate."""

@@ -15,7 +15,7 @@ from rover_rl import RoverEnv, Terrain, World, box
 from rover_rl.algos.train.curriculum import Curriculum, Learnability
 from rover_rl.envs.config import TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.train.runs import LEARNABLE, equal, progress_of, record_of, run, state_of
 
 WALLS = [World(f"wall {k}", Terrain.flat((8.0, 8.0)), [box((2.0, 0.0, 0.5), (0.2, 1.0 + k, 1.0))]) for k in range(3)]

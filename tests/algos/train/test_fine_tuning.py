@@ -18,7 +18,7 @@ from rover_rl.algos.train.fine_tuning import fine_tuning_config
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.envs.config import ActionConfig, LidarConfig
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.train.runs import BOTH, FIELD, equal
 
 Trained = Callable[[str], TrainingSummary]

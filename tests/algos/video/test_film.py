@@ -15,9 +15,9 @@ from rover_rl import RoverEnv, World, make_env
 from rover_rl.algos.video.film import film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
+from rover_rl.rotations import rotate
 from rover_rl.sims.rendering.camera import Camera, Sight
-from rover_rl.sims.rotations import rotate
-from rover_rl.sims.worlds import Terrain, box
+from rover_rl.worlds import Terrain, box
 from tests.algos.drivers import straight
 from tests.algos.policy.memories import CountingPolicy
 

@@ -16,8 +16,8 @@ from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides
 from rover_rl.cli.film import Film
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Person, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import straight
 
 WARP = EnvConfig(backend="warp")

@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 
 from rover_rl import RoverEnv, World, make_env
 from rover_rl.envs.task import StepEvent
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 from tests.envs import transcription as contract
 from tests.envs.scripted import Moment, ScriptedBackend
 

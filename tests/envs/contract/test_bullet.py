@@ -11,7 +11,7 @@ from tensordict import TensorDict
 
 from rover_rl import RewardConfig, TaskConfig, World, make_env
 from rover_rl.envs.task import StepEvent
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import flat_world, pairs, step_events
 

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl import RoverEnv, TaskConfig, World, make_env
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import AREA, WORLD_NAMES, bare, scripted
 from tests.envs.contract.witness import NAME_OF_PHASE, Witness, check_witnessed, witness

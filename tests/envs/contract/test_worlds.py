@@ -9,9 +9,9 @@ import torch
 
 from rover_rl.envs.placement import Placement
 from rover_rl.rng import row_keys
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.robots import get_robot
+from rover_rl.worlds import get_world
+from rover_rl.worlds.table import WorldTable
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import CPU, WORLD_NAMES, play, scripted
 from tests.envs.scripted import Moment

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.plain_map import PlainSeenMap
 from rover_rl.envs.seen_map.seen_map import NO_BOUNDS, ROUTE_KEYS, SeenMap
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.robots import Robot, get_robot
 from tests.envs.seen_map.test_seen_map import U_SHAPE, Wall, observed
 
 LIDAR = LidarConfig(points=128, beams=128)

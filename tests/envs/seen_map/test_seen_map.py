@@ -19,7 +19,7 @@ from torch import Tensor
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_angles
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.robots import Robot, get_robot
 
 LIDAR = LidarConfig(points=128, beams=128)
 CENTERED = replace(get_robot("rover_zero"), lidar=(0.0, 0.0, 0.3))

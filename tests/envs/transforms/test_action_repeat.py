@@ -11,7 +11,7 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import TaskConfig, World, make_env
 from rover_rl.envs import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.sims.worlds import Terrain
+from rover_rl.worlds import Terrain
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)), bounds=((-5.0, 5.0), (-5.0, 5.0)))
 START = torch.tensor([[0.0, 0.0, 0.0], [4.8, 2.0, 0.0], [0.0, -2.0, 0.0]])

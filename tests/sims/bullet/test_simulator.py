@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rover_rl.native.bullet import pybullet
 from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
-from rover_rl.sims.native.bullet import pybullet
 from tests.sims.driven import FLAT, ROVER, drive, placed
 
 

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from rover_rl import Terrain, World, box
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import FreeSpace, free_space
 from rover_rl.sims.free_space.space import load_free_space, store_free_space
-from rover_rl.sims.robots import get_robot
 
 ROBOT = get_robot("rover_zero")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from matplotlib.figure import Figure
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.draw import draw_world
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 ROVER = get_robot("rover_zero")
 

@@ -9,11 +9,11 @@ import torch
 
 from rover_rl import EnvConfig, RoverEnv, World
 from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, box, get_world
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.worlds import Terrain, box, get_world
+from rover_rl.worlds.pool import WorldPool
 from tests.fleet import hunter, husky, racer
 
 ZERO = get_robot("rover_zero")

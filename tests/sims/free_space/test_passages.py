@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, stored_episodes
+from rover_rl.robots import get_robot
+from rover_rl.robots.footprint import footprint
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.cell_grid import cells_of
 from rover_rl.sims.free_space.path_grid import PathGrid
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.worlds import Terrain, World, box, cylinders, get_world
+from rover_rl.worlds import Terrain, World, box, cylinders, get_world
 
 ROVER = get_robot("rover_zero")
 DATA = os.environ.get("ROVER_RL_DATA")

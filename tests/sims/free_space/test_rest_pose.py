@@ -10,10 +10,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.free_space.rest_pose import CLEARANCE
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, get_world
+from rover_rl.worlds import Terrain, World, get_world
 
 ROVER = get_robot("rover_zero")
 

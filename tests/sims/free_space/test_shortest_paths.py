@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from rover_rl import Terrain, World, box
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.path_grid import CAUTION_DISTANCE, PathGrid
-from rover_rl.sims.robots import get_robot
 
 ROVER = get_robot("rover_zero")
 POCKET = World(

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.sims.free_space.cell_grid import CellGrid, cells_of
 from rover_rl.sims.free_space.ground_limits import level_cells, rest_headings
 from rover_rl.sims.free_space.passages import headings_of_bins
 from rover_rl.sims.free_space.space import HEADINGS, distance_to_polygon
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
-from rover_rl.sims.worlds.region import overlap
+from rover_rl.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.worlds.region import overlap
 
 ROVER = get_robot("rover_zero")
 NAMES = ["inspect", "moon", "maze", "maze:1"]

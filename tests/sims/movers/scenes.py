@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Shape, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Shape, Waypoints
 
 SIZE = 24.0
 SHAPES: tuple[Shape, ...] = (Cylinder(0.25, 1.2), Box(0.5, 0.4, 0.8), Capsule(0.2, 1.6), Person(), Cylinder(0.3, 0.3))

@@ -10,12 +10,12 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.draw import draw_world
 from rover_rl.sims.movers.draw import draw_movers
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, get_world
-from rover_rl.sims.worlds.draw import draw_map
-from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Door, Mover, Person, Slider, Wander, Waypoints
+from rover_rl.worlds import Terrain, World, get_world
+from rover_rl.worlds.draw import draw_map
+from rover_rl.worlds.movers import Box, Cross, Cylinder, Door, Mover, Person, Slider, Wander, Waypoints
 
 LINE = Waypoints([(0.0, -3.0, 0.0, 0.0), (6.0, 3.0, 0.0, 0.0)])
 SIDE = 400

@@ -7,9 +7,9 @@ import math
 import pytest
 import torch
 
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Waypoints
-from tests.sims.drives.vehicles import make_car, make_omni
+from rover_rl.robots import Robot, get_robot
+from rover_rl.worlds.movers import Box, Cylinder, Mover, Waypoints
+from tests.robots.drives.vehicles import make_car, make_omni
 from tests.sims.movers.scenes import act, flat, going, opened
 
 ROVER = get_robot("rover_zero")

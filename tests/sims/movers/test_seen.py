@@ -10,8 +10,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rover_rl import LidarConfig, RoverEnv
-from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Waypoints
+from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Waypoints
 from tests.sims.movers.scenes import act, flat, opened
 
 BEAMS = 240

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.worlds import Terrain, World, get_world
+from rover_rl.worlds import Terrain, World, get_world
 from tests.sims.driven import ROVER, drive, in_world, placed
 
 pytest.importorskip("mujoco", reason="needs rover_rl[mujoco]")
 
+from rover_rl.native.mujoco import mujoco
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
-from rover_rl.sims.native.mujoco import mujoco
 
 MODEL = read_inertial_model(ROVER)
 

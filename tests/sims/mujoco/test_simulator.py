@@ -11,7 +11,7 @@ import torch
 from rover_rl import RoverEnv
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.mujoco import MujocoSettings
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.sims.driven import FLAT, all_rows, drive, placed, slope
 
 HILL = slope(math.degrees(math.atan(0.3)))
@@ -20,7 +20,7 @@ START = [(0.0, 0.0, 0.3)]
 
 
 def test_missing_mujoco_raises_with_install_command(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith(("rover_rl.sims.mujoco.", "rover_rl.sims.native."))]:
+    for name in [name for name in sys.modules if name.startswith(("rover_rl.sims.mujoco.", "rover_rl.native."))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"backend='mujoco' needs MuJoCo: pip install 'rover_rl\[mujoco\]'"):

@@ -12,8 +12,8 @@ from torch import Tensor
 from rover_rl import RoverEnv
 from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.sims.rendering.scenery import SUN
-from rover_rl.sims.worlds import Terrain, World
-from rover_rl.sims.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Shape, Waypoints
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers import Box, Capsule, Cylinder, Mover, Person, Shape, Waypoints
 
 SIZE = (320, 240)
 TALL = Cylinder(0.3, 1.5)

@@ -10,13 +10,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from rover_rl.robots import get_robot
+from rover_rl.rotations import quaternion_product, rotate
 from rover_rl.sims.rendering import launches
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.sims.rendering.scenery import SUN
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import quaternion_product, rotate
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.worlds import Terrain, World, box
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -184,8 +184,8 @@ for name in ("pybullet", "mujoco", "OpenGL", "glfw"):
     sys.modules[name] = None
 import torch
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.robots import get_robot
+from rover_rl.worlds import Terrain, World
 assert "warp" not in sys.modules and "trimesh" not in sys.modules
 pose = torch.tensor((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), dtype=torch.float64)
 world = World("flat", Terrain.flat((20, 20)))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from rover_rl.robots import get_robot
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.scenery import UNPAINTED
 from rover_rl.sims.rendering.surfaces import Surface
-from rover_rl.sims.robots import get_robot
 
 ROVER = get_robot("rover_zero")
 RED, BLUE = (0.8, 0.2, 0.2), (0.2, 0.2, 0.8)

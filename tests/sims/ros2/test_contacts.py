@@ -16,7 +16,7 @@ from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.contacts import contact_force, read_contacts
 from rover_rl.sims.ros2.messages import Contact, Contacts, Entity, JointWrench, Vector3, Wrench, decode, encode
 from rover_rl.sims.ros2.robot import RobotNode
-from rover_rl.sims.worlds.movers import Box
+from rover_rl.worlds.movers import Box
 from tests.sims.movers.scenes import going
 
 LIVE = Ros2Settings(reset="none", settle=0.05, step_timeout=20.0)

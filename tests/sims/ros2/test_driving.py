@@ -17,7 +17,7 @@ from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
 from rover_rl.sims.ros2.messages import LaserScan, Twist
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.algos.policy.memories import CountingPolicy
 from tests.sims.ros2.wire import SimulatedRobot, Wire
 

@@ -12,6 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rover_rl.rotations import quaternion_product
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.ros2.elevation_maps import elevation_map_message, read_elevation_map
 from rover_rl.sims.ros2.ground import sample
@@ -28,7 +29,6 @@ from rover_rl.sims.ros2.messages import (
     decode,
     encode,
 )
-from rover_rl.sims.rotations import quaternion_product
 
 CENTER, CELL = (3.0, -2.0), 0.5
 

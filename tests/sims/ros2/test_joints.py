@@ -12,7 +12,7 @@ from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.joints import joint_state_message, read_efforts
 from rover_rl.sims.ros2.messages import Header, JointState, decode, encode
 from rover_rl.sims.ros2.robot import RobotNode
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 LIVE = Ros2Settings(reset="none", settle=0.05, step_timeout=20.0)
 

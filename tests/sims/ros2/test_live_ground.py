@@ -14,6 +14,7 @@ from rover_rl import EnvConfig, RoverEnv
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import Lidar3D
 from rover_rl.envs.served_rover import ServedRover
+from rover_rl.rotations import quaternion_to_euler, rotate
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport
@@ -23,8 +24,7 @@ from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.pose_reset import TargetPose
 from rover_rl.sims.ros2.poses import IDENTITY_ORIENTATION, MeasuredPose, PoseEstimator
 from rover_rl.sims.ros2.robot import RobotNode
-from rover_rl.sims.rotations import quaternion_to_euler, rotate
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.sims.ros2.processes import until
 from tests.sims.ros2.wire import Rover
 

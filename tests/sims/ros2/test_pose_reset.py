@@ -11,7 +11,7 @@ import torch
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.messages import Point, Pose, PoseArray, Quaternion
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose, place_in_gazebo
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import ALL, Wire, drive, simulator, yaw_of
 
 START = torch.tensor([[-3.0, 4.0, 2.0]])

@@ -24,7 +24,7 @@ from rover_rl.sims.ros2.messages import (
     Vector3,
 )
 from rover_rl.sims.ros2.robot import RobotNode
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 from tests.sims.ros2.wire import Wire
 
 # A wall, a thin pole, a bar at a height of 0.8 m, and a man who walks from (-6, 4) to (-6, -4) within a minute.

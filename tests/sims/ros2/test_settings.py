@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
+from rover_rl.robots import get_robot
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.timing import MIN_REVERSAL
 

@@ -10,8 +10,8 @@ import torch
 from rover_rl import Randomization, RoverEnv, TaskConfig
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
 from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.robots import get_robot
 from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.messages import (
     Imu,
@@ -26,7 +26,7 @@ from rover_rl.sims.ros2.messages import (
     Vector3,
 )
 from rover_rl.sims.ros2.simulator import FROZEN_SCANS, Ros2Simulator
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
 POSE = torch.tensor([[1.0, 2.0, 0.5]])

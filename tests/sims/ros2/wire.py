@@ -12,9 +12,10 @@ import torch
 
 from rover_rl.envs import EnvConfig, LidarConfig, Randomization
 from rover_rl.envs.served_rover import ServedRover
+from rover_rl.robots import get_robot
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import make_simulator
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.messages import (
     Header,
@@ -36,8 +37,7 @@ from rover_rl.sims.ros2.messages import (
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.ros2.sensors import LatestMessages, ReceivedMessage
 from rover_rl.sims.ros2.simulator import Ros2Simulator
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.worlds import World, get_world
 
 BEAMS = 8
 ALL = torch.ones(1, dtype=torch.bool)

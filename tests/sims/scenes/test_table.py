@@ -9,7 +9,7 @@ import pytest
 
 from rover_rl import Terrain, World, box
 from rover_rl.sims.scenes.table import PackedScene
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 
 def yard(side: float = 1.0) -> World:

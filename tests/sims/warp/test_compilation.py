@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.warp.kernels import dynamics, lidar, placing
 
 HOPPER = 90

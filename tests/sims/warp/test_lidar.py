@@ -10,11 +10,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from rover_rl.native.warp import wp
+from rover_rl.robots import get_robot
+from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.bullet.lidar import Lidar
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
@@ -22,7 +22,7 @@ from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays
 from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.worlds import World, get_world
 
 ROVER = get_robot("rover_zero")
 WORLDS = ("inspect", "moon", "maze", "maze:3")

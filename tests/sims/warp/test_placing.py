@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
+from rover_rl.robots import get_robots
+from rover_rl.robots.fleet import Fleet
+from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.robots import get_robots
-from rover_rl.sims.robots.fleet import Fleet
-from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.simulator import WarpSimulator
-from rover_rl.sims.worlds import get_world
+from rover_rl.worlds import get_world
 
 ROBOTS = ("rover_zero", "leo", "jackal", "husky", "racer", "hunter")
 ROWS = 64

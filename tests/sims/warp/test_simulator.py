@@ -8,7 +8,7 @@ import torch
 
 from rover_rl import make_env
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.worlds import Terrain, World, boulder, get_world
+from rover_rl.worlds import Terrain, World, boulder, get_world
 from tests.sims.driven import ROVER, drive, in_world, placed
 
 

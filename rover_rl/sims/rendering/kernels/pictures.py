@@ -9,7 +9,7 @@ with the row ``first``.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.rendering.kernels.rays import (
     ROVER,
     SKY,

@@ -11,7 +11,7 @@ converts them.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.rendering.scenery import GRID, GROUND, HORIZON, SUN, ZENITH
 
 SCENERY = 0

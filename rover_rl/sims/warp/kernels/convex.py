@@ -16,7 +16,7 @@ of the base frame, origin at the center of mass). Lengths in m.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.types import RobotModel
 

@@ -26,7 +26,7 @@ CFM). It makes the load on four wheels well defined.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.contacts import (
     EXTRA_CONTACTS,

@@ -19,7 +19,7 @@ the origin at the lidar. Lengths in m, angles in turns of 2 pi.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.ground import ground_at
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.convex import max_separation_plane

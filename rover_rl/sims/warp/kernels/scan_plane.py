@@ -5,7 +5,7 @@ Frames and units are those of :mod:`rover_rl.sims.warp.kernels.lidar`.
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 SECTORS = 32
 """Sectors of a scan for which the farthest visible range is tracked."""

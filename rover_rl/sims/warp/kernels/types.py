@@ -5,7 +5,7 @@ Units are SI: m, s, kg, rad, N m, N s. :mod:`rover_rl.sims.warp.kernels` defines
 
 from __future__ import annotations
 
-from rover_rl.sims.native.warp import wp
+from rover_rl.native.warp import wp
 
 MAX_WHEELS = 6
 """Maximum number of wheels of a rover; sizes the arrays of a thread."""

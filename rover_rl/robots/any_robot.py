@@ -1,0 +1,153 @@
+"""``any:17``: a robot with random size, mass, wheels, limits and drive, of a family from small to large ones.
+
+Each seed is another robot. Lengths and masses cover those of the robots of the package. Seeds from 10,000 up are for
+evaluation, by the same convention as those of worlds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rover_rl.robots.description import Frame, Shape
+from rover_rl.robots.drives.ackermann import Ackermann
+from rover_rl.robots.drives.base import Drive, Wheels
+from rover_rl.robots.drives.skid_steer import SkidSteer
+from rover_rl.robots.robot import Robot
+from rover_rl.robots.urdf.body import Mass
+from rover_rl.robots.urdf.derived import Derived, Wheel, store
+
+CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
+FRICTION, GRAVITY = 0.5, 9.81
+"""Friction of the ground, whose limit the motors exceed, and gravity, m/s^2."""
+
+NIMBLE = 0.8
+"""Smallest radius of a turn up to which the lidar of a car may not see what is behind, m."""
+BODY, TIRE = (0.35, 0.55, 0.75), (0.12, 0.12, 0.13)
+"""Colors."""
+
+Box: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Center and size of a box, ``[3]`` each, m."""
+_Vector: TypeAlias = tuple[float, float, float]
+_HERE = Frame(np.zeros(3), np.eye(3))
+
+
+@lru_cache(maxsize=2048)
+def any_robot(seed: int = 0) -> Robot:
+    """Returns the robot of a seed: half of them are skid-steer, half are cars.
+
+    The wheelbase is 0.22 to 0.62 m, the mass 20 to 90 kg per square meter of its outline. Skid-steer robots drive up to
+    0.3 to 2 m/s, cars up to 0.6 to 3 m/s. Half of the lidars see a full turn, half 240 to 315 degrees; those of cars
+    with a wide turning circle see a full turn.
+
+    Example:
+        >>> robot = any_robot(0)
+        >>> robot.name, type(robot.drive).__name__
+        ('any:0', 'Ackermann')
+    """
+    draw = np.random.default_rng((0xA27, seed))
+    is_car = draw.random() < 0.5
+    base, track, radius = _wheels(draw)
+    width = draw.uniform(0.25, 0.6) * radius + 0.02
+    gap = 2 * width if is_car else 0.015
+    length = base * draw.uniform(0.9, 1.5) + 0.05
+    size = np.array((length, max(track - width - 2 * gap, 0.1), draw.uniform(0.5, 1.0) * radius + 0.06))
+    bottom = radius * draw.uniform(0.5, 1.0)
+    boxes = [_box(0.0, bottom, size)]
+    top = bottom + size[2]
+    if draw.random() < 0.5:
+        deck = max(top, 2 * radius + 0.02)
+        boxes.append(_box(0.0, deck, np.array((length, track + width, 0.03))))
+        top = deck + 0.03
+    lidar = (0.45 * length * draw.uniform(-0.4, 0.95), 0.0, float(top) + _log_uniform(draw, 0.04, 0.25))
+    # Encloses the lidar, so that its origin never enters an obstacle.
+    boxes.append(_box(lidar[0], top, np.array((0.06, 0.06, lidar[2] + 0.03 - top))))
+    mass = _log_uniform(draw, 20.0, 90.0) * max(length, base + 2 * radius) * (track + width)
+    center = np.array((base * draw.uniform(-0.08, 0.08), 0.0, bottom + 0.4 * size[2]))
+    wheel = mass * draw.uniform(0.02, 0.06)
+    drive = _car(draw, base, track, radius, mass) if is_car else _skid_steer(draw, base, track, radius, mass)
+    body = Mass(mass - 4 * wheel, center, (mass - 4 * wheel) / 12 * np.diag((size**2).sum() - size**2))
+    hubs = tuple((x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2))
+    derived = _derived(f"any_{seed}", boxes, body, Wheels(hubs, radius, width), wheel, lidar, is_car)
+    ranges: dict[str, Any] = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
+    # A car with a wide turning circle drives backward often.
+    wide = isinstance(drive, Ackermann) and base / math.tan(drive.max_steering) > NIMBLE
+    if draw.random() < 0.5 and not wide:
+        ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
+    return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, **ranges)
+
+
+def _box(x: float, bottom: float, size: np.ndarray) -> Box:
+    return np.array((x, 0.0, bottom + size[2] / 2)), size
+
+
+def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(draw.uniform(math.log(low), math.log(high)))
+
+
+def _wheels(draw: np.random.Generator) -> tuple[float, float, float]:
+    """Draws the wheelbase, the track and the radius of the wheels, m."""
+    base = _log_uniform(draw, 0.22, 0.62)
+    track = float(np.clip(base * draw.uniform(0.7, 1.5), 0.22, 0.6))
+    return base, track, float(np.clip(base * draw.uniform(0.16, 0.46), 0.05, 0.17))
+
+
+def _skid_steer(draw: np.random.Generator, base: float, track: float, radius: float, mass: float) -> Drive:
+    """Draws a skid-steer drive, whose controller knows the slip of its wheels up to a tenth."""
+    # Effective distance of wheels at the corners of a rectangle that slip by Coulomb's law.
+    separation = track * (1 + (base / track) ** 2) * draw.uniform(0.9, 1.1)
+    return SkidSteer(
+        left=("front_left_wheel", "rear_left_wheel"),
+        right=("front_right_wheel", "rear_right_wheel"),
+        separation=separation,
+        torque=draw.uniform(1.2, 2.5) * FRICTION * mass * GRAVITY / 4 * radius,
+        max_linear_acceleration=draw.uniform(2.0, 5.0),
+        max_angular_acceleration=draw.uniform(3.0, 6.0),
+        max_speed=_log_uniform(draw, 0.3, 2.0),
+        max_yaw_rate=_log_uniform(draw, 1.0, 5.0),
+    )
+
+
+def _car(draw: np.random.Generator, base: float, track: float, radius: float, mass: float) -> Drive:
+    """Draws an Ackermann drive, which turns about a point beside the car."""
+    sharpest = math.atan(base / (0.75 * track + 0.05))
+    return Ackermann(
+        knuckles=("front_left_knuckle", "front_right_knuckle"),
+        front=("front_left_wheel", "front_right_wheel"),
+        rear=("rear_left_wheel", "rear_right_wheel"),
+        max_steering=min(draw.uniform(0.4, 0.6), sharpest),
+        max_steering_rate=_log_uniform(draw, 0.7, 4.0),
+        torque=draw.uniform(1.2, 2.5) * FRICTION * mass * GRAVITY / 4 * radius,
+        max_linear_acceleration=draw.uniform(1.5, 2.0),
+        max_speed=_log_uniform(draw, 0.6, 3.0),
+        max_yaw_rate=_log_uniform(draw, 2.0, 6.0),
+    )
+
+
+def _derived(
+    name: str, boxes: Sequence[Box], body: Mass, wheels: Wheels, wheel_mass: float, lidar: _Vector, is_car: bool
+) -> Derived:
+    """Returns what the URDF states. Wheels are in the order of :data:`CORNERS`, and the front ones of a car steer."""
+    radius, width = wheels.radius, wheels.width
+    across, along = wheel_mass * (3 * radius**2 + width**2) / 12, wheel_mass * radius**2 / 2
+    knuckles = [f"{corner}_knuckle" if is_car and "front" in corner else None for corner in CORNERS]
+    names = [f"{corner}_wheel" for corner in CORNERS]
+    visuals = [(Frame(middle, np.eye(3)), Shape("box", _HERE, tuple(size), "", BODY)) for middle, size in boxes]
+    axle = Rotation.from_rotvec((math.pi / 2, 0, 0)).as_matrix()
+    tire = Shape("cylinder", _HERE, (radius, width), "", TIRE)
+    return Derived(
+        name=name,
+        body=body,
+        boxes=[(middle - size / 2, middle + size / 2) for middle, size in boxes],
+        wheels=[Wheel(*wheel) for wheel in zip(names, wheels.hubs, knuckles, strict=True)],
+        wheel=Mass(wheel_mass, np.zeros(3), np.diag((across, along, across))),
+        radius=radius,
+        width=width,
+        mounts={"lidar_link": lidar, "imu_link": (0.0, 0.0, float(boxes[0][0][2]))},
+        visuals=[*visuals, *((Frame(np.array(hub), axle), tire) for hub in wheels.hubs)],
+    )

@@ -1,0 +1,96 @@
+"""Mesh files that a URDF names: where they are, and what they hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import trimesh
+from trimesh.resolvers import FilePathResolver
+
+from rover_rl.native.output import logged
+from rover_rl.robots.expressions import FOUND_PACKAGE
+
+_PACKAGE = "package://"
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
+"""Name of a ROS package in its package.xml."""
+_UNIT = re.compile(rb"<unit[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)")
+"""Unit that a COLLADA file states, m."""
+
+
+def find_mesh(file: str, urdf: Path) -> Path:
+    """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
+    folder = urdf.resolve().parent
+    # Before xacro's expansion, $(find PACKAGE) stands for its folder.
+    file = FOUND_PACKAGE.sub(rf"{_PACKAGE}\2", file)
+    name = file.removeprefix("file://")
+    paths = [folder / name]
+    if file.startswith(_PACKAGE):
+        package, _, rest = file.removeprefix(_PACKAGE).partition("/")
+        paths = [
+            parent / rest for parent in (folder, *folder.parents) if package in (parent.name, _package_name(parent))
+        ]
+        paths += [parent / package / rest for parent in (folder, *folder.parents)]
+    if found := next((path for path in paths if path.is_file()), None):
+        return found
+    raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
+
+
+def _package_name(folder: Path) -> str:
+    """Returns the name of a ROS package in a folder; of another folder, nothing."""
+    try:
+        stated = _NAME.search((folder / "package.xml").read_text(errors="replace"))
+    except OSError:
+        return ""
+    return stated[1] if stated else ""
+
+
+def load_mesh(
+    path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0), lost: list[str] | None = None
+) -> list[trimesh.Trimesh]:
+    """Loads a mesh file in any format of trimesh, such as OBJ and STL, and scales it to meters.
+
+    A file may hold several meshes of different colors. If it names pictures or materials that cannot be read, ``lost``
+    gets a sentence.
+
+    Raises:
+        ValueError: if the file cannot be read, or has no triangles.
+    """
+    files = _Files(str(path.parent))
+    try:
+        with logged("trimesh") as messages:
+            meshes = trimesh.load_scene(path, resolver=files).dump()
+    # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
+    except Exception as error:
+        raise ValueError(f"cannot read the mesh {path}: {error}") from error
+    if lost is not None and (files.missing or messages):
+        reason = "they are missing" if files.missing else messages[0]
+        lost.append(f"the mesh {path.name} is read without {', '.join(files.missing) or 'its materials'}: {reason}")
+    meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise ValueError(f"the mesh {path} has no triangles")
+    unit = _collada_unit(path) if path.suffix.lower() == ".dae" else 1.0
+    return [mesh.apply_scale([unit * factor for factor in scale]) for mesh in meshes]
+
+
+class _Files(FilePathResolver):
+    """Files beside a mesh. Those of materials and pictures that are missing are empty."""
+
+    def __init__(self, folder: str) -> None:
+        super().__init__(folder)
+        self.missing: dict[str, None] = {}
+
+    def get(self, name: str) -> bytes:
+        """Returns the content of a file."""
+        try:
+            return bytes(super().get(name))
+        except OSError:
+            self.missing[name.strip()] = None
+            raise
+
+
+def _collada_unit(path: Path) -> float:
+    """Returns the unit of a COLLADA file, m, which trimesh does not apply."""
+    stated = _UNIT.search(path.read_bytes())
+    return float(stated[1]) if stated else 1.0

@@ -1,0 +1,109 @@
+"""What the readers find in a file, before it becomes a world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from rover_rl.worlds.files.options import MAX_SIZE
+from rover_rl.worlds.movers import Mover
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A solid or a surface.
+
+    Args:
+        name: name in the file, for messages and for the option ``ground``.
+        points: vertices in the frame of the piece, ``[V, 3]``. Copies of a mesh have the same ones.
+        faces: triangles ``[F, 3]``, in that frame counter-clockwise from outside. ``None``: the piece is the convex
+            hull of the points.
+        pose: affine transform from the frame of the piece to the world, ``[4, 4]``.
+
+    Attributes:
+        vertices: vertices in the world frame, ``[V, 3]``, m.
+    """
+
+    name: str
+    points: np.ndarray
+    faces: np.ndarray | None = None
+    pose: np.ndarray = field(default_factory=partial(np.eye, 4))
+    vertices: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", self.points @ self.pose[:3, :3].T + self.pose[:3, 3])
+        if not np.isfinite(self.vertices).all():
+            raise ValueError(f"{self.name} has a vertex that is NaN or infinite")
+        reach = np.abs(self.vertices).max(initial=0.0)
+        if reach > MAX_SIZE:
+            raise ValueError(
+                f"{self.name} reaches {reach:.3g} m from the origin; at most {MAX_SIZE:g} m are supported, so check "
+                "the unit and the scale"
+            )
+
+
+@dataclass(frozen=True)
+class Plane:
+    """An infinite plane of ground: a point (m), the upward unit normal, and the side lengths in the file (m)."""
+
+    point: np.ndarray
+    normal: np.ndarray
+    size: tuple[float, float]
+
+    @classmethod
+    def level(cls, height: float) -> Plane:
+        """Returns a horizontal plane."""
+        return cls(np.array((0.0, 0.0, height)), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Elevations on a regular grid, turned about z.
+
+    Args:
+        heights: elevations ``[rows, columns]``, m, with rows along +y. NaN: no ground.
+        cell: spacing ``(along x, along y)``, m.
+        origin: position of ``heights[0, 0]``, ``(x, y)``, m.
+        yaw: turn of the grid about ``origin``, rad.
+    """
+
+    heights: np.ndarray
+    cell: tuple[float, float]
+    origin: tuple[float, float]
+    yaw: float = 0.0
+
+
+@dataclass
+class Contents:
+    """Everything that a reader found in a file.
+
+    ``left_out`` says what was left out and why, and ``notes`` what else a user may want to know, one sentence each. The
+    first are told as warnings. ``wrong`` has the errors of the parts that cannot be read, and are left out as well.
+    """
+
+    name: str
+    pieces: list[Piece] = field(default_factory=list)
+    planes: list[Plane] = field(default_factory=list)
+    grids: list[Grid] = field(default_factory=list)
+    movers: list[Mover] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    wrong: list[ValueError] = field(default_factory=list)
+
+    @contextmanager
+    def leaving_out(self, name: str = "") -> Iterator[None]:
+        """Context in which the part of a name is read, which is left out if it is wrong."""
+        try:
+            yield
+        except ValueError as error:
+            self.wrong.append(error if name in str(error) else ValueError(f"{name}: {error}"))
+
+
+def listed(names: Iterable[str], most: int = 8) -> str:
+    """Returns names as text, shortened after ``most``."""
+    names = list(dict.fromkeys(names))
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

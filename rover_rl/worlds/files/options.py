@@ -1,0 +1,137 @@
+"""Options of the importers of world files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeAlias, Union, get_args
+
+import numpy as np
+
+from rover_rl.option_names import written
+from rover_rl.worlds.region import Area
+
+MAX_SIZE = 10_000.0
+"""Largest distance of anything in an imported world from the origin, m."""
+
+Missing = Literal["error", "skip"]
+Unknown = Literal["open", "wall", "free"]
+Up = Literal["auto", "x", "y", "z"]
+Place: TypeAlias = Union[Area, tuple[float, float], list[tuple[float, float]]]  # noqa: UP007
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of :meth:`rover_rl.World.from_file`. An option without meaning for a format has no effect.
+
+    Args:
+        name: name of the world. ``None``: that in the file, else the file's name.
+        spawn_range: area in which episodes start: a rectangle ``((x_low, x_high), (y_low, y_high))``, the corners
+            ``[(x, y), ...]`` of a polygon, or a point ``(x, y)``, which stands for the room around it up to the
+            doorways, m. ``None``: automatic.
+        goal_range: area of the goals, in the same forms. ``None``: ``spawn_range``.
+        bounds: area whose exit ends the episode. ``None``: automatic.
+        cell: spacing of the ground's grid, m. ``None``: that of the elevation data, or for meshes the coarsest of 0.1,
+            0.05 and 0.025 m whose error is at most 1 cm for 99 % of the ground.
+        missing: what happens with models and meshes that are not found: ``"error"``, or ``"skip"`` with a warning.
+        model_paths: folders with models, for ``model://NAME``, before those of the environment variables.
+        visuals: take the visual geometry of links that have no collision geometry.
+        ground: parts of a mesh file, or models and links of an SDF file, that are ground: ``"auto"``, ``"none"``, or
+            patterns such as ``"terrain*"``, separated by commas.
+        up: axis of a mesh file that points up. ``"auto"``: that of the format (glTF: y; COLLADA: in the file; else z).
+        scale: factor from the lengths of a mesh file to meters, on top of the unit in the file.
+        obstacle_error: accepted distance between an obstacle and the convex solids that replace it, m.
+        pixel: size of a pixel of an elevation image or array, m. ``None``: that of the GeoTIFF.
+        height: elevation of white in an 8 or 16 bit image, m; factor for the values of other files.
+        unknown: meaning of an occupancy grid's unknown cells: ``"open"`` (no wall, and automatic areas leave them
+            out), ``"wall"`` or ``"free"``.
+        wall_height: height of the walls of an occupancy grid, m.
+
+    Raises:
+        ValueError: for a value out of range.
+    """
+
+    name: str | None = None
+    spawn_range: Place | None = None
+    goal_range: Place | None = None
+    bounds: Area | None = None
+    cell: float | None = None
+    missing: Missing = "error"
+    model_paths: tuple[str, ...] = ()
+    visuals: bool = True
+    ground: str = "auto"
+    up: Up = "auto"
+    scale: float = 1.0
+    obstacle_error: float = 0.02
+    pixel: float | None = None
+    height: float | None = None
+    unknown: Unknown = "open"
+    wall_height: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("missing", Missing), ("unknown", Unknown), ("up", Up)):
+            if getattr(self, name) not in get_args(allowed):
+                raise ValueError(f"{written(name)} must be one of {[*get_args(allowed)]}, got {getattr(self, name)!r}")
+        ranges = {
+            "cell": (0.005, 100.0),
+            "scale": (1e-6, 1e6),
+            "obstacle_error": (0.001, 1.0),
+            "pixel": (1e-4, 1000.0),
+            "height": (-MAX_SIZE, MAX_SIZE),
+            "wall_height": (0.01, 1000.0),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if value is not None and not low <= _number(name, value) <= high:
+                raise ValueError(f"{written(name)} must be from {low:g} to {high:g}, got {value}")
+        for name, read in (("spawn_range", _place), ("goal_range", _place), ("bounds", _area)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, read(name, getattr(self, name)))
+        paths = (self.model_paths,) if isinstance(self.model_paths, str) else self.model_paths
+        object.__setattr__(self, "model_paths", tuple(str(path) for path in paths))
+
+
+def make_options(given: dict[str, Any]) -> ImportOptions:
+    """Returns options by name."""
+    known = [field.name for field in fields(ImportOptions)]
+    if unknown := sorted(set(given) - set(known)):
+        raise ValueError(f"unknown options of a world file: {unknown}; use some of {known}")
+    return ImportOptions(**given)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{name} must be a number, got {value!r}")
+    return float(value)
+
+
+def _numbers(place: Any) -> np.ndarray:
+    """Returns the numbers of a place, an array of no shape that is allowed if there are others."""
+    try:
+        return np.array(place, dtype=float)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def _place(name: str, place: Any) -> Place:
+    """Returns a rectangle, a polygon of at least three corners, or a point."""
+    numbers = _numbers(place)
+    if numbers.shape == (2, 2):
+        return _area(name, place)
+    if numbers.shape != (2,) and (numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3):
+        raise ValueError(
+            f"{written(name)} must be a rectangle ((x_low, x_high), (y_low, y_high)), a polygon [(x, y), ...] or a "
+            f"point (x, y), got {place}"
+        )
+    if not (np.abs(numbers) <= MAX_SIZE).all():
+        raise ValueError(f"{written(name)} must lie within {MAX_SIZE:g} m, got {place}")
+    points = [(float(x), float(y)) for x, y in numbers.reshape(-1, 2)]
+    return points if numbers.ndim == 2 else points[0]
+
+
+def _area(name: str, area: Any) -> Area:
+    numbers = _numbers(area)
+    if numbers.shape != (2, 2) or not ((np.abs(numbers) <= MAX_SIZE).all() and (numbers[:, 0] < numbers[:, 1]).all()):
+        form = "((x_low, x_high), (y_low, y_high))"
+        raise ValueError(f"{written(name)} must be {form} within {MAX_SIZE:g} m, got {area}")
+    x, y = numbers.tolist()
+    return tuple(x), tuple(y)

@@ -1,0 +1,82 @@
+"""Parts of layouts: difficulties, smooth height fields, open ground, and enclosing walls."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import label
+
+from rover_rl.worlds.obstacles import Obstacle, boxes
+from rover_rl.worlds.terrain import MAX_SLOPE
+
+DEFAULT = 0.5
+WALL_THICKNESS, WALL_HEIGHT = 0.2, 2.0
+"""Of the walls around a floor, m."""
+
+
+def scaled(difficulty: float, easy: float, default: float, hard: float) -> float:
+    """Returns a parameter at a difficulty, piecewise linear between its values at 0, 0.5 (exact) and 1."""
+    if not 0 <= difficulty <= 1:
+        raise ValueError(f"difficulty must be a number from 0 to 1, got {difficulty}")
+    if difficulty == DEFAULT:
+        return default
+    share = abs(difficulty - DEFAULT) / DEFAULT
+    return default + share * ((hard if difficulty > DEFAULT else easy) - default)
+
+
+def relief(
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    cell: float,
+    wavelengths: tuple[float, float],
+    steepness: float = 2.0,
+) -> np.ndarray:
+    """Samples random heights with mean 0 and standard deviation 1 from a power-law spectrum: ``[rows, columns]``.
+
+    Args:
+        rng: random number generator.
+        shape: number of rows and columns.
+        cell: spacing of the grid, m.
+        wavelengths: shortest and longest wavelength, m. The spectrum is cut off smoothly at the shortest.
+        steepness: exponent of the spectrum: amplitudes are proportional to ``wavelength ** steepness``. 2 gives
+            rolling hills, 1.5 rough ground.
+    """
+    shortest, longest = wavelengths
+    spectrum = np.fft.rfft2(rng.standard_normal(shape))
+    waves = np.hypot(np.fft.fftfreq(shape[0], cell)[:, None], np.fft.rfftfreq(shape[1], cell))
+    gain = np.maximum(waves, 1 / longest) ** -steepness * np.exp(-0.5 * (waves * shortest) ** 4)
+    gain[waves < 1 / longest] = 0.0
+    heights = np.fft.irfft2(spectrum * gain, s=shape)
+    return (heights - heights.mean()) / heights.std()
+
+
+def smoothstep(t: np.ndarray) -> np.ndarray:
+    """Returns a smooth transition from 0 at ``t <= 0`` to 1 at ``t >= 1``."""
+    t = np.clip(t, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def largest_part(open_cells: np.ndarray, inside: np.ndarray) -> tuple[float, float]:
+    """Returns how much of an area ``inside`` the largest part of open cells covers, as a fraction of two counts.
+
+    The part's cells in the area are divided by the open cells in the area, and by all cells in the area.
+    """
+    counts = np.bincount(label(open_cells)[0][inside])
+    largest = counts[1:].max(initial=0)
+    return float(largest / max(counts[1:].sum(), 1)), float(largest / counts.sum())
+
+
+def gentle_cells(heights: np.ndarray, cell: float) -> np.ndarray:
+    """Returns which cells have no triangle steeper than :data:`MAX_SLOPE`: bool ``[rows - 1, columns - 1]``."""
+    along_x, along_y = np.diff(heights, axis=1), np.diff(heights, axis=0)
+    lower, upper = np.hypot(along_x[:-1], along_y[:, :-1]), np.hypot(along_x[1:], along_y[:, 1:])
+    return np.maximum(lower, upper) <= math.tan(MAX_SLOPE) * cell
+
+
+def enclosing_walls(side: float) -> tuple[Obstacle, ...]:
+    """Creates four walls just outside a square floor around the origin, so that all of the floor is free."""
+    middle, length = (side + WALL_THICKNESS) / 2, side + 2 * WALL_THICKNESS
+    centers = np.array([(0, -middle), (0, middle), (-middle, 0), (middle, 0)])
+    along_x, along_y = (length, WALL_THICKNESS, WALL_HEIGHT), (WALL_THICKNESS, length, WALL_HEIGHT)
+    return boxes(np.column_stack((centers, np.full(4, WALL_HEIGHT / 2))), [along_x, along_x, along_y, along_y])

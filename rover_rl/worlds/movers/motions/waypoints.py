@@ -1,0 +1,136 @@
+"""``Waypoints``: a path that is given by keyframes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, Literal, TypeAlias, get_args
+
+import torch
+from torch import Tensor
+
+from rover_rl.rng import to_unit
+from rover_rl.rotations import wrap_angle
+from rover_rl.worlds.movers.motions.base import Courses, Motion, Scene
+
+Keyframe: TypeAlias = tuple[float, float, float, float]
+Repeat: TypeAlias = Literal["once", "loop", "back_and_forth"]
+
+
+@dataclass(frozen=True)
+class Waypoints(Motion):
+    """A path from keyframe to keyframe, at constant speed between two of them.
+
+    The position at a time depends on nothing else, unless ``random_start`` is set. Before the first keyframe and after
+    the last one of ``"once"``, the mover rests.
+
+    Args:
+        keys: keyframes: time (s), x, y (m) and yaw (rad). Times start at 0 or later, in ascending order; two at the
+            same time are a jump. The yaw takes the shortest way to that of the next keyframe.
+        repeat: ``"once"``, ``"loop"`` (begins again at the first keyframe, at once) or ``"back_and_forth"``.
+        delay: time before the first keyframe's time 0, s.
+        random_start: whether each episode starts at a random time of the path.
+
+    Raises:
+        ValueError: if there is no keyframe, a number is not finite, or the times are not in order.
+    """
+
+    is_foreseen: ClassVar[bool] = True
+
+    keys: Sequence[Keyframe]
+    repeat: Repeat = "loop"
+    delay: float = 0.0
+    random_start: bool = False
+
+    def __post_init__(self) -> None:
+        keys = tuple(tuple(float(number) for number in key) for key in self.keys)
+        object.__setattr__(self, "keys", keys)
+        if not keys or any(len(key) != 4 or not all(map(math.isfinite, key)) for key in keys):
+            raise ValueError(f"keyframes must be finite (time, x, y, yaw), at least one, got {self.keys}")
+        times = [key[0] for key in keys]
+        if times[0] < 0 or any(b < a for a, b in pairwise(times)):
+            raise ValueError(f"the times of keyframes must be at least 0 and in ascending order, got {times}")
+        if self.repeat not in get_args(Repeat):
+            raise ValueError(f"repeat must be one of {get_args(Repeat)}, got {self.repeat!r}")
+        if self.repeat == "loop" and len(keys) > 1 and times[-1] <= 0:
+            raise ValueError(f"the period of a loop must be positive, got {times[-1]}")
+        if not (math.isfinite(self.delay) and self.delay >= 0):
+            raise ValueError(f"delay must be at least 0, got {self.delay}")
+
+    def first_point(self) -> tuple[float, float] | None:
+        """Returns the first point, unless the start is random."""
+        return None if self.random_start else self.keys[0][1:3]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Returns the legs that begin at the keyframes ``[K, 8]``, and what else the position depends on.
+
+        A leg has the time, x, y and yaw of its keyframe, its duration, and the rates of x, y and yaw.
+        """
+        keys = torch.tensor(self.keys, dtype=torch.float64)
+        change = torch.cat((keys[1:] - keys[:-1], torch.zeros(1, 4, dtype=torch.float64)))
+        change[:, 3] = wrap_angle(change[:, 3])
+        span = change[:, :1]
+        return {
+            "keys": torch.cat((keys, span, change[:, 1:] / span.clamp(min=1e-9)), 1),
+            "count": torch.tensor(len(keys)),
+            "period": keys[-1, 0].clone(),
+            "repeat": torch.tensor(float(get_args(Repeat).index(self.repeat)), dtype=torch.float64),
+            "delay": torch.tensor(self.delay, dtype=torch.float64),
+            "random_start": torch.tensor(float(self.random_start), dtype=torch.float64),
+        }
+
+    @classmethod
+    def begin(cls, scene: Scene) -> Courses:
+        """Starts at time 0, or at a random time, which the clock keeps."""
+        settings = scene.settings
+        cycle = torch.where(settings["repeat"] == 2, 2 * settings["period"], settings["period"])
+        offset = settings["random_start"] * cycle * to_unit(scene.bits(1)[..., 0])
+        return cls._at(scene, offset.to(scene.course.clock.dtype), scene.course)
+
+    @classmethod
+    def advance(cls, scene: Scene) -> Courses:
+        """Moves along the path."""
+        return cls._at(scene, scene.course.clock, scene.course)
+
+    @classmethod
+    def _at(cls, scene: Scene, offset: Tensor, course: Courses) -> Courses:
+        """Returns the course at the time of the scene plus an offset ``[N, M]``."""
+        settings = scene.settings
+        keys, period = settings["keys"], settings["period"]
+        time = (scene.time + offset - settings["delay"]).clamp(min=0)
+        whole = period.clamp(min=1e-6)
+        folded = torch.remainder(time, 2 * whole)
+        time = torch.where(
+            settings["repeat"] == 0,
+            time,
+            torch.where(
+                settings["repeat"] == 1,
+                torch.where(folded < whole, folded, folded - whole),
+                torch.minimum(folded, 2 * whole - folded),
+            ),
+        )
+        # The leg of the last keyframe that is not later.
+        numbers = torch.arange(keys.shape[-2], device=keys.device)
+        passed = (keys[..., 0] <= time[..., None]) & (numbers < settings["count"][..., None])
+        last = (passed.sum(-1) - 1).clamp(min=0)
+        # Rows of a matrix are selected much faster than gathered.
+        first = torch.arange(last.numel(), device=keys.device).reshape(last.shape) * keys.shape[-2]
+        leg = keys.flatten(0, -2)[first + last]
+        begin, span, way = leg[..., 0], leg[..., 4], leg[..., 5:7]
+        passed_time = torch.minimum((time - begin).clamp(min=0), span)
+        position = leg[..., 1:3] + passed_time[..., None] * way
+        # Backward on the way back, and at rest at the ends.
+        returns = (settings["repeat"] == 2) & (folded > whole)
+        heading = torch.where(returns, -1.0, 1.0)[..., None] * ((passed_time > 0) & (passed_time < span))[..., None]
+        yaw = leg[..., 3] + passed_time * leg[..., 7]
+        position = position.to(course.position.dtype)
+        return Courses(
+            position=position,
+            yaw=yaw.to(course.yaw.dtype),
+            velocity=(way * heading).to(course.velocity.dtype),
+            goal=course.goal,
+            clock=offset,
+            draws=course.draws,
+        )

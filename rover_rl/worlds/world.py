@@ -1,0 +1,186 @@
+"""World: terrain, obstacles, and areas of the task."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from rover_rl.worlds.movers.motions.waypoints import Waypoints
+from rover_rl.worlds.movers.mover import MAX_MOVERS, Mover
+from rover_rl.worlds.obstacles import Obstacle
+from rover_rl.worlds.region import Area, Range, Region, expanded, overlap
+from rover_rl.worlds.terrain import Terrain
+
+__all__ = ["Area", "Range", "World", "Worlds"]
+
+
+class Worlds(Protocol):
+    """Worlds by index: a list of them, or a :class:`~rover_rl.worlds.pool.WorldPool`."""
+
+    def __getitem__(self, index: int, /) -> World:
+        """Returns the world with an index."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Terrain, obstacles, and areas of the task.
+
+    Areas have the form ``((x_low, x_high), (y_low, y_high))``, in meters.
+
+    Args:
+        name: name of the world, used in messages and in the pose service ``/world/<name>/set_pose`` of a live
+            simulator.
+        terrain: ground of the world.
+        obstacles: static convex solids on the ground.
+        spawn_range: area in which episodes start. ``None`` is that of ``spawn_region``, or without one the terrain
+            less 1 m on every side.
+        goal_range: area of the goals. ``None`` is that of ``goal_region``, or without one ``spawn_range``.
+        bounds: area whose exit ends the episode (``out_of_bounds``). ``None`` is the extent of the terrain.
+        spawn_height: height at which a live simulator drops the rover, as the original environment does, m.
+        spawn_height_areas: ``(area, height)`` pairs with other drop heights. The first area that contains a point
+            applies.
+        notes: what an importer has to say about the world, such as the error of the ground.
+        spawn_region: part of ``spawn_range`` in which episodes start, such as the rooms of a building. ``None``
+            is all of it.
+        goal_region: part of ``goal_range`` that may contain goals. ``None`` is ``spawn_region`` if there is no
+            ``goal_range`` either, and otherwise all of ``goal_range``.
+        movers: obstacles and people that move.
+
+    Raises:
+        ValueError: if the ends of an area are not in order, the spawn or goal area exceeds ``bounds``, there are too
+            many movers, or one starts inside an obstacle.
+
+    Example:
+        >>> import numpy as np
+        >>> from rover_rl.worlds import Terrain, World, box
+        >>> hills = Terrain(0.1 * np.random.default_rng(0).standard_normal((41, 41)), cell=0.5)
+        >>> world = World("hills", hills, [box((3, 0, 0.5), (1, 1, 1)), box((-3, 2, 0.5), (1, 2, 1))])
+        >>> world.spawn_range
+        ((-9.0, 9.0), (-9.0, 9.0))
+    """
+
+    name: str
+    terrain: Terrain
+    obstacles: Sequence[Obstacle] = ()
+    # Never None after __post_init__.
+    spawn_range: Area = None  # type: ignore[assignment]
+    goal_range: Area = None  # type: ignore[assignment]
+    bounds: Area = None  # type: ignore[assignment]
+    spawn_height: float = 0.75
+    spawn_height_areas: tuple[tuple[Area, float], ...] = ()
+    notes: tuple[str, ...] = ()
+    spawn_region: Region | None = None
+    goal_region: Region | None = None
+    movers: Sequence[Mover] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "movers", tuple(self.movers))
+        object.__setattr__(self, "bounds", self.bounds or self.terrain.extent)
+        self._complete_areas()
+        for field in ("bounds", "spawn_range", "goal_range"):
+            area = getattr(self, field)
+            message = f"{field} of world {self.name!r} must"
+            if any(not low < high for low, high in area):
+                raise ValueError(f"{message} be ((x_low, x_high), (y_low, y_high)), got {area}")
+            if any(a[0] < b[0] or a[1] > b[1] for a, b in zip(area, self.bounds, strict=True)):
+                raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
+        self._check_movers()
+
+    def _check_movers(self) -> None:
+        if len(self.movers) > MAX_MOVERS:
+            raise ValueError(f"world {self.name!r} may have at most {MAX_MOVERS} movers, got {len(self.movers)}")
+        through = []
+        for mover in self.movers:
+            start = mover.motion.first_point()
+            if start is None:
+                continue
+            point = torch.tensor(start, dtype=torch.float64)
+            middle = torch.cat((point, self.height_at(point)[None] + 0.1))
+            if not any(obstacle.contains(middle) for obstacle in self.obstacles):
+                continue
+            if not isinstance(mover.motion, Waypoints):
+                raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
+            through.append(mover.name)
+        if through:
+            # The worlds of others have such paths, and movers of any path pass through obstacles.
+            warnings.warn(
+                f"{self.name}: movers start inside an obstacle, and pass through it: {', '.join(through)}", stacklevel=4
+            )
+
+    def _complete_areas(self) -> None:
+        """Fills in the areas that were not given."""
+        spawn, goal = self.spawn_region, self.goal_region
+        if goal is None and self.goal_range is None:
+            goal = spawn
+        spawn_range = (
+            self.spawn_range or (spawn and overlap(spawn.bounds, self.bounds)) or expanded(self.terrain.extent, -1)
+        )
+        goal_range = self.goal_range or (goal and overlap(goal.bounds, self.bounds)) or spawn_range
+        for name, value in (("goal_region", goal), ("spawn_range", spawn_range), ("goal_range", goal_range)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_file(cls, path: str | Path, **options: Any) -> World:
+        """Imports a world from a file. Coordinates stay those of the file.
+
+        Args:
+            path: SDF world or model (``.sdf``, ``.world``), mesh (``.obj``, ``.stl``, ``.dae``, ``.glb``, ``.gltf``,
+                ``.ply``), elevation model (``.tif``, ``.png``, ``.npy``), ROS map (``.yaml``), or a file of
+                :meth:`save`.
+            **options: fields of :class:`rover_rl.worlds.files.options.ImportOptions`, such as ``spawn_range`` and
+                ``missing="skip"``.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ImportError: if a package of the extra ``worlds`` is missing.
+            ValueError: if the file or an option is wrong. The message is one sentence.
+        """
+        from rover_rl.worlds.files.read import read_world
+
+        return cls(**read_world(Path(path), **options))
+
+    def save(self, path: str | Path) -> None:
+        """Writes the world to a file that :meth:`from_file` reads without any extra.
+
+        Args:
+            path: new file, whose name ends in ``.world.npz``.
+
+        Raises:
+            OSError: if the file cannot be written.
+            ValueError: if the name has another ending.
+        """
+        from rover_rl.worlds.files.archive import write_archive
+
+        write_archive(self, Path(path))
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Returns the height of the ground (m) at points ``xy [..., 2]``, without obstacles: ``[...]``."""
+        return self.terrain.height_at(xy)
+
+    def normal_at(self, xy: Tensor) -> Tensor:
+        """Returns the upward unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
+        return self.terrain.normal_at(xy)
+
+    def inside(self, points: Tensor) -> Tensor:
+        """Returns which of ``points [..., 3]`` (m) are below the ground or inside an obstacle: bool ``[...]``."""
+        inside = points[..., 2] < self.height_at(points[..., :2])
+        for obstacle in self.obstacles:
+            inside = inside | obstacle.contains(points)
+        return inside
+
+    def drop_height(self, xy: Tensor) -> Tensor:
+        """Returns the height (m) at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
+        height = torch.full_like(xy[..., 0], self.spawn_height)
+        for ((x_low, x_high), (y_low, y_high)), other in reversed(self.spawn_height_areas):
+            x, y = xy[..., 0], xy[..., 1]
+            within = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+            height = torch.where(within, torch.full_like(height, other), height)
+        return height

@@ -1,0 +1,99 @@
+"""The URDF parser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rover_rl.native.bullet import disconnect, pybullet
+from rover_rl.robots import get_robot
+from rover_rl.robots.description import Description
+
+CHAIN = """<?xml version="1.0"?>
+<robot name="chain">
+  <link name="end"/>
+  <link name="base"/>
+  <link name="middle"/>
+  <link name="moving"/>
+  <joint name="second" type="fixed">
+    <parent link="middle"/><child link="end"/><origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 0.6"/>
+  </joint>
+  <joint name="first" type="fixed">
+    <parent link="base"/><child link="middle"/><origin xyz="1 2 3" rpy="-0.7 0.8 0.9"/>
+  </joint>
+  <joint name="turning" type="continuous">
+    <parent link="base"/><child link="moving"/><origin xyz="0 0 1"/>
+  </joint>
+</robot>
+"""
+
+
+def test_poses_of_fixed_links_agree_with_bullet(tmp_path):
+    path = tmp_path / "chain.urdf"
+    path.write_text(CHAIN)
+    description = Description(path)
+    assert description.base == "base"
+    assert set(description.fixed) == {"base", "middle", "end"}
+    client = pybullet.connect(pybullet.DIRECT)
+    body = pybullet.loadURDF(str(path), physicsClientId=client)
+    for link in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        name = pybullet.getJointInfo(body, link, physicsClientId=client)[12].decode()
+        if name != "moving":
+            position, orientation = pybullet.getLinkState(body, link, physicsClientId=client)[4:6]
+            frame = description.fixed[name]
+            np.testing.assert_allclose(frame.position, position, atol=1e-6)
+            np.testing.assert_allclose(frame.rotation.ravel(), pybullet.getMatrixFromQuaternion(orientation), atol=1e-6)
+    disconnect([client])
+
+
+def test_masses_shapes_and_joints_of_rover_zero():
+    description = Description(get_robot("rover_zero").urdf)
+    assert len(description.links) == 8
+    wheel = description.links["rear_left_wheel_link"]
+    assert wheel.inertial.mass == 1.25
+    np.testing.assert_array_equal(np.diag(wheel.inertial.inertia), (0.005645, 0.01008, 0.005645))
+    (shape,) = wheel.shapes
+    assert (shape.kind, shape.sizes) == ("cylinder", (0.122, 0.09))
+    np.testing.assert_allclose(shape.frame.rotation[:, 2], (0, -1, 0), atol=1e-12)
+    joint = description.joints["rear_left_wheel"]
+    assert (joint.kind, joint.parent, joint.child) == ("continuous", "base_link", "rear_left_wheel_link")
+    np.testing.assert_array_equal(joint.axis, (0, 1, 0))
+    assert description.links["base_link"].inertial.inertia[2, 0] == 0.0017
+    np.testing.assert_array_equal(description.fixed["payload_link"].position, (0.012, 0, 0.275))
+
+
+A = "<robot><link name='a'/>"
+INVALID = [
+    ("", r"it is not XML \(no element found"),
+    ("wheels: 4", "it is not XML"),
+    ("<robot/>", "it has no links"),
+    ("<sdf><model><link name='a'/></model></sdf>", "it is an SDF model; a URDF is needed"),
+    ("<robot><link/></robot>", "link has no name"),
+    (f"{A}<link name='a'/></robot>", "two links are named 'a'"),
+    (f"{A}<link name='b'/></robot>", r"one link must be the child of no joint, it has \['a', 'b'\]"),
+    (
+        f"{A}<joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint></robot>",
+        r"a joint names link 'b', its links are \['a'\]",
+    ),
+    (f"{A}<joint name='j' type='fixed'><parent link='a'/></joint></robot>", "joint 'j': joint has no child"),
+    (
+        "<robot><link name='a'><inertial><mass value='nan'/><inertia/></inertial></link></robot>",
+        "link 'a': value of mass must be a finite number, got 'nan'",
+    ),
+    (
+        "<robot><link name='a'><inertial><mass value='1'/><inertia/><origin xyz='1 2'/></inertial></link></robot>",
+        "link 'a': xyz of origin must be 3 finite numbers, got '1 2'",
+    ),
+    (
+        "<robot><link name='a'><collision><geometry/></collision></link></robot>",
+        "link 'a': a collision shape has an empty geometry",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), INVALID)
+def test_an_invalid_urdf_raises(tmp_path, text, message):
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"^{message}"):
+        Description(path)

@@ -1,0 +1,120 @@
+"""Validation of a robot's parameters, and its footprint."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.drives import SkidSteer
+from rover_rl.robots.footprint import covering_discs, footprint
+
+ROVER = get_robot("rover_zero")
+DRIVE = ROVER.drive
+
+
+def test_a_robot_is_read_from_its_urdf():
+    robot = Robot.from_urdf(ROVER.urdf, drive=DRIVE, collision_range=0.3)
+    assert robot == ROVER
+    assert robot.name == "rover_zero"
+    assert (robot.wheels.radius, robot.wheels.width) == (0.122, 0.09)
+    assert robot.wheels.hubs[:2] == ((0.1415, 0.18, 0.125), (-0.145, 0.18, 0.125))
+    assert robot.lidar_position == (0.174, 0.0, 0.321)
+    assert robot.imu_position == (0.0, 0.0, 0.221)
+    # The corners of the wheels are 0.349 m from the origin.
+    assert (robot.lidar_range, robot.radius) == (12.0, 0.35)
+    assert (DRIVE.separation, DRIVE.max_linear_acceleration, DRIVE.max_angular_acceleration) == (0.24, 5.0, 4.0)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, nan, inf])
+def test_lengths_and_limits_must_be_positive(value):
+    for field in ("lidar_range", "radius"):
+        with pytest.raises(ValueError, match=f"^{field} of robot 'rover_zero' must be a positive number, got {value}$"):
+            replace(ROVER, **{field: value})
+    for field in ("torque", "max_linear_acceleration", "max_yaw_rate", "separation"):
+        with pytest.raises(ValueError, match=f"^{field} of a drive must be a positive number, got {value}$"):
+            replace(DRIVE, **{field: value})
+
+
+@pytest.mark.parametrize("field", ["lidar", "imu"])
+@pytest.mark.parametrize("value", [(0.1, nan, 0.2), (inf, 0.0, 0.0), (0.1, 0.2)])
+def test_sensor_positions_must_be_finite(field, value):
+    with pytest.raises(ValueError, match=f"{field} must have finite coordinates .*, got "):
+        replace(ROVER, **{field: value})
+
+
+def test_an_unknown_link_of_a_sensor_raises_with_the_links():
+    with pytest.raises(ValueError, match="lidar must be a position .* one of the links .*'lidar_link'.*, got 'mast'"):
+        replace(ROVER, lidar="mast")
+
+
+@pytest.mark.parametrize(
+    "wheels",
+    [{"left": (), "right": ("a", "b")}, {"left": ("a", "a"), "right": ("b",)}, {"left": ("a",), "right": ("a",)}],
+)
+def test_each_motor_must_have_separate_wheels(wheels):
+    with pytest.raises(ValueError, match="each motor .* must have a wheel, and each joint must be named once, got"):
+        SkidSteer(torque=1.0, **wheels)
+
+
+def test_a_missing_urdf_raises():
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
+        replace(ROVER, urdf="nowhere.urdf")
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
+        Robot.from_urdf("nowhere.urdf", drive=DRIVE)
+
+
+WEAK = replace(DRIVE, torque=0.1)
+REFUSED = [
+    ({"radius": 0.2}, r"^radius of robot 'rover_zero' is 0.2 m, and its body and wheels reach 0.267 m .* 0.349 m"),
+    ({"lidar": (0.6, 0.0, 0.3)}, r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its"),
+    ({"lidar": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
+    ({"drive": WEAK}, r"push with 3.28 N \(4 x 0.1 N m on a radius of 0.122 m\), and it has .* kg: it cannot"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_a_robot_that_cannot_drive_is_refused_with_numbers(changes, message):
+    with pytest.raises(ValueError, match=message) as error:
+        replace(ROVER, **changes)
+    assert "\n" not in str(error.value)
+
+
+UNUSUAL = [
+    ({"radius": 0.3}, r"radius of robot 'rover_zero' is 0.3 m, and its corners are 0.349 m from the origin"),
+    ({"lidar": (0.3, 0.0, 0.3)}, r"0.0365 m outside of its body: check lidar"),
+    ({"drive": replace(DRIVE, torque=0.5)}, r"push with 16.4 N .* it cannot climb a slope of more than \d+ degrees"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), UNUSUAL)
+def test_an_unusual_robot_is_warned_of_with_numbers(changes, message):
+    with pytest.warns(UserWarning, match=message) as warned:
+        replace(ROVER, **changes)
+    assert len(warned) == 1
+
+
+def test_a_usual_robot_is_not_warned_of():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(ROVER, radius=0.5, drive=replace(DRIVE, torque=3.0))
+
+
+def test_the_footprint_is_the_rectangle_around_the_wheels_within_the_turning_circle():
+    outline = footprint(ROVER)
+    assert outline == pytest.approx((-0.267, 0.2635, -0.225, 0.225))
+    assert np.hypot(outline.half_length, outline.half_width) <= ROVER.radius
+
+
+@pytest.mark.parametrize("excess", [0.005, 0.02, 0.1])
+def test_discs_cover_the_footprint(excess):
+    centers, radius = covering_discs(ROVER, excess)
+    outline = footprint(ROVER)
+    x, y = np.meshgrid(np.linspace(outline.back, outline.front, 60), np.linspace(outline.right, outline.left, 60))
+    away = np.hypot(x[..., None] - centers, y[..., None]).min(-1)
+    assert away.max() <= radius + 1e-9
+    assert outline.half_width < radius <= outline.half_width + excess + 1e-9

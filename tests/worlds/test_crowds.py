@@ -1,0 +1,141 @@
+"""Worlds in which something moves, and walkers in any world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from rover_rl import RoverEnv
+from rover_rl.cli import main
+from rover_rl.worlds import Region, Terrain, World, box, get_world, register_world, with_walkers
+from rover_rl.worlds.movers import Person, Wander
+
+NUMBERS = {"plaza": (6, 12, 24), "corridor": (3, 6, 10), "crossing": (4, 8, 16), "maze+walkers": (1, 3, 6)}
+
+
+@pytest.mark.parametrize(("name", "numbers"), NUMBERS.items())
+def test_the_difficulty_sets_how_many_people_walk_and_how_fast(name, numbers):
+    levels = [[get_world(f"{name}:{seed}@{level}").movers for seed in range(30)] for level in (0, 0.5, 1)]
+    assert [{len(movers) for movers in level} for level in levels] == [{number} for number in numbers]
+    speeds = [np.mean([mover.motion.speed for movers in level for mover in movers]) for level in levels]
+    assert speeds == pytest.approx([0.6, 1.0, 1.34], rel=0.06)
+    assert all(isinstance(mover.shape, Person) for level in levels for movers in level for mover in movers)
+
+
+def test_a_tenth_of_the_obstacles_of_a_field_rests_and_the_others_are_as_fast_as_it_says():
+    movers = [mover for seed in range(30) for mover in get_world(f"field:{seed}@1").movers]
+    assert len(movers) == 30 * 22
+    speeds = [mover.motion.speed for mover in movers]
+    assert 0.8 <= min(speeds) < 0.85
+    assert 1.9 < max(speeds) <= 1.95
+    # Four walls, and two obstacles at rest.
+    assert len(get_world("field@1").obstacles) == 4 + 2
+
+
+@pytest.mark.parametrize(
+    ("level", "count", "slowest", "fastest"), [(0, 5, 0.5, 0.95), (0.5, 15, 1, 1.45), (1, 24, 1.5, 1.95)]
+)
+def test_cylinders_of_a_yard_go_round_at_constant_speed(level, count, slowest, fastest):
+    world = get_world(f"yard:3@{level}")
+    assert len(world.movers) == count
+    env = RoverEnv(world_n=world, num_envs=2, backend="warp", seed=0)
+    env.reset()
+    # Each episode begins elsewhere on the paths.
+    assert not torch.isclose(env.movers.course.position[0], env.movers.course.position[1]).any()
+    for _ in range(20):
+        env.rand_step()
+        speed = env.movers.course.velocity.norm(dim=-1)
+        assert ((slowest - 0.01 < speed) & (speed < fastest + 0.01)).all()
+    assert env.movers.course.position.abs().max() < 9.01
+
+
+@pytest.mark.parametrize(
+    ("level", "count", "lengths", "speeds"),
+    [(0, 1, (1.5, 2.5), (0.4, 0.7)), (0.5, 2, (2.5, 3.5), (0.7, 1.1)), (1, 2, (3.5, 4.4), (1.0, 1.5))],
+)
+def test_gates_cross_the_passage_again_and_again(level, count, lengths, speeds):
+    world = get_world(f"gates:3@{level}")
+    assert len(world.movers) == count
+    assert all(lengths[0] <= mover.shape.length <= lengths[1] for mover in world.movers)
+    env = RoverEnv(world_n=world, num_envs=1, backend="warp", seed=0)
+    env.reset()
+    places = []
+    for _ in range(260):
+        env.rand_step()
+        speed = env.movers.course.velocity[..., 1].abs()
+        assert ((speeds[0] - 0.01 < speed) & (speed < speeds[1] + 0.01)).all()
+        places.append(env.movers.course.position[0, :, 1])
+    # In 13 s, each has been at both sides.
+    assert (torch.stack(places).amin(0) < -2.1).all()
+    assert (torch.stack(places).amax(0) > 2.1).all()
+
+
+@pytest.mark.usefixtures("own_registries")
+def test_walkers_are_added_to_any_world(tmp_path):
+    still = World("yard", Terrain.flat((10, 10)), [box((2, 0, 0.5), (1, 1, 1))])
+    register_world("yard-for-walkers", still)
+    still.save(tmp_path / "yard.world.npz")
+    for base in ("yard-for-walkers", str(tmp_path / "yard.world.npz")):
+        world = get_world(f"{base}+walkers:4@1")
+        assert (world.name, len(world.obstacles), len(world.movers)) == ("yard+walkers", 1, 6)
+        assert get_world(f"{base}+walkers:4@1") is world
+        assert get_world(f"{base}+walkers:5@1").movers != world.movers
+    assert torch.equal(get_world("maze+walkers:7").obstacles[5].vertices, get_world("maze:7").obstacles[5].vertices)
+    assert with_walkers(get_world("maze:7"), seed=7).movers == get_world("maze+walkers:7").movers
+    with pytest.raises(ValueError, match="unknown world 'nowhere'"):
+        get_world("nowhere+walkers")
+
+
+def test_the_number_of_walkers_follows_the_ground_of_the_episodes(tmp_path, capsys):
+    corner = Region.polygon([(0, 0), (25, 0), (25, 6), (6, 6), (6, 18), (0, 18)])
+    office = World("office", Terrain.flat((60, 60)), spawn_range=corner.bounds, spawn_region=corner, goal_region=corner)
+    assert [len(with_walkers(office, difficulty=level).movers) for level in (0, 0.5, 1)] == [4, 11, 22]  # 222 m^2
+    whole = replace(office, spawn_region=None, goal_region=None)
+    assert len(with_walkers(whole).movers) == round(0.05 * 25 * 18)
+    with_walkers(office).save(tmp_path / "office.world.npz")
+    assert main(["worlds", "show", str(tmp_path / "office.world.npz"), "--out", str(tmp_path / "office.png")]) == 0
+    assert "11 movers (5.0 per 100 m^2 where episodes start and end)" in capsys.readouterr().out
+    with_walkers(office, difficulty=0.6).save(tmp_path / "many.world.npz")
+    assert main(["worlds", "show", str(tmp_path / "many.world.npz"), "--out", str(tmp_path / "many.png")]) == 0
+    assert "which is many (docs/movers.md)" in capsys.readouterr().out
+
+
+def test_walkers_on_little_ground_are_warned_of():
+    closet = World("closet", Terrain.flat((9, 9)), spawn_range=((-1, 1), (-1, 1)), goal_range=((-1, 1), (-1, 1)))
+    with pytest.warns(UserWarning, match=r"closet\+walkers: a person on 4\.0 m\^2 of ground leaves no way past"):
+        assert len(with_walkers(closet).movers) == 1
+
+
+def test_walkers_stay_where_episodes_start_and_end():
+    world = get_world("inspect+walkers:3@1")
+    assert all(isinstance(mover.motion, Wander) and mover.motion.area == world.spawn_range for mover in world.movers)
+    env = RoverEnv(world_n=world, num_envs=4, backend="warp", seed=0)
+    env.reset()
+    (x_low, x_high), (y_low, y_high) = world.spawn_range
+    for _ in range(100):
+        env.rand_step()
+        x, y = env.movers.course.position.unbind(-1)
+        assert ((x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)).all()
+
+
+@pytest.mark.parametrize("name", ["corridor", "crossing"])
+def test_people_walk_to_their_goals_and_come_by(name):
+    env = RoverEnv(world_n=f"{name}@1", num_envs=4, backend="warp", seed=0, length=2000)
+    env.reset()
+    began = env.movers.course.position.clone()
+    farthest = torch.zeros_like(began[..., 0])
+    for _ in range(300):
+        env.rand_step()
+        farthest = torch.maximum(farthest, (env.movers.course.position - began).norm(dim=-1))
+    # A way of 8 m and more; a fifth of the people may have a short one.
+    assert (farthest > 5).float().mean() > 0.8
+
+
+def test_a_range_of_worlds_with_people_is_a_pool_like_others():
+    env = RoverEnv(world_n="maze+walkers:0-9@0-1", num_envs=8, backend="warp", seed=0)
+    outcome = env.rollout(20, break_when_any_done=False)["next", "outcome"]
+    assert {len(world.movers) for world in env.worlds} <= set(range(1, 7))
+    assert outcome["mover_distance"].isfinite().all()

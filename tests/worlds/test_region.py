@@ -1,0 +1,74 @@
+"""Regions, and worlds whose starts and goals lie in one."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl.robots import get_robot
+from rover_rl.sims.free_space import free_space
+from rover_rl.worlds import Region, Terrain, World
+
+FLOOR = Terrain.flat((20, 20))
+ROVER = get_robot("rover_zero")
+L_SHAPE = [(0, 0), (6, 0), (6, 2), (2, 2), (2, 6), (0, 6)]
+
+
+def test_a_polygon_contains_what_is_within_its_corners():
+    region = Region.polygon(L_SHAPE)
+    points = torch.tensor([[1.0, 5.0], [5.0, 1.0], [5.0, 5.0], [-0.1, 1.0], [50.0, 50.0]], dtype=torch.float64)
+    assert region.contains(points).tolist() == [True, True, False, False, False]
+    assert region.area == pytest.approx(20)
+    assert region.bounds == (pytest.approx((0, 6)), pytest.approx((0, 6)))
+    assert region.contains(points.reshape(5, 1, 2)).shape == (5, 1)
+    tilted = Region.polygon([(0, 0), (3, 1), (2, 4), (-1, 3)])
+    assert tilted.area == pytest.approx(10, rel=0.01)
+
+
+def test_a_mask_is_cut_to_its_cells():
+    mask = torch.zeros(5, 6, dtype=torch.bool)
+    mask[2, 3:5] = True
+    region = Region(mask, 0.5, (-1.0, 1.0))
+    assert region.mask.tolist() == [[True, True]]
+    assert region.bounds == ((0.5, 1.5), (2.0, 2.5))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Region(torch.zeros(2, 2, dtype=torch.bool), 0.1, (0, 0)), "with a true cell"),
+        (lambda: Region(torch.ones(2, 2), 0.1, (0, 0)), "must be bool"),
+        (lambda: Region(torch.ones(2, 2, dtype=torch.bool), 0.0, (0, 0)), "positive cell"),
+        (lambda: Region.polygon([(0, 0), (1, 1)]), "at least three corners"),
+        (lambda: Region.polygon([(0, 0), (1, 0), (2, 0)]), "has no area"),
+    ],
+)
+def test_bad_regions_get_one_sentence(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_starts_and_goals_lie_in_the_regions_of_a_world():
+    spawn, goal = Region.polygon(L_SHAPE), Region.polygon([(-6, -6), (-2, -6), (-2, -2)])
+    world = World("halls", FLOOR, spawn_region=spawn, goal_region=goal)
+    assert (world.spawn_range, world.goal_range) == (spawn.bounds, goal.bounds)
+    space = free_space(world, ROVER)
+    for cells, region in ((space.spawn_cells, spawn), (space.goal_cells, goal)):
+        assert len(cells) > 500
+        for x in (-0.049, 0.049):
+            for y in (-0.049, 0.049):
+                assert region.contains(cells + torch.tensor([x, y])).all()
+    assert World("both", FLOOR, spawn_region=spawn).goal_region is spawn
+    assert World("rest", FLOOR, spawn_region=spawn, goal_range=((0, 8), (0, 8))).goal_region is None
+    half = free_space(World("half", FLOOR, spawn_range=((0, 2), (0, 6)), spawn_region=spawn), ROVER)
+    assert half.spawn_cells[:, 0].max() < 2
+
+
+def test_a_world_file_keeps_regions(tmp_path):
+    world = World("halls", FLOOR, spawn_region=Region.polygon(L_SHAPE), goal_range=((0, 8), (0, 8)))
+    world.save(tmp_path / "halls.world.npz")
+    read = World.from_file(tmp_path / "halls.world.npz")
+    assert read.goal_region is None
+    assert torch.equal(read.spawn_region.mask, world.spawn_region.mask)
+    assert (read.spawn_region.cell, read.spawn_region.origin) == (world.spawn_region.cell, world.spawn_region.origin)
+    assert torch.equal(free_space(read, ROVER).spawn_cells, free_space(world, ROVER).spawn_cells)

@@ -1,0 +1,136 @@
+"""Terrain, compared with manually computed triangles and with its own mesh."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_rl.worlds import Terrain
+
+ONE_CELL = Terrain([[0.0, 1.0], [2.0, 6.0]], cell=2.0, origin=(10.0, 20.0))
+"""Terrain of one cell with h00 = 0, h10 = 1 (x), h01 = 2 (y), h11 = 6."""
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "height", "slopes"),
+    [
+        (10.5, 20.5, 0.25 + 0.5, (0.5, 1.0)),  # lower triangle: 0 + u * 1 + v * 2 with u = v = 1/4
+        (11.5, 21.5, 6 - 0.25 * 4 - 0.25 * 5, (2.0, 2.5)),  # upper: 6 - (1 - u) * (6 - 2) - (1 - v) * (6 - 1)
+        (11.0, 21.0, 1.5, None),  # on the diagonal from (1, 0) to (0, 1)
+        (10.0, 20.0, 0.0, None),
+        (12.0, 22.0, 6.0, None),
+    ],
+)
+def test_height_and_normal_of_known_triangles(x, y, height, slopes):
+    point = torch.tensor([x, y], dtype=torch.float64)
+    assert ONE_CELL.height_at(point).item() == pytest.approx(height)
+    if slopes:
+        expected = np.array([-slopes[0], -slopes[1], 1.0]) / math.hypot(*slopes, 1.0)
+        assert ONE_CELL.normal_at(point).numpy() == pytest.approx(expected)
+
+
+def test_the_height_outside_is_that_of_the_edge():
+    outside = torch.tensor([[0.0, 20.0], [99.0, 20.0], [0.0, 99.0], [99.0, 99.0]])
+    assert ONE_CELL.height_at(outside).tolist() == [0.0, 1.0, 2.0, 6.0]
+
+
+def test_the_height_of_nan_is_nan():
+    assert ONE_CELL.height_at(torch.tensor([math.nan, math.nan])).isnan()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 0), (4, 5)])
+def test_leading_dimensions_and_float_dtypes(dtype, shape):
+    xy = torch.full((*shape, 2), 11.0, dtype=dtype)
+    assert ONE_CELL.height_at(xy).shape == shape
+    assert ONE_CELL.height_at(xy).dtype == dtype
+    assert ONE_CELL.normal_at(xy).shape == (*shape, 3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), rows=st.integers(2, 6), columns=st.integers(2, 6), cell=st.floats(0.1, 3.0))
+def test_heights_and_normals_agree_with_the_mesh(seed, rows, columns, cell):
+    rng = np.random.default_rng(seed)
+    terrain = Terrain(rng.uniform(-2, 2, (rows, columns)), cell)
+    vertices, faces = terrain.mesh()
+    assert faces.shape == (2 * (rows - 1) * (columns - 1), 3)
+    weights = torch.from_numpy(rng.dirichlet((1, 1, 1), len(faces)))
+    corners = vertices[faces]
+    points = (weights[..., None] * corners).sum(1)
+    assert torch.allclose(terrain.height_at(points[:, :2]), points[:, 2], atol=1e-6)
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).all()
+    centroids = corners.mean(1)
+    expected = normals / normals.norm(dim=-1, keepdim=True)
+    assert torch.allclose(terrain.normal_at(centroids[:, :2]), expected, atol=1e-6)
+
+
+@settings(max_examples=50)
+@given(
+    rows=st.integers(2, 30),
+    columns=st.integers(2, 30),
+    cell=st.floats(0.05, 3.0),
+    center=st.tuples(st.floats(-60, 60), st.floats(-60, 60)),
+    size=st.tuples(st.floats(0, 60), st.floats(0, 60)),
+)
+def test_the_part_that_covers_an_area_is_that_of_its_cells(rows, columns, cell, center, size):
+    terrain = Terrain(torch.zeros(rows, columns), cell)
+    area = tuple((middle - side / 2, middle + side / 2) for middle, side in zip(center, size, strict=True))
+    corners = terrain.mesh(*terrain.covering(area))[0][:, :2]
+    for (low, high), (least, most), axis in zip(area, terrain.extent, corners.T, strict=True):
+        start, end = axis.min().item(), axis.max().item()
+        assert end - start > 0.99 * cell
+        if low < most and high > least:
+            assert start <= max(low, least) + 1e-9
+            assert end >= min(high, most) - 1e-9
+            assert start > max(low, least) - 1.01 * cell
+            assert end < min(high, most) + 1.01 * cell
+
+
+def test_strips_of_the_mesh_cover_the_whole_mesh():
+    terrain = Terrain(np.random.default_rng(0).uniform(size=(6, 4)), 0.5)
+    strips = [terrain.mesh(slice(0, 3)), terrain.mesh(slice(2, 6))]
+    pieces = torch.cat([vertices[faces] for vertices, faces in strips]).reshape(-1, 9)
+    vertices, faces = terrain.mesh()
+    whole = vertices[faces].reshape(-1, 9)
+    assert {tuple(row) for row in pieces.tolist()} == {tuple(row) for row in whole.tolist()}
+
+
+@pytest.mark.parametrize("size", [(20, 20), (20.0, 15.0), (0.3, 0.1), (12.5, 7.1)])
+def test_flat_ground_has_the_given_size(size):
+    terrain = Terrain.flat(size, height=1.5)
+    (x_low, x_high), (y_low, y_high) = terrain.extent
+    assert (x_low, x_high, y_low, y_high) == pytest.approx((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2))
+    assert terrain.is_flat
+    assert terrain.height_at(torch.zeros(2)) == 1.5
+
+
+def test_uneven_ground_is_not_flat():
+    assert not ONE_CELL.is_flat
+
+
+@pytest.mark.parametrize(
+    ("heights", "cell", "message"),
+    [
+        ([[0.0, 1.0]], 1.0, "at least 2 x 2"),
+        ([0.0, 1.0], 1.0, "at least 2 x 2"),
+        ([[0.0, math.nan], [0.0, 0.0]], 1.0, "finite"),
+        ([[0.0, math.inf], [0.0, 0.0]], 1.0, "finite"),
+        ([[0.0, 0.0], [0.0, 0.0]], 0.0, "positive length"),
+        ([[0.0, 0.0], [0.0, 0.0]], math.nan, "positive length"),
+    ],
+)
+def test_invalid_grids_raise(heights, cell, message):
+    with pytest.raises(ValueError, match=message):
+        Terrain(heights, cell)
+
+
+@pytest.mark.parametrize("size", [(0.0, 5.0), (-1.0, 5.0), (5.0, 2.34)])
+def test_invalid_sizes_of_flat_ground_raise(size):
+    with pytest.raises(ValueError, match=r"multiples of 0\.1 m"):
+        Terrain.flat(size)

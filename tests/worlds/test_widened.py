@@ -1,0 +1,88 @@
+"""Worlds with wider passages have the same layout."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl import World
+from rover_rl.worlds import Terrain, get_world, takes_scale
+from rover_rl.worlds.names import WorldName, WorldRange, unseen
+from rover_rl.worlds.widened import widened
+
+UNSCALED = f"{__name__}:unscaled"
+
+
+def unscaled(seed: int) -> World:
+    return World(f"unscaled-{seed}", Terrain.flat((10, 10)))
+
+
+def middle(world):
+    return torch.tensor([(low + high) / 2 for low, high in world.spawn_range])
+
+
+@pytest.mark.parametrize("name", ["maze:3", "rooms:3@1", "forest:3", "inspect:3@1", "moon:3", "ramps:3"])
+def test_points_are_inside_of_the_same_obstacles_on_the_same_ground(name):
+    world, wide = get_world(name), get_world(f"{name}*1.7")
+    assert len(wide.obstacles) == len(world.obstacles)
+    upward = 1.0 if world.terrain.is_flat else 1.7
+    xy = middle(world) + 16 * (
+        torch.rand(2000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 0.5
+    )
+    moved = middle(world) + 1.7 * (xy - middle(world))
+    ground = world.height_at(xy)
+    assert torch.allclose(wide.height_at(moved), upward * ground, atol=1e-6)
+    points = torch.cat((xy, ground[:, None] + 0.3), -1)
+    inside = torch.stack([obstacle.contains(points) for obstacle in world.obstacles])
+    points = torch.cat((moved, upward * (ground[:, None] + 0.3)), -1)
+    assert torch.equal(torch.stack([obstacle.contains(points) for obstacle in wide.obstacles]), inside)
+    assert world.terrain.is_flat or inside.any(0).float().mean() < 0.9
+
+
+def test_areas_grow_about_the_middle_of_the_start_area_and_slopes_stay():
+    world, wide = get_world("inspect"), get_world("inspect*2")
+    assert torch.equal(middle(world), middle(wide))
+    for name in ("spawn_range", "goal_range", "bounds"):
+        for (low, high), (wide_low, wide_high) in zip(getattr(world, name), getattr(wide, name), strict=True):
+            assert wide_high - wide_low == pytest.approx(2 * (high - low))
+    up = (wide.normal_at(middle(wide)[None])[:, 2] - world.normal_at(middle(world)[None])[:, 2]).abs()
+    assert up < 1e-6
+
+
+def test_people_stay_as_large_as_they_are_where_ways_are_wider():
+    for name in ("plaza:3", "corridor:3", "crossing:3", "field:3", "yard:3"):
+        world, wide = get_world(name), get_world(f"{name}*1.5")
+        assert [mover.shape for mover in wide.movers] == [mover.shape for mover in world.movers]
+        for (low, high), (wide_low, wide_high) in zip(world.bounds, wide.bounds, strict=True):
+            assert wide_high - wide_low == pytest.approx(1.5 * (high - low))
+    assert len(get_world("maze+walkers:3*1.5").movers) > len(get_world("maze+walkers:3").movers)
+    with pytest.raises(ValueError, match="has movers: only its function can scale it"):
+        widened(get_world("maze+walkers:3"), 1.5)
+
+
+def test_a_scale_of_1_is_the_world_itself_and_a_scale_that_a_world_does_not_take_is_refused():
+    assert get_world("maze:3*1") is get_world("maze:3")
+    assert get_world(f"{UNSCALED}:3*1") is get_world(f"{UNSCALED}:3")
+    for name, message in {
+        f"{UNSCALED}:3*2": f"world '{UNSCALED}' takes no scale, got 2",
+        "yard.yaml*2": "'yard.yaml' is a file, whose world has no scale, got 2",
+        "maze:3*0.1": "the scale of world 'maze:3\\*0.1' must be a number from 0.5 to 10, got '0.1'",
+        "maze:3*wide": "the scale of world 'maze:3\\*wide' must be a number from 0.5 to 10, got 'wide'",
+        "maze:*1.6": "lacks a '\\*': that of all seeds, and that of the scale, as in 'maze:\\*\\*1.6'",
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            get_world(name)
+
+
+def test_names_with_a_scale():
+    assert WorldName.parse("my_package:canyon:7@0.3*1.6") == WorldName("my_package:canyon", 7, 0.3, 1.6)
+    assert str(WorldName.parse("maze:7*1.6")) == "maze:7*1.6"
+    assert WorldRange.parse("maze:**1.6") == WorldRange("maze", 0, 9999, None, 1.6)
+    assert WorldRange.parse("maze:0-99@0.2-0.8*1.6").name(7) == "maze:7@0.396*1.6"
+    assert unseen("maze:**1.6") == "maze:10000*1.6"
+    assert [takes_scale(name) for name in ("maze:*", "maze:3*2", f"{UNSCALED}:3", "a/b.sdf")] == [
+        True,
+        False,
+        False,
+        False,
+    ]
