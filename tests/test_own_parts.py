@@ -67,7 +67,7 @@ from dataclasses import dataclass
 
 import torch
 
-from rover_rl.robots.drives import Drive, Joints
+from rover_rl.robots.drives import Drive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,18 +80,8 @@ class Tracks(Drive):
     def motors(self):
         return self.left, self.right
 
-    def advance(self, set_point, command, wheels, dt):
-        return set_point + (command - set_point).clamp(-2 * dt, 2 * dt)
-
-    def targets(self, before, after, wheels):
-        speed, rate = after.split(1, -1)
-        turn = rate * self.width / 2
-        speeds = torch.cat((speed - turn, speed + turn), -1) / wheels.radius
-        return Joints(speeds, speeds[:, :0])
-
-    def odometry(self, joints, wheels):
-        left, right = (joints.speeds * wheels.radius).split(1, -1)
-        return torch.cat(((left + right) / 2, (right - left) / self.width), -1)
+    def matrix(self, wheels):
+        return torch.tensor([[1.0, -self.width / 2], [1.0, self.width / 2]]) / wheels.radius
 """
 DROP_FINDER = """
 from dataclasses import dataclass

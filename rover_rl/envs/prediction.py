@@ -46,7 +46,7 @@ class Prediction:
         self._fleet, self._most, device = fleet, most, fleet.index.device
         usual = round(sum(latency) / 2)
         self._latency = CommandDelay((usual, usual), len(fleet), device)
-        self._drives, self._line = SimulatedDrives.of(fleet, dt), DelayLine(most)
+        self._drives, self._line = SimulatedDrives(fleet, dt), DelayLine(most)
         # Gain of the yaw rate, and x of the line on which the centers of turns lie.
         self._turning = fleet.table(lambda robot: [yaw_gain(robot), robot.drive.pivot(robot.wheels)])
         # Position and heading of the model since the start of the episode, and its speed and yaw rate.

@@ -15,9 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rover_rl.robots.description import Frame, Shape
-from rover_rl.robots.drives.ackermann import Ackermann
-from rover_rl.robots.drives.base import Drive, Wheels
-from rover_rl.robots.drives.skid_steer import SkidSteer
+from rover_rl.robots.drives import Ackermann, Drive, SkidSteer, Wheels
 from rover_rl.robots.robot import Robot
 from rover_rl.robots.urdf.body import Mass
 from rover_rl.robots.urdf.derived import Derived, Wheel, store

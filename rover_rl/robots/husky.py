@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from rover_rl.robots.drives.skid_steer import SkidSteer
+from rover_rl.robots.drives import SkidSteer
 from rover_rl.robots.robot import Robot
 
 HUSKY = Robot.from_urdf(

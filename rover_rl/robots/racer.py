@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rover_rl.robots.drives.ackermann import Ackermann
+from rover_rl.robots.drives import Ackermann
 from rover_rl.robots.robot import Robot
 
 RACER = Robot.from_urdf(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from rover_rl.robots.description import Description
-from rover_rl.robots.drives.base import Drive, Wheels
+from rover_rl.robots.drives import Drive, Wheels
 from rover_rl.robots.footprint import footprint
 from rover_rl.robots.options import RobotOptions
 from rover_rl.robots.wheels import read_wheels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rover_rl.robots.drives.skid_steer import SkidSteer
+from rover_rl.robots.drives import SkidSteer
 from rover_rl.robots.robot import Robot
 
 ROVER_ZERO = Robot.from_urdf(

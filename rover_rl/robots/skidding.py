@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rover_rl.robots.drives.skid_steer import SkidSteer
+from rover_rl.robots.drives import SkidSteer
 
 if TYPE_CHECKING:
     from rover_rl.robots.robot import Robot

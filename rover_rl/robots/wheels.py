@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_rl.robots.description import Description, Frame, Inertial, Joint, Link
-from rover_rl.robots.drives.base import Drive, Wheels
+from rover_rl.robots.drives import Drive, Wheels
 
 LENGTH_TOLERANCE = 1e-3
 """Tolerance of positions and widths, m."""

@@ -6,61 +6,42 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rover_rl.robots.drives.base import Drive, Joints, Wheels
-from rover_rl.robots.drives.fleet import FleetDrive, OneDrive
+from rover_rl.robots.drives import Joints
 from rover_rl.robots.fleet import Fleet
+from rover_rl.robots.kinematics import Kinematics
 from rover_rl.sims.base import RoverState
 
 
 class SimulatedDrives:
-    """State of the drives and clocks of a batch of simulated rovers.
+    """State of the drives and clocks of a batch of simulated rovers, for steps of ``dt`` (s).
 
-    Args:
-        drive: drive of every rover.
-        wheels: geometry of their wheels.
-        dt: duration of a control step, s.
-        num_envs: number of rovers.
-        device: device of the commands.
+    A change of the fleet's index is followed.
     """
 
-    def __init__(
-        self, drive: Drive, wheels: Wheels, dt: float, num_envs: int, device: torch.device | str | None = None
-    ) -> None:
-        self._begin(OneDrive(drive, wheels, dt), dt, num_envs, device)
-
-    @classmethod
-    def of(cls, fleet: Fleet, dt: float) -> SimulatedDrives:
-        """Returns the drives of a fleet, a robot per row. A change of its index is followed."""
-        drives, device = cls.__new__(cls), fleet.index.device
-        one = OneDrive(fleet.robots[0].drive, fleet.robots[0].wheels, dt)
-        drives._begin(one if len(fleet.robots) == 1 else FleetDrive(fleet, dt), dt, len(fleet), device)
-        return drives
-
-    def _begin(self, drive: OneDrive | FleetDrive, dt: float, num_envs: int, device: torch.device | str | None) -> None:
-        self._drive, self._step, self._first_angle = drive, dt, 7 + drive.motors
-        self._dt = torch.full((num_envs, 1), dt, device=device)
-        self._set_point = torch.zeros(num_envs, drive.set_point_size, device=device)
-        self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
+    def __init__(self, fleet: Fleet, dt: float) -> None:
+        self._kinematics, self._step = Kinematics(fleet, dt), dt
+        self._first_angle = 7 + self._kinematics.motors
+        count, device = len(fleet), fleet.index.device
+        self._dt = torch.full((count, 1), dt, device=device)
+        self._set_point = torch.zeros(count, self._kinematics.size, device=device)
+        self._stamp = torch.zeros(count, 1, dtype=torch.float64, device=device)
 
     def reset(self, mask: Tensor) -> None:
         """Sets the drives of the rovers in ``mask`` (bool ``[N]``) to rest. Their clocks continue."""
         self._set_point = torch.where(mask[:, None], torch.zeros_like(self._set_point), self._set_point)
 
     def advance(self, commands: Tensor, active: Tensor | None) -> Joints:
-        """Advances the drives and clocks by one control step.
+        """Advances the drives and clocks by one control step, and returns the targets of the joints for this step.
 
         Args:
             commands: forward speed (m/s), yaw rate (rad/s) and, for a drive that moves sideways, optionally the speed
                 to the left (m/s), ``[N, 2]`` or ``[N, 3]``.
             active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
-
-        Returns:
-            Targets of the joints for this step.
         """
-        if self._drive.sideways and commands.shape[-1] == 2:
+        if self._kinematics.sideways and commands.shape[-1] == 2:
             commands = pad(commands, (0, 1))
-        set_point = self._drive.advance(self._set_point, commands)
-        targets = self._drive.targets(self._set_point, set_point)
+        set_point = self._kinematics.advance(self._set_point, commands)
+        targets = self._kinematics.joints(self._set_point, set_point)
         stamp = self._stamp + self._step
         if active is not None:
             set_point = torch.where(active[:, None], set_point, self._set_point)
@@ -69,8 +50,7 @@ class SimulatedDrives:
         return targets
 
     def odometry(self, joints: Joints) -> Tensor:
-        """Returns the twists that joints report: see :meth:`Drive.odometry`."""
-        return self._drive.odometry(joints)
+        return self._kinematics.odometry(joints)
 
     def state(
         self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None, **reports: Tensor
@@ -84,10 +64,9 @@ class SimulatedDrives:
             mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
             reports: fields that the simulator was asked for, ``[N, k]`` each.
         """
-        joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
-        twist = self.odometry(joints)
+        twist = self.odometry(Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :]))
         optional = {"contact": contact, "mover_contact": mover_contact}
-        if self._drive.sideways:
+        if self._kinematics.sideways:
             optional["lateral_velocity"] = twist[:, 2:]
         return RoverState.pack(
             position=body[:, :3],

@@ -11,7 +11,9 @@ from torch import Tensor
 
 from benchmarks.coulomb import GRAVITY, steady_motion
 from rover_rl.robots import ROBOTS, Robot, get_robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
+from rover_rl.robots.kinematics import Kinematics
 from rover_rl.rotations import quaternion_to_euler
 from tests.extras import needs_mujoco
 from tests.sims.driven import FLAT, WALLED, placed, slope
@@ -89,9 +91,9 @@ def test_brakes_at_the_acceleration_of_its_drive(backend: str, name: str) -> Non
     commands = torch.zeros(2 * first, 1, 2)
     commands[:first, :, 0] = top
     position = Drive(backend, robot, commands).position[:, 0, 0]
-    set_point, law = torch.tensor([[top, 0.0]]), 0.0
+    kinematics, set_point, law = Kinematics(Fleet.of(robot, 1), DT), torch.tensor([[top, 0.0]]), 0.0
     for _ in range(first):
-        after = robot.drive.advance(set_point, torch.zeros(1, 2), robot.wheels, DT)
+        after = kinematics.advance(set_point, torch.zeros(1, 2))
         law, set_point = law + (set_point + after)[0, 0].item() / 2 * DT, after
     assert (position[-1] - position[first]).item() == pytest.approx(law, abs=0.05 * law + LAG * top)
 

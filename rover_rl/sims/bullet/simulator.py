@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rover_rl.native.bullet import disconnect
 from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
 from rover_rl.sims.bullet.lidar import Lidar
@@ -46,7 +47,7 @@ class BulletSimulator:
         self.settings = (settings or BulletSettings()).for_mass(robot.mass)
         self.control_dt = self.settings.control_dt
         self._robot = robot
-        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, self.num_envs)
+        self._drive = SimulatedDrives(Fleet.of(robot, self.num_envs), self.control_dt)
         self._renderers = RendererCache(robot)
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
@@ -59,7 +60,7 @@ class MujocoSimulator:
         self.control_dt = self.settings.control_dt
         self._robot = robot
         self._worlds = list(worlds)
-        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count)
+        self._drive = SimulatedDrives(Fleet.of(robot, count), self.control_dt)
         self._renderers = RendererCache(robot)
         self._reports: dict[Report, np.ndarray] = {}
         threads = self.settings.threads or torch.get_num_threads()

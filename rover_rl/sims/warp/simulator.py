@@ -77,7 +77,7 @@ class WarpSimulator:
         self.settings = settings or WarpSettings()
         self.control_dt = self.settings.control_dt
         self.fleet = Fleet.of(robot, count, self.device)
-        self._drive = SimulatedDrives.of(self.fleet, self.control_dt)
+        self._drive = SimulatedDrives(self.fleet, self.control_dt)
         self._renderers: dict[Robot, RendererCache] = {}
 
         inertial_models = [read_inertial_model(each) for each in self.fleet.robots]

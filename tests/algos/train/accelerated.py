@@ -26,6 +26,7 @@ from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims import RoverState
 from rover_rl.sims.base import Dynamics
@@ -69,7 +70,7 @@ class SlidingSimulator:
         self.num_envs = count = len(worlds)
         self.device = device
         self.control_dt = 0.05
-        self._drive = SimulatedDrives(robot.drive, robot.wheels, 0.05, count, device)
+        self._drive = SimulatedDrives(Fleet.of(robot, count, device), 0.05)
         self._pose = torch.zeros(count, 3, device=device)
         self._height = torch.zeros(count, 1, device=device)
         self._robot, self._model = robot, read_inertial_model(robot)

@@ -10,7 +10,7 @@ import torch
 from rover_rl.robots import Robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import quaternion_to_euler
-from tests.robots.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni, make_pair
+from tests.robots.drives.vehicles import WHEELBASE, make_car, make_omni, make_pair
 from tests.sims import driven
 from tests.sims.driven import FLAT, ROVER, placed
 
@@ -59,18 +59,6 @@ def test_a_car_turns_about_the_center_of_its_geometry(backend, tmp_path):
     within(forward, speeds)
     within(state.linear_velocity.squeeze(-1), forward)
     within(state.angular_velocity.squeeze(-1), rate)
-
-
-def test_front_wheels_of_a_car_turn_by_the_angles_of_its_geometry(tmp_path):
-    car = make_car(tmp_path, max_steering_rate=100.0)
-    curvature = 0.8
-    at_rest = torch.zeros(1, 2)
-    after = car.drive.advance(at_rest, torch.tensor([[0.1, 0.1 * curvature]]), car.wheels, DT)
-    targets = car.drive.targets(after, after, car.wheels)
-    radius = 1 / curvature
-    expected = [math.atan(WHEELBASE / (radius - TRACK / 2)), math.atan(WHEELBASE / (radius + TRACK / 2))]
-    within(targets.angles[0], expected)
-    within(car.drive.odometry(targets, car.wheels)[0], [0.1, 0.1 * curvature])
 
 
 def test_a_car_does_not_turn_in_place(backend, tmp_path):
