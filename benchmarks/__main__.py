@@ -12,7 +12,6 @@
 - ``peers``: speed compared with a process and a PyBullet client for each rover.
 - ``footprint``: startup time and memory.
 - ``training``: speed of PPO and SAC compared with Stable-Baselines3.
-- ``decisions``: time of a decision of exported policies, with a map and without.
 - ``gpu``: speed on a GPU, skipped without one; see :mod:`benchmarks.gpu`.
 
 Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
@@ -50,7 +49,6 @@ Part = Literal[
     "peers",
     "footprint",
     "training",
-    "decisions",
     "gpu",
 ]
 

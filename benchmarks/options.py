@@ -35,8 +35,6 @@ class Options:
     """Number of worker processes."""
     processes: tuple[int, ...] = ()
     """Numbers of processes in the benchmark of peers, one rover each. Default: ``rovers``, and four per worker."""
-    decisions: int = 1000
-    """Number of decisions of each exported policy."""
     seconds: float = 4.0
     """Approximate duration of each measurement, s."""
     rounds: int = 5
@@ -59,7 +57,7 @@ class Options:
     """Output folder."""
 
     def __post_init__(self) -> None:
-        for name in ("rovers", "warp_rovers", "warp_envs", "workers", "rounds", "decisions"):
+        for name in ("rovers", "warp_rovers", "warp_envs", "workers", "rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not self.num_envs or min(self.num_envs) < 1:

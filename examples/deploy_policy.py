@@ -35,8 +35,8 @@ print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB, actions differ by at mo
 # %%
 # Inputs and outputs
 # ------------------
-# They have names and a batch of one. A policy that plans on a map, such as ``anywhere``, has more inputs, among them
-# ``state_in``, which is the ``state_out`` of the decision before.
+# They have names and a batch of one. A policy with memory has another input, ``state_in``: the ``state_out`` of the
+# decision before.
 
 session = onnxruntime.InferenceSession(path)
 for entry in (*session.get_inputs(), *session.get_outputs()):

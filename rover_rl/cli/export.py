@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
 
@@ -17,8 +18,8 @@ from rover_rl.robots.options import RobotOptions, with_options
 class Export:
     """Export a trained policy to a file that runs without TorchRL.
 
-    Compares the actions of the exported and the original policy on 1,000 random observations, or over a drive if the
-    policy reads the route on a map of what the lidar has seen. The map and the planner are part of the file then.
+    Compares the actions of the exported and the original policy on 1,000 random observations. The file holds the
+    network alone: what is computed from several scans, such as route, is an input.
     """
 
     policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY")]
@@ -50,4 +51,7 @@ class Export:
         check_outputs(out, inputs=[self.policy], force=self.force)
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
+        observed = checkpoint.config.network.observation
+        if planned := " and ".join(key for key in (ROUTE, MOVERS) if key in observed):
+            print(f"The file reads {planned} as input. rover-rl drive {out} plans on the robot (docs/export.md).")
         return 0

@@ -88,18 +88,6 @@ def test_simulators_are_compared_with_the_law(bench: Bench, monkeypatch: pytest.
         assert found["least"] <= found["mean"] <= found["greatest"]
 
 
-@pytest.mark.slow
-def test_decisions_of_exported_policies_are_timed_with_a_map_and_without(
-    bench: Bench, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnxscript")
-    rows = bench("decisions", "--decisions", "5")["decisions"]
-    assert [row["policy"] for row in rows] == ["anywhere", "moon-ppo"]
-    assert all(0 < row["median_ms"] <= row["p95_ms"] for row in rows)
-    assert "decisions of anywhere, with the map ...\n" in capsys.readouterr().out
-
-
 def test_lines_tell_what_is_measured_and_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
     def measure() -> dict[str, Any]:
         assert capsys.readouterr().out == "64 rovers ...\n"

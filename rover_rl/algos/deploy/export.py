@@ -1,11 +1,12 @@
-"""Export of trained policies to files that run without TorchRL: ONNX, or a ``torch.export`` program.
+"""Export of the networks of trained policies to files that run without TorchRL: ONNX, or a ``torch.export`` program.
 
 The exported policy maps raw observations, each float32 ``[1, n]`` by name, to the action ``[1, 2]`` without
-exploration: forward speed (m/s) and heading offset (rad). A policy with memory, or with a map of what the lidar has
-seen, also takes ``state_in``, zero at the start of an episode, and returns ``state_out``, each float32 ``[1, s]``.
+exploration: forward speed (m/s) and heading offset (rad). A policy with memory also takes ``state_in``, zero at the
+start of an episode, and returns ``state_out``, each float32 ``[1, s]``. Maps and tracks of what the lidar has seen are
+no part of the file: a policy that reads ``route`` or ``movers`` takes them as inputs.
 
-Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
-of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place.
+An ONNX file has the SHA-256 of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. It
+is verified when :class:`OnnxPolicy` loads the file.
 
 Example:
     >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))
@@ -20,36 +21,40 @@ import json
 import logging
 import re
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+import numpy as np
 import torch
-from tensordict import NestedKey, TensorDictBase
-from torch import Tensor
+from numpy.typing import NDArray
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor, nn
 from torch.export import ExportedProgram
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.archives import checked_copy
 from rover_rl.algos.config_files import config_from, plain
-from rover_rl.algos.deploy.comparison import action_difference, random_observations
-from rover_rl.algos.deploy.plain_policy import (
-    STATE_IN,
-    STATE_OUT,
-    ExportedFunction,
-    PlainPolicy,
-    finite_arrays,
-    input_names,
-)
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import action_spec
+from rover_rl.algos.policy.recurrent import RecurrentStep
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.files import MADE_BY, written_whole
+from rover_rl.robots import get_robot
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 Format: TypeAlias = Literal["onnx", "torch"]
+ExportedFunction: TypeAlias = Callable[[Mapping[str, Any]], Any]
+"""Function from inputs by name to an action ``[1, 2]``; with memory, to the action and ``state_out``."""
 
 SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}  # file suffix of each format
+STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state of a memory, before and after a decision
 TOLERANCE = 1e-4  # largest accepted difference of an action, m/s or rad
+CHECKED = 1000  # number of random observations on which an exported policy is compared with the original
 _STATE = "memory"  # entry of a tensordict that holds the state of a policy from a file, float32 [N, s]
 _SETTINGS, _CHECKSUM = "rover_rl", "rover_rl_sha256"
 """Properties of an ONNX file that hold the settings, as JSON, and its checksum."""
@@ -58,19 +63,61 @@ _CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
 """Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
 
 
-def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
-    """Exports a policy and compares its actions with those of the original on 1,000 observations.
+class PlainPolicy(nn.Module):
+    """A checkpoint's policy as a module from tensors of observations to a tensor of actions.
 
-    To a policy with memory, they are the observations of one episode. A policy that reads ``route`` is compared over a
-    drive of 100 decisions among random walls, and on 20 random observations.
+    A policy that reads ``robot`` is told the robot of its settings. ``inputs`` and ``outputs`` are the names of
+    arguments and results, ``state_size`` the number of entries of the state of its memory.
+    """
+
+    _robot: Tensor
+    _low: Tensor
+    _high: Tensor
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        super().__init__()
+        actor, network = checkpoint.make_actor(), checkpoint.config.network
+        self._observation = tuple(network.observation)
+        self._network = RecurrentStep(actor[0]) if network.memory != "none" else actor[0].module
+        self.state_size: int = getattr(self._network, "state_size", 0)
+        self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
+        self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
+        if ROBOT in self._observation:
+            self.register_buffer("_robot", _robot_numbers(checkpoint))
+        space = action_spec(checkpoint.env.bounded_action).space
+        self.register_buffer("_low", space.low)
+        self.register_buffer("_high", space.high)
+
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        """Returns the action ``[N, 2]``, with a memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
+        entries, bounds = dict(zip(self.inputs, inputs, strict=True)), []
+        if ROBOT in self._observation:
+            entries[ROBOT] = self._robot.expand(len(inputs[0]), -1)
+        observation = [entries[key] for key in self._observation]
+        if self.state_size:
+            loc, state = self._network(entries[STATE_IN], *observation)
+        else:
+            loc, _, *bounds = self._network(*observation)
+        low, high = bounds or (self._low, self._high)
+        action = (high + low) / 2 + (high - low) / 2 * torch.tanh(loc)
+        return (action, state) if self.state_size else action
+
+
+def _robot_numbers(checkpoint: Checkpoint) -> Tensor:
+    return torch.cat(RobotNumbers.of_robot(get_robot(checkpoint.env.robot), torch.zeros(1, 1)), -1)
+
+
+def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
+    """Exports a policy and compares its actions with those of the original on 1,000 random observations.
+
+    To a policy with memory, they are the observations of one episode.
 
     Returns:
-        Largest difference of an action. For a policy that reads ``route``: the largest in 99 % of the decisions.
+        Largest difference of an action.
 
     Raises:
         ImportError: if a package that the format needs is not installed.
         RuntimeError: if the actions differ by more than ``TOLERANCE``. No file is written then.
-        ValueError: if the policy reads ``route``, and the lidar is mounted too far from the robot's center.
     """
     policy = PlainPolicy(checkpoint).eval()
     settings = json.dumps(plain(checkpoint.config))
@@ -80,14 +127,50 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     with written_whole(path) as temporary:
         if form == "onnx":
             _write_onnx(program, policy, settings, temporary)
-            exported = onnx_function(temporary)
+            exported: ExportedFunction = onnx_function(temporary)
         else:
             _write_program(program, settings, temporary)
-            exported = program_function(temporary)
-        difference = action_difference(checkpoint, exported, policy)
+            module = torch.export.load(temporary).module()
+            exported = lambda inputs: module(*(inputs[name] for name in policy.inputs))  # noqa: E731
+        difference = _action_difference(checkpoint, exported, policy.state_size)
         if not difference <= TOLERANCE:
             raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
+
+
+def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
+    """Draws inputs ``[count, n]`` of a policy, except its state, uniformly within their bounds, with seed 0."""
+    generator = torch.Generator().manual_seed(0)
+    sensors = policy_sensors(checkpoint.env.lidar, checkpoint.env.own_sensors)
+    drawn = {}
+    for key in checkpoint.config.network.observation:
+        if key != ROBOT:
+            low, high = sensors[key].bounds.tensors(None)
+            drawn[key] = low + (high - low) * torch.rand(count, len(low), generator=generator)
+    return drawn
+
+
+def _action_difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: int) -> float:
+    """Returns the largest difference of actions; NaN if one is."""
+    rows = TensorDict(random_observations(checkpoint, CHECKED)).auto_batch_size_(1)
+    runner, state, differences = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, state_size), []
+    robot = {ROBOT: _robot_numbers(checkpoint)} if ROBOT in checkpoint.config.network.observation else {}
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        for row in rows.split(1):
+            action = exported({**row, STATE_IN: state})
+            if state_size:
+                action, state = action
+            differences.append((action - runner(row.update(robot))).abs().max())
+    return float(torch.stack(differences).max())
+
+
+def _finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
+    """Returns the inputs with the given names. Raises ``ValueError`` for NaN or infinity, which networks accept."""
+    arrays = [np.asarray(inputs[name], np.float32) for name in names]
+    for name, array in zip(names, arrays, strict=True):
+        if not np.isfinite(array).all():
+            raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
+    return arrays
 
 
 def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
@@ -95,24 +178,6 @@ def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
     written = io.BytesIO()
     torch.export.save(program, written, extra_files={"rover_rl.json": settings})
     path.write_bytes(written.getvalue())
-
-
-def program_function(path: Path) -> ExportedFunction:
-    """Loads a ``torch.export`` program as a function. Raises ``ValueError`` if it is none, or damaged."""
-    content, extra = path.read_bytes(), {"rover_rl.json": ""}
-    try:
-        program = torch.export.load(checked_copy(content), extra_files=extra)
-        network, module = config_from(json.loads(extra["rover_rl.json"]), str(path)).network, program.module()
-    except Exception as error:  # a damaged file can fail in any way
-        raise ValueError(f"{path} is damaged, or was not written by rover-rl export") from error
-
-    names = input_names(network)
-
-    def act(inputs: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
-        with torch.no_grad():
-            return module(*map(torch.from_numpy, finite_arrays(inputs, names)))
-
-    return act
 
 
 def _write_onnx(program: ExportedProgram, policy: PlainPolicy, settings: str, path: Path) -> None:
@@ -165,8 +230,8 @@ def _session_function(session: InferenceSession) -> ExportedFunction:
     names = [entry.name for entry in session.get_inputs()]
     outputs = ["action", STATE_OUT] if STATE_IN in names else ["action"]
 
-    def act(inputs: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
-        results = session.run(outputs, dict(zip(names, finite_arrays(inputs, names), strict=True)))
+    def act(inputs: Mapping[str, Any]) -> Tensor | tuple[Tensor, ...]:
+        results = session.run(outputs, dict(zip(names, _finite_arrays(inputs, names), strict=True)))
         action, *state = map(torch.from_numpy, results)
         return (action, *state) if state else action
 
@@ -181,7 +246,7 @@ def onnx_function(path: Path) -> ExportedFunction:
 class OnnxPolicy:
     """Policy from an ONNX file that :func:`export` wrote, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
-    Each row takes a call of its own. With a map or a memory, the policy reads and writes its state.
+    Each row takes a call of its own.
 
     Attributes:
         config: settings that the policy was trained with.

@@ -22,7 +22,7 @@ from torch import Tensor
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SEEN_DISTANCES, SEEN_FRAME, SeenMap
+from rover_rl.envs.seen_map.seen_map import NO_BOUNDS, SEEN_DISTANCES, SEEN_FRAME, SeenMap
 from rover_rl.envs.sensors.lidar_mask import LidarViews
 from rover_rl.envs.sensors.movers import SeenMovers
 from rover_rl.envs.sensors.scan_pose import scan_pose_now
@@ -79,15 +79,14 @@ class PolicyRunner:
     It adds to the observation what a policy reads and the environment does not have: of the sensors ``route``,
     ``movers`` and ``walls``, for which it keeps the maps of what the rovers have seen and the tracks of what moves;
     ``seen_distances`` and ``seen_frame``, the distances on these maps; ``scan_pose``, which tells that the scan is as
-    new as the pose, if scans are never late; ``lidar_mask``, that of the robot's lidar; and ``bounds``, those of the
-    world, for an exported policy that keeps its own map.
+    new as the pose, if scans are never late; and ``lidar_mask``, that of the robot's lidar.
 
     Args:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
         env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
-            ``None``: those of the entry ``bounds`` of the observation, or none.
+            ``None``: none.
     """
 
     @with_torch_defaults
@@ -204,8 +203,6 @@ class PolicyRunner:
                 inputs[SEEN_DISTANCES], inputs[SEEN_FRAME] = self._seen.distances(inputs, self._bounds(observation))
         if _reads(self.policy, SCAN_POSE) and observation.get(SCAN_POSE, None) is None:
             inputs[SCAN_POSE] = scan_pose_now(observation["imu"])
-        if _reads(self.policy, BOUNDS):
-            inputs[BOUNDS] = self._bounds(observation)
         if self._keys:
             inputs.update(self._state).set("is_init", self._is_init[:, None])
         if getattr(self.policy, "row_by_row", False):
@@ -224,7 +221,7 @@ class PolicyRunner:
         if self._env is not None:
             return self._env.placement.bounds
         lidar = observation["lidar"]
-        return observation.get(BOUNDS, lidar.new_tensor(NO_BOUNDS).expand(len(lidar), 4))
+        return lidar.new_tensor(NO_BOUNDS).expand(len(lidar), 4)
 
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:

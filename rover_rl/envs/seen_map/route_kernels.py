@@ -1,8 +1,7 @@
 """Warp kernels that plan routes on maps of seen obstacles.
 
 What has not been seen counts as free. A step to a neighboring cell costs its length (``STRAIGHT`` or ``DIAGONAL``)
-times the weight of the cell that is nearer to the goal. Weights grow near obstacles. All costs are integers, so that
-every exact method finds the same ones: ``PlainSeenMap`` does by sweeps, which can be exported.
+times the weight of the cell that is nearer to the goal. Weights grow near obstacles. All costs are integers.
 
 The map changes with each scan, and each rover has its own, so that this search, A*, looks at few of its cells. That of
 :mod:`rover_rl.sims.free_space.path_kernels` finds the costs from all cells of a known world.

@@ -48,12 +48,8 @@ from rover_rl.robots import get_robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.footprint import footprint
 
-ROUTE_KEYS = ("lidar", "pose", "imu", "target")
-"""Entries of an observation that the map and the route are computed from."""
 SEEN_DISTANCES, SEEN_FRAME = "seen_distances", "seen_frame"
 """Names of what :meth:`SeenMap.distances` returns."""
-BOUNDS = "bounds"
-"""Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
 KNOWN = 0.2
 """Distance from the body within which the ground is known to be free, as the rover stands there, m."""
 MOVER_MARGIN = 0.1
@@ -186,7 +182,7 @@ class SeenMap:
         rows = self._every if rows is None else rows.contiguous()
         if renewed is not None:
             self._state = self._state.masked_fill(renewed[:, None], 0.0)
-        lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
+        lidar, pose, imu, target = (observation[key] for key in ("lidar", "pose", "imu", "target"))
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
         several, index = len(self._fleet.robots) > 1, self._fleet.index

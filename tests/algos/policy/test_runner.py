@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import torch
 from tensordict import TensorDict, TensorDictBase
 
@@ -75,21 +73,6 @@ def test_a_policy_decides_at_the_same_times_whatever_the_control_rate() -> None:
     assert [default_action_repeat(GridPlanner(), dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
     actor = recurrent_checkpoint("gru").make_actor()
     assert [default_action_repeat(actor, dt=dt) for dt in (0.1, 0.025)] == [2, 8]
-
-
-def test_a_policy_may_read_the_bounds() -> None:
-    class Bounded:
-        in_keys = ("lidar", "bounds")
-
-        def __call__(self, td: TensorDictBase) -> TensorDictBase:
-            return td.set("action", td["bounds"][:, 2:])
-
-    seen = observations(2)[0]
-    assert torch.equal(PolicyRunner(Bounded())(seen), torch.full((2, 2), 1e6))
-    given = seen.clone().set("bounds", torch.tensor([[-1.0, -2.0, 3.0, 4.0]]).expand(2, 4))
-    assert torch.equal(PolicyRunner(Bounded())(given), given["bounds"][:, 2:])
-    env = SimpleNamespace(control_dt=0.05, placement=SimpleNamespace(bounds=2 * given["bounds"]))
-    assert torch.equal(PolicyRunner(Bounded(), env=env)(given), 2 * given["bounds"][:, 2:])
 
 
 def test_policies_without_memory_pass_through() -> None:
