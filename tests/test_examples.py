@@ -20,7 +20,7 @@ import pytest
 import torch
 
 from rover_rl.algos.config import with_settings
-from rover_rl.algos.deploy import comparison
+from rover_rl.algos.deploy import export
 from rover_rl.algos.train import train
 from tests.algos.train.runs import PPO, SAC
 from tests.pages import NEEDS, ROOT, blocks, name_of, pages
@@ -48,7 +48,7 @@ class Checker(doctest.OutputChecker):
 @pytest.fixture(autouse=True)
 def few_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Exported policies are compared on few observations: other tests compare them on many."""
-    monkeypatch.setattr(comparison, "CHECKED", 50)
+    monkeypatch.setattr(export, "CHECKED", 50)
 
 
 @pytest.fixture(scope="module")
