@@ -34,11 +34,12 @@ from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
 from rover_rl.robots import Robot
 from rover_rl.rotations import matrix_to_quaternion, quaternion_to_euler
-from rover_rl.sims.base import Dynamics, RoverState
+from rover_rl.sims.base import Simulator
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.rover_state import RoverState
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
 
 DT = 0.05
@@ -81,16 +82,16 @@ class LagFree:
         return (yaw_rates[yaw_rates.isfinite()].abs() >= HeadingGains.max_output).float().mean().item()
 
 
-class LagFreeRovers:
+class LagFreeRovers(Simulator):
     """Rovers that follow their commands exactly, on the ground of one world.
 
     Obstacles do not stop them. The body touches one where its outline is within 1 cm of it.
     """
 
-    capabilities = frozenset({"contacts"})
+    features = frozenset({"contacts"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: LagFree) -> None:
-        self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
+        self.num_envs, self.device = len(worlds), torch.device("cpu")
         self.control_dt = DT
         self._world, self._robot, self._settings = worlds[0], robot, settings
         self._limits = torch.tensor([CommandLimits.of(robot, Ros2Settings())])
@@ -105,14 +106,6 @@ class LagFreeRovers:
         if self._limiter is not None:
             self._limiter.reset(mask[:, None])
         return self.state()
-
-    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Not supported.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError("rovers without drive lag have no dynamics to vary")
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Executes the commands for one control step."""

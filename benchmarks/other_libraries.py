@@ -25,7 +25,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 ATTEMPT = round(60 / CONTROL_DT)
 """Number of steps in which a goal must be reached."""

@@ -23,7 +23,7 @@ from rover_rl.algos.evaluation.plots import BLUE, GREY, ORANGE, style_axes
 from rover_rl.algos.policy.names import make_policy
 from rover_rl.envs import EnvConfig, PoseConfig, Randomization
 from rover_rl.files import write_json, written_whole
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 JUMP_HEADING = math.radians(30.0)  # error of the heading for each meter of that of the position, rad/m
 

@@ -27,7 +27,7 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.robots import get_robot
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 WITHIN, MOVING = 6.0, 0.35
 """Distance (m) up to which movers count, and speed (m/s) from which on they do."""

@@ -31,7 +31,7 @@ from rover_rl.envs.scan_tracker import in_world
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.envs.sensors.walls import MovingWalls, walls_of
 from rover_rl.robots import get_robot
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 PERIOD, ROBOT = 2, "jackal"
 """Number of steps from one scan to the next, and robot."""

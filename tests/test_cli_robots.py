@@ -11,7 +11,7 @@ from rover_rl.cli.main import main
 from rover_rl.cli.policies import EnvOptions
 from rover_rl.cli.train import train_defaults
 from rover_rl.robots import RobotOptions, get_robot, robot_names
-from rover_rl.sims.spin import measured_track
+from rover_rl.sims.effective_track import measured_track
 from tests.robots.public_urdfs import Machine, car
 
 

@@ -13,7 +13,7 @@ from rover_rl.checks import MAX_SECONDS, check_at_least
 from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.train import INTERRUPTED, format_summary
 from rover_rl.progress import ProgressDisplay
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 TRAINED_IN = "0-299@0.2-0.9"
 """Seeds and difficulties of the worlds to train in."""

@@ -21,8 +21,8 @@ from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import SCAN_POSE, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.robots.options import RobotOptions, with_options
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
+from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment

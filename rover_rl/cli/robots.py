@@ -60,7 +60,7 @@ class ShowRobot:
     def _spin(self, robot: Robot) -> str:
         """Returns a line on the effective track of a skid-steer robot."""
         from rover_rl.robots.drives import SkidSteer
-        from rover_rl.sims.spin import measured_track
+        from rover_rl.sims.effective_track import measured_track
 
         if not isinstance(robot.drive, SkidSteer):
             return ""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         WorldLike,
     )
     from rover_rl.robots.options import RobotOptions
-    from rover_rl.sims.connection import Connection
+    from rover_rl.sims.settings import Connection
 
 
 class EnvSettings(TypedDict, total=False):

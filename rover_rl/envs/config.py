@@ -23,8 +23,7 @@ from rover_rl.robots import names_several
 from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
-from rover_rl.sims.connection import Connection
-from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
+from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL, Connection
 
 if TYPE_CHECKING:
     from torch import Tensor

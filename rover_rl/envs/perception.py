@@ -18,7 +18,7 @@ from torch.nn.functional import pad
 from rover_rl.envs.config import PoseConfig, Randomization
 from rover_rl.rng import between, random_bits, to_normal, to_unit
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
-from rover_rl.sims.base import RoverState
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds.movers.motions.base import Others
 
 _DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE = 7, 8, 9, 23, 24

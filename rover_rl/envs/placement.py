@@ -18,9 +18,9 @@ from torch import Tensor
 from rover_rl.envs.config import Randomization
 from rover_rl.rng import random_bits, to_index, to_unit
 from rover_rl.robots import Robot
-from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
+from rover_rl.sims.rover_state import Dynamics
 from rover_rl.worlds import World
 from rover_rl.worlds.table import SlotTable, WorldTable
 

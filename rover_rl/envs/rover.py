@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -40,25 +40,13 @@ from rover_rl.robots import Robot, get_robots
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
-from rover_rl.sims.base import (
-    MAX_AGE,
-    Capability,
-    DynamicsChanger,
-    MoverCarrier,
-    Reporter,
-    RobotChanger,
-    ScanCarrier,
-    Scanner,
-    StampedSensors,
-    View,
-    WorldChanger,
-)
-from rover_rl.sims.field_of_view import in_view
+from rover_rl.sims.base import MAX_AGE, Feature, Scanner, View
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.company import Company
 from rover_rl.sims.movers.rays import MoverScanner
+from rover_rl.sims.rays import in_view
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.torch_defaults import with_torch_defaults
 from rover_rl.worlds import World
@@ -230,7 +218,7 @@ class RoverEnv(EnvBase):
         self.controller = HeadingController(self.num_envs, gains, device)
         self._localization = Localization(config.pose, config.randomization)
         # A live rover limits its commands itself.
-        limited = config.limits.apply and "live" not in self.simulator.capabilities
+        limited = config.limits.apply and self.simulator.live is None
         self._limits = RowLimits(config.limits, config.randomization.limits, self.fleet, device) if limited else None
         self._brake = (
             EmergencyBrake(config.guard, self.fleet, self._lidar.angles) if config.guard.deceleration else None
@@ -239,7 +227,7 @@ class RoverEnv(EnvBase):
         delays = config.randomization, config.lidar.period, self.num_envs, device
         self.delays = SensorDelays(*delays) if config.late_scans else None
         most = config.randomization.state_latency[1]
-        if isinstance(self.simulator, StampedSensors):
+        if self.simulator.live is not None:
             most += math.ceil(MAX_AGE / self.control_dt)
         predicts = config.compensate_delay and most
         latency = config.randomization.latency
@@ -356,7 +344,7 @@ class RoverEnv(EnvBase):
         Raises:
             ValueError: if episodes do not draw worlds here, or a weight is negative or not finite, or all are 0.
         """
-        if not isinstance(self.simulator, WorldChanger):
+        if "worlds" not in self.simulator.features:
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)
 
@@ -409,38 +397,37 @@ class RoverEnv(EnvBase):
         try:
             _check_requirements(self.config, self.fleet, self.simulator, self._has_movers, self.sensors)
             if fields := {field for sensor in self.sensors.values() for field in sensor.needs}:
-                cast(Reporter, self.simulator).report(fields)
+                self.simulator.measure(fields)
         except ValueError:
             self.simulator.close()
             raise
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
-        self._pooling = self.lidar
-        if isinstance(self.simulator, ScanCarrier):
-            self._pooling = LivePooling(self.simulator, self.lidar)
+        live = self.simulator.live
+        self._pooling = self.lidar if live is None else LivePooling(live, self.lidar)
         self._meet_movers()
-        if self.config.compensate_delay and isinstance(self.simulator, StampedSensors):
-            self.simulator.follow_clock()
+        if self.config.compensate_delay and live is not None:
+            live.follow_clock()
         self._started = False
         self.is_closed = False
-        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
+        if self._row_worlds.is_drawn and "worlds" in self.simulator.features:
             self._row_worlds.open(partial(_prepare, self.robot_in, self.simulator))
             self.simulator.enter_worlds()
 
     def _meet_movers(self) -> None:
         """Lets lidar and simulator meet the movers of the worlds. Those around a live rover move on their own."""
-        is_live = "live" in self.simulator.capabilities
+        live = self.simulator.live
         company, agents = None, self.config.agents
         if agents > 1:
             company = Company(self.robot, agents, self.num_envs, self.control_dt, self._tensor_device)
-        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live, company)
+        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, live is not None, company)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
-        self._surroundings.live = self.simulator if is_live else None
+        self._surroundings.live = live
         lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)
         self._lidar = in_view(lidar, self.fleet)
-        if "movers" in self.simulator.capabilities:
-            cast(MoverCarrier, self.simulator).meet(self.movers)
+        if "movers" in self.simulator.features:
+            self.simulator.add_movers(self.movers)
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
@@ -495,11 +482,9 @@ class RoverEnv(EnvBase):
         rows = mask.squeeze(-1).to(device)
         if self.robots.are_several:
             self.robots.draw(mask, self._keys, self._row_choices())
-            cast(RobotChanger, self.simulator).enter_robots(rows)
+            self.simulator.enter_robots(rows)
         if self.randomization.varies_dynamics:
-            cast(DynamicsChanger, self.simulator).set_dynamics(
-                rows, draw_dynamics(self.randomization, self._keys.to(device))
-            )
+            self.simulator.set_dynamics(rows, draw_dynamics(self.randomization, self._keys.to(device)))
         if self._privileged is not None:
             self._dynamics = draw_dynamics(self.randomization, self._keys)
         self.movers.reset(begins, keys, poses[:, :2])
@@ -534,8 +519,8 @@ class RoverEnv(EnvBase):
         """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
         if not self._row_worlds.is_drawn:
             return
-        changes = isinstance(self.simulator, WorldChanger)
-        if not changes and ("live" in self.simulator.capabilities or not (self._episode == 1).all()):
+        changes = "worlds" in self.simulator.features
+        if not changes and (self.simulator.live is not None or not (self._episode == 1).all()):
             return
         groups, before = self._groups, self._row_worlds.index
         next_keys = episode_keys(self._row_keys, self._episode + 1) if groups is None else groups.next_keys
@@ -544,7 +529,7 @@ class RoverEnv(EnvBase):
             return
         self.placement.enter_worlds()
         self._state.world = self._row_worlds.index_if_several
-        if isinstance(self.simulator, WorldChanger):
+        if changes:
             self.simulator.enter_worlds()
             self.movers.enter_worlds()
         else:
@@ -659,7 +644,8 @@ class RoverEnv(EnvBase):
         position, yaw, scan_pose, predicted = state.pose.position, state.pose.yaw, None, {}
         if self.delays is not None:
             steps = state.task.steps
-            stamped = self.simulator.scan_pose() if isinstance(self.simulator, StampedSensors) else None
+            live = self.simulator.live
+            stamped = None if live is None else live.scan_pose()
             known, scan = self.delays.poses(state.pose, state.sensed.euler, steps, stamped)
             if self._prediction is not None:
                 known, velocities = self._predicted(self._prediction, known)
@@ -691,8 +677,8 @@ class RoverEnv(EnvBase):
 
     def _limited_by_rover(self, command: Tensor) -> Tensor:
         """Returns the command that a live rover got, which limits it itself, else the given one."""
-        simulator = self.simulator
-        return command.new_tensor([simulator.last_command]) if isinstance(simulator, StampedSensors) else command
+        live = self.simulator.live
+        return command if live is None else command.new_tensor([live.last_command])
 
     def _predicted(self, prediction: Prediction, known: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the present pose ``[N, 6]`` and velocities ``[N, 2]`` for the ``known`` pose, which may be late."""
@@ -700,8 +686,8 @@ class RoverEnv(EnvBase):
         rover, steps, delay = self._state.sensed.rover, self._state.task.steps, self.delays.state
         velocities = torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
         velocities = self.delays.late("velocities", velocities, steps, delay)
-        if isinstance(self.simulator, StampedSensors):
-            delay = delay + self.simulator.state_age().to(velocities) / rover.dt
+        if (live := self.simulator.live) is not None:
+            delay = delay + live.state_age().to(velocities) / rover.dt
         return prediction(known, velocities, steps, delay)
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:
@@ -728,7 +714,7 @@ class RoverEnv(EnvBase):
 RoverEnv.__signature__ = SIGNATURE
 
 
-def _prepare(robot_in: Callable[[World], Robot], simulator: WorldChanger, world: World) -> None:
+def _prepare(robot_in: Callable[[World], Robot], simulator: Simulator, world: World) -> None:
     """Prepares a world for episodes in it."""
     free_space(world, robot_in(world))
     simulator.prepare_world(world)
@@ -746,12 +732,12 @@ def _check_requirements(
     config: EnvConfig, fleet: Fleet, simulator: Simulator, has_movers: bool, sensors: Mapping[str, Sensor]
 ) -> None:
     """Raises an error for the first thing that an environment needs and its simulator or robot cannot do."""
-    needs: dict[Capability, str] = {}
+    needs: dict[Feature, str] = {}
     if config.task.collision_from == "contact":
         needs["contacts"] = "a task with collision_from='contact' needs a backend that reports contacts"
     if config.randomization.varies_dynamics:
         needs["dynamics"] = "randomized friction, mass and motors need a backend in which they can be varied"
-    if has_movers and "live" not in simulator.capabilities:
+    if has_movers and simulator.live is None:
         needs["movers"] = "a world with movers needs a backend that lets them push the rovers"
     if len(fleet.robots) > 1:
         needs["robots"] = "several robots in one batch need a backend that simulates them"
@@ -760,12 +746,12 @@ def _check_requirements(
     for key, sensor in sensors.items():
         need = f"sensor {key!r} needs a backend that measures it"
         needs |= dict.fromkeys(sensor.needs, need)
-    for capability, need in needs.items():
-        if capability not in simulator.capabilities:
-            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
-    if config.action.max_sideways and "live" in simulator.capabilities:
+    for feature, need in needs.items():
+        if feature not in simulator.features:
+            raise ValueError(f"{need}: {type(simulator).__name__} does not have the feature {feature!r}")
+    if config.action.max_sideways and simulator.live is not None:
         raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
-    if config.compensate_delay and "live" in simulator.capabilities and not config.late_scans:
+    if config.compensate_delay and simulator.live is not None and not config.late_scans:
         raise ValueError(f"compensate_delay needs sensors=({SCAN_POSE!r},) with a live rover, whose scans can be late")
     if config.agents > 1 and len(fleet.robots) > 1:
         raise ValueError(f"agents={config.agents} need one robot for all rows, got {len(fleet.robots)} robots")

@@ -25,10 +25,10 @@ from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.movers.overlap import check_standing
 from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.served import Report
 
 MAP_CELL = 0.1

@@ -1,7 +1,4 @@
-"""Simulation and hardware backends: implementations of :class:`rover_rl.sims.base.Simulator`.
-
-``RoverState`` and ``Simulator`` need PyTorch and are imported on first use.
-"""
+"""Simulators of the rovers, one of which is a real rover: implementations of :class:`Simulator`."""
 
 from __future__ import annotations
 
@@ -17,17 +14,10 @@ from rover_rl.sims.backends import (
     make_simulator,
     register_backend,
 )
-from rover_rl.sims.connection import Connection
+from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
     from rover_rl.sims.base import RoverState, Simulator
-
-
-def __getattr__(name: str) -> Any:
-    if name not in ("RoverState", "Simulator"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("rover_rl.sims.base"), name)
-
 
 __all__ = [
     "BACKENDS",
@@ -41,3 +31,10 @@ __all__ = [
     "make_simulator",
     "register_backend",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # They need PyTorch.
+    if name not in ("RoverState", "Simulator"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("rover_rl.sims.base"), name)

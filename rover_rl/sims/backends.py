@@ -1,60 +1,37 @@
-"""Backend registry and simulator factory. Imports PyTorch and a simulator only when the simulator is built."""
+"""Simulators by name. Imports PyTorch and a simulator only when the simulator is built."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
 from inspect import isfunction, signature
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 from rover_rl.registry import Registry
-from rover_rl.sims.connection import Connection
-from rover_rl.sims.timing import at_rate
+from rover_rl.sims.settings import Connection, at_rate
 
 if TYPE_CHECKING:
     import torch
 
     from rover_rl.robots import Robot
     from rover_rl.robots.fleet import Fleet
-    from rover_rl.sims.base import LidarCarrier, Scanner, Simulator
+    from rover_rl.sims.base import Scanner, Simulator
     from rover_rl.worlds import World
 
-
-class _BuiltIn(NamedTuple):
-    """A backend of the package: ``"module:class"`` of its settings and of its simulator.
-
-    ``options`` are the arguments of :func:`make_simulator` that the simulator takes besides the common ones.
-    """
-
-    settings: str
-    simulator: str
-    options: tuple[str, ...] = ()
-
-
-_BUILT_IN = {
-    "bullet": _BuiltIn(
-        "rover_rl.sims.bullet.settings:BulletSettings", "rover_rl.sims.bullet.simulator:BulletSimulator"
-    ),
-    "mujoco": _BuiltIn(
-        "rover_rl.sims.mujoco.settings:MujocoSettings", "rover_rl.sims.mujoco.simulator:MujocoSimulator"
-    ),
-    "ros2": _BuiltIn(
-        "rover_rl.sims.ros2.settings:Ros2Settings", "rover_rl.sims.ros2.simulator:Ros2Simulator", ("connection",)
-    ),
-    "warp": _BuiltIn(
-        "rover_rl.sims.warp.settings:WarpSettings", "rover_rl.sims.warp.simulator:WarpSimulator", ("device",)
-    ),
+BACKENDS: dict[str, str] = {
+    name: f"rover_rl.sims.{name}.settings:{name.capitalize()}Settings" for name in ("bullet", "mujoco", "ros2", "warp")
 }
-
-BACKENDS: dict[str, str] = {name: backend.settings for name, backend in _BUILT_IN.items()}
 """Settings classes of the built-in backends, by name."""
+_OPTIONS = {"ros2": ("connection",), "warp": ("device",)}
+"""Arguments of :func:`make_simulator` that a built-in simulator takes besides the common ones."""
 
 BackendLike: TypeAlias = Any
 """A backend: its name, its settings, or a :class:`Backend` object."""
 
 _REGISTRY = Registry("backend", BACKENDS)
 _MAKE = "make(worlds=, robot=, connection=, device=)"
-"""The method of a :class:`Backend`, for messages."""
+_REQUIRED = "close control_dt device features live num_envs reset robot_connected state step".split()  # noqa: SIM905
+"""Attributes of a simulator that every environment uses."""
 
 
 @runtime_checkable
@@ -99,7 +76,7 @@ def register_backend(name: str, backend: Any) -> None:
 
 
 def backend_names() -> list[str]:
-    """Returns the names of all backends: built-in, registered, and from installed packages."""
+    """Names of all backends: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
@@ -113,7 +90,7 @@ def find_settings(name: str) -> Any:
 
 
 def name_of(backend: Any) -> str:
-    """Returns the name of the backend of a settings object, as :func:`find_settings` takes it."""
+    """Name of the backend of a settings object, as :func:`find_settings` takes it."""
     path = f"{type(backend).__module__}:{type(backend).__qualname__}"
     return next((name for name, known in BACKENDS.items() if known == path), path)
 
@@ -134,7 +111,7 @@ def make_simulator(
         backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
             example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
         worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-        robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
+        robot: robot model, or a fleet with the robot of each rover, which backends with the feature ``"robots"``
             simulate.
         physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
         connection: topics of a real rover. ``None`` uses those of the contract.
@@ -155,16 +132,14 @@ def make_simulator(
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
         return _make_custom(settings, {"worlds": worlds, "robot": robot, **options})
-    built_in = _BUILT_IN[name_of(settings)]
-    module, _, simulator = built_in.simulator.partition(":")
-    taken = {option: options[option] for option in built_in.options}
-    made = getattr(import_module(module), simulator)
-    if len(robots) > 1 and "robots" not in made.capabilities:
+    name = name_of(settings)
+    simulator = getattr(import_module(f"rover_rl.sims.{name}.simulator"), f"{name.capitalize()}Simulator")
+    if len(robots) > 1 and "robots" not in simulator.features:
         raise ValueError(
-            f"several robots in one batch need a backend that simulates them: {simulator} does not state the "
-            "capability 'robots'; use backend='warp', or name one robot"
+            f"several robots in one batch need a backend that simulates them: {simulator.__name__} does not have the "
+            "feature 'robots'; use backend='warp', or name one robot"
         )
-    return made(worlds, robot, settings, **taken)
+    return simulator(worlds, robot, settings, **{option: options[option] for option in _OPTIONS.get(name, ())})
 
 
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:
@@ -182,8 +157,8 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
         >>> make_scanner(simulator, worlds, robot, beams=128).scan().shape
         torch.Size([1, 128])
     """
-    if "lidar" in simulator.capabilities:
-        return cast("LidarCarrier", simulator).scanner(beams)
+    if "lidar" in simulator.features:
+        return simulator.scanner(beams)
     from rover_rl.sims.rays import RayScanner
     from rover_rl.worlds.table import WorldTable
 
@@ -193,9 +168,7 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
 def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
     """Returns the settings of a backend, or the :class:`Backend`, without building a simulator.
 
-    Args:
-        backend: as for :func:`make_simulator`.
-        physics: as for :func:`make_simulator`.
+    The arguments are those of :func:`make_simulator`.
 
     Raises:
         ValueError: if the backend or the preset is unknown.
@@ -203,7 +176,7 @@ def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
     if physics is not None and not isinstance(backend, str):
         raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
     settings = _settings(backend, physics) if isinstance(backend, str) else backend
-    if not isinstance(settings, Backend) and name_of(settings) not in _BUILT_IN:
+    if not isinstance(settings, Backend) and name_of(settings) not in BACKENDS:
         source = f" under the name {backend!r}" if isinstance(backend, str) else ""
         raise ValueError(
             f"backend must be one of {backend_names()}, settings of one, or an object with a method {_MAKE} that "
@@ -213,7 +186,6 @@ def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
 
 
 def _settings(name: str, physics: str | None) -> Any:
-    """Returns the default settings, or a preset, of the named backend."""
     kind = find_settings(name)
     if physics is None:
         return _REGISTRY.call(name, kind) if isinstance(kind, type) or isfunction(kind) else kind
@@ -223,30 +195,16 @@ def _settings(name: str, physics: str | None) -> Any:
 
 
 def _make_custom(backend: Backend, arguments: dict[str, Any]) -> Simulator:
-    """Builds the simulator of a custom backend.
-
-    Raises:
-        ValueError: if ``make`` does not take the arguments, or returns something without the attributes of a simulator.
-    """
     try:
         signature(backend.make).bind(**arguments)
     except TypeError as error:
         reason = "it is a class; pass an object of it" if isinstance(backend, type) else error
         raise ValueError(f"backend {backend!r} must have a method {_MAKE}: {reason}") from error
     simulator = backend.make(**arguments)
-    missing = [name for name in _simulator_attributes() if not hasattr(simulator, name)]
+    missing = [name for name in _REQUIRED if not hasattr(simulator, name)]
     if missing:
         raise ValueError(
-            f"make() of backend {backend!r} must return a rover_rl.sims.base.Simulator, got {simulator!r} without "
+            f"make() of backend {backend!r} must return a rover_rl.sims.Simulator, got {simulator!r} without "
             f"{', '.join(missing)}"
         )
     return simulator
-
-
-def _simulator_attributes() -> list[str]:
-    """Returns the names of the attributes and methods that every environment uses."""
-    from rover_rl.sims.base import Simulator
-
-    # Only pictures need it.
-    names = {*Simulator.__annotations__, *vars(Simulator)} - {"render"}
-    return sorted(name for name in names if not name.startswith("_"))

@@ -1,4 +1,4 @@
-"""Rays to the ground and the obstacles of each row's world, the same in every simulator, and a lidar that casts them.
+"""Rays to the ground and the obstacles of each row's world, the same in every simulator, and lidars that cast them.
 
 Example:
     >>> caster = RayCaster(WorldTable([World("flat", Terrain.flat((20.0, 20.0)))]))
@@ -16,13 +16,17 @@ from torch import Tensor
 
 from rover_rl.native.warp import stream_of, wp
 from rover_rl.robots import Robot
-from rover_rl.sims.base import RoverState, Simulator, beam_angles
+from rover_rl.robots.fleet import Fleet
+from rover_rl.sims.base import Scanner, Simulator
+from rover_rl.sims.rover_state import RoverState, beam_angles
 from rover_rl.sims.scenes.ray_kernels import aim_rays, cast_rays
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.worlds.table import WorldTable
 
 FAR = 1.0e4
 """Largest length of rays, m."""
+_TOLERANCE = 1e-6
+"""Tolerance of angles at the borders of a view, rad."""
 
 
 class RayCaster:
@@ -64,10 +68,7 @@ class RayCaster:
 def aimed_rays(rover: RoverState, mount: Sequence[float], directions: Tensor) -> tuple[Tensor, Tensor]:
     """Returns origins and directions of rays from rovers in the world frame, float32 ``[N, K, 3]`` each.
 
-    Args:
-        rover: state of the rovers, ``[N]``.
-        mount: position in the frame of the rover, m.
-        directions: directions in this frame, ``[K, 3]``.
+    ``mount`` (m) and ``directions [K, 3]`` are in the frame of the rover.
     """
     device = rover.position.device
     origins = torch.empty(len(rover.position), *directions.shape, device=device)
@@ -103,7 +104,36 @@ class RayScanner:
         self._ranges = torch.full((simulator.num_envs, beams), math.inf, device=simulator.device)
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Scans: see :meth:`~rover_rl.sims.base.Scanner.scan`."""
         ranges = self._caster.cast(*aimed_rays(self._simulator.state(), self._mount, self._directions), self._range)
         self._ranges = ranges if rows is None else torch.where(rows[:, None], ranges, self._ranges)
         return self._ranges
+
+
+def seen(angles: Tensor, view: float | Tensor) -> Tensor:
+    """Whether directions (rad) are in a view that is centered on straight ahead, bool.
+
+    ``view`` is the total angle of the view, or of several views, with which ``angles`` are broadcast, rad.
+    """
+    return (torch.remainder(angles + math.pi, 2 * math.pi) - math.pi).abs() <= view / 2 + _TOLERANCE
+
+
+class ViewScanner:
+    """Lidar that sees less than a full turn: beams outside of the view of a row's robot have no return."""
+
+    def __init__(self, scanner: Scanner, fleet: Fleet) -> None:
+        self.angles = scanner.angles
+        self._scanner, self._fleet = scanner, fleet
+        # Beams outside of the view of each robot's lidar, [K, beams].
+        self._hidden = torch.stack([~seen(scanner.angles, robot.lidar_view) for robot in fleet.robots])
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        hidden = self._hidden
+        if len(hidden) > 1:
+            hidden = hidden[self._fleet.index.to(hidden.device)]
+        return self._scanner.scan(rows).masked_fill(hidden, math.inf)
+
+
+def in_view(scanner: Scanner, fleet: Fleet) -> Scanner:
+    """Returns a lidar with the views of the robots, which is the scanner itself if they see a full turn."""
+    least = min(robot.lidar_view for robot in fleet.robots)
+    return scanner if least >= 2 * math.pi - _TOLERANCE else ViewScanner(scanner, fleet)

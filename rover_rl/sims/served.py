@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple, Protocol, TypeAlias
 from torch import Tensor
 
 from rover_rl.robots.footprint import Footprint
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.elevation_map import ElevationMap
+from rover_rl.sims.rover_state import RoverState
 
 ImageKind: TypeAlias = Literal["depth", "colors"]
 """What an image shows: distances along the optical axis, ``[rows, columns]``, m, or red, green and blue from 0 to 1,

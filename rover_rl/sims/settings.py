@@ -1,17 +1,26 @@
-"""What the settings of all simulators share. Does not import PyTorch."""
+"""What the settings of all simulators share, and the topics of a live rover. Does not import PyTorch."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+import math
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rover_rl.checks import check_topics
 from rover_rl.plain import take_numbers
 from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+CONTROL_DT = 0.05
+"""Default duration of a control step, s: the control rate of the contract, 20 Hz.
 
+``Simulator.control_dt`` is the value that a simulator uses.
+"""
+MIN_REVERSAL = 0.5
+"""Smallest desired yaw rate that changes the turning direction of a live rover, rad/s. The heading PID outputs it at a
+heading error of 14 degrees."""
 REFERENCE_MASS = 12.486
 """Mass of the robot that stiffness and damping are stated for, Rover Zero, kg."""
 
@@ -57,11 +66,74 @@ class PhysicsSettings:
 
     @classmethod
     def preset(cls, name: str) -> Self:
-        """Returns the settings of a preset by name.
-
-        Raises:
-            ValueError: if the name is unknown.
-        """
+        """Returns the settings of a preset. Raises ``ValueError`` if the name is unknown."""
         if name not in cls.presets:
             raise ValueError(f"unknown physics {name!r}{perhaps(name, cls.presets)}; use one of {list(cls.presets)}")
         return cls(**cls.presets[name])
+
+
+def at_rate(settings: Any, rate: float) -> Any:
+    """Returns the settings of a simulator at another control rate, Hz.
+
+    A control step has so many physics steps that none lasts longer than before. ``substep_multiple`` of a class of
+    settings is a number that divides theirs.
+
+    Raises:
+        ValueError: if the settings have no field ``control_dt``.
+    """
+    names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
+    if "control_dt" not in names:
+        raise ValueError(f"control_rate needs a backend whose settings have a control_dt, and {settings!r} has none")
+    changes: dict[str, Any] = {"control_dt": 1 / rate}
+    if "substeps" in names:
+        multiple = getattr(settings, "substep_multiple", 1)
+        steps = vars(settings)["substeps"] / rate / vars(settings)["control_dt"]
+        changes["substeps"] = max(1, math.ceil(steps / multiple - 1e-9)) * multiple
+    return replace(settings, **changes)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Topics and timeout of the connection to a live rover, as in the original environment's arguments.
+
+    Simulators that generate their own sensor data ignore it.
+
+    Args:
+        scan_topic: Topic of the ``sensor_msgs/LaserScan``.
+        imu_topic: Topic of the ``sensor_msgs/Imu``.
+        cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
+        camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it ends
+            in ``/compressed`` or ``/compressedDepth``. It is received if a sensor asks for it.
+        color_topic: Topic of the color image, likewise.
+        timeout: Time to wait for the first scan, s.
+        elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
+            received if a sensor asks for it.
+        points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
+        joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, likewise.
+        contact_topic: Topic of the contacts, a ``ros_gz_interfaces/Contacts``. ``None``: contacts are not received, and
+            a sensor that asks for them is refused, since silence means that there is none.
+
+    Raises:
+        ValueError: if a topic is not allowed in ROS 2.
+    """
+
+    scan_topic: str = "/scan"
+    imu_topic: str = "/imu/data"
+    cmd_vel_topic: str = "/cmd_vel"
+    camera_topic: str = "/camera/image_raw"
+    color_topic: str = "/camera/color/image_raw"
+    timeout: float = 30.0
+    elevation_topic: str = "/elevation_map"
+    points_topic: str = "/points"
+    joint_topic: str = "/joint_states"
+    contact_topic: str | None = None
+
+    def __post_init__(self) -> None:
+        take_numbers(self)
+        topics = {name: topic for name, topic in vars(self).items() if name.endswith("_topic")}
+        check_topics(**{name: topic for name, topic in topics.items() if (name, topic) != ("contact_topic", None)})
+
+    @property
+    def image_topics(self) -> dict[str, str]:
+        """Topics of the images, by what they show."""
+        return {"depth": self.camera_topic, "colors": self.color_topic}

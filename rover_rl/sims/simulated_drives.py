@@ -9,7 +9,7 @@ from torch.nn.functional import pad
 from rover_rl.robots.drives import Joints
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.kinematics import Kinematics
-from rover_rl.sims.base import RoverState
+from rover_rl.sims.rover_state import RoverState
 
 
 class SimulatedDrives:

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.robots import Robot
-from rover_rl.sims import RoverState
-from rover_rl.sims.connection import Connection
+from rover_rl.sims import RoverState, Simulator
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
 
 DT = 0.05
@@ -55,7 +55,7 @@ class ScriptedBackend:
         return ScriptedSimulator(worlds, self.contacts)
 
 
-class ScriptedSimulator:
+class ScriptedSimulator(Simulator):
     """Plays one list of moments per row: the first after a reset, the next after each step. The last one repeats.
 
     Set :attr:`scripts` before the environment's first reset.
@@ -66,13 +66,12 @@ class ScriptedSimulator:
         poses: requested poses (x, y, yaw) of the last reset, ``[N, 3]``.
     """
 
-    robot_connected = True
-    capabilities = frozenset({"lidar"})
+    features = frozenset({"lidar"})
 
     def __init__(self, worlds: Sequence[World], contacts: bool = False) -> None:
         self._contacts = contacts
         if contacts:
-            self.capabilities = self.capabilities | {"contacts"}
+            self.features = self.features | {"contacts"}
         self.num_envs = len(worlds)
         self.control_dt = DT
         self.device = torch.device("cpu")

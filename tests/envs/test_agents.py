@@ -317,7 +317,7 @@ def test_a_start_area_that_is_too_small_is_told() -> None:
 
 
 def test_a_backend_in_which_rovers_do_not_push_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(WarpSimulator, "capabilities", WarpSimulator.capabilities - {"movers"})
+    monkeypatch.setattr(WarpSimulator, "features", WarpSimulator.features - {"movers"})
     with pytest.raises(ValueError, match="agents=2 need a backend in which rovers push one another"):
         make(2, 2)
 

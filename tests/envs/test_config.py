@@ -23,7 +23,7 @@ from rover_rl.envs.config import env_from_plain, plain_env, require_match
 from rover_rl.envs.rewards import GoalReward
 from rover_rl.robots import RobotOptions, get_robot
 from rover_rl.sims.bullet import BulletSettings
-from rover_rl.sims.connection import Connection
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import get_world
 
 factors = st.floats(0.1, 10.0).flatmap(lambda low: st.tuples(st.just(low), st.floats(low, 20.0)))

@@ -52,7 +52,7 @@ def test_a_goal_does_not_count_in_the_step_in_which_a_contact_ends_the_episode()
 def test_a_backend_without_contacts_is_refused_only_if_the_task_needs_them():
     message = (
         "a task with collision_from='contact' needs a backend that reports contacts: ScriptedSimulator does not "
-        "state the capability 'contacts'"
+        "have the feature 'contacts'"
     )
     with pytest.raises(ValueError) as error:
         scripted([FREE], task=CONTACT)

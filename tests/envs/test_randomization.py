@@ -11,8 +11,8 @@ import torch
 from rover_rl import RoverEnv, make_env
 from rover_rl.envs import Randomization
 from rover_rl.envs.placement import draw_dynamics
-from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.rover_state import Dynamics
 from rover_rl.worlds import Terrain, World
 from tests.extras import BACKENDS
 

@@ -10,7 +10,7 @@ import torch
 
 from rover_rl import RoverEnv
 from rover_rl.robots import get_robot
-from rover_rl.sims.field_of_view import in_view, seen
+from rover_rl.sims.rays import in_view, seen
 from tests.sims.driven import ROVER
 
 FRONT = replace(ROVER, name="front", lidar_view=math.radians(270))

@@ -39,7 +39,7 @@ def test_backend_implements_the_simulator_interface(backend):
         assert getattr(state, name).shape == (3, width)
         assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
     torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
-    if "contacts" in simulator.capabilities:
+    if "contacts" in simulator.features:
         assert (state.contact.shape, state.contact.dtype) == ((3, 1), torch.bool)
 
 

@@ -38,7 +38,7 @@ from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World, get_world
 
 ENDINGS = {

@@ -25,7 +25,7 @@ from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.envs.rewards import STANDSTILL as STANDSTILL
 from rover_rl.robots import Robot
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 
 ROUGH_TILT = math.radians(10)

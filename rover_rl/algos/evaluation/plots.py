@@ -30,7 +30,7 @@ from rover_rl.algos.evaluation.mover_traces import draw_mover_traces, mover_hand
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.draw import draw_map
 from rover_rl.worlds.world import Area

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
 from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.envs.mover_tracker import MoverTracker, in_base_frame, tracked
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 MARGIN = 0.05  # added to the radius of what moves, m
 _FAR = 1e3  # coordinate of what does not move, m

@@ -25,7 +25,7 @@ from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.mover_tracker import MoverTracker, Tracks, in_base_frame, tracked
 from rover_rl.robots import get_robot
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 SECONDS, STATIC_SECONDS = 3.0, 1.0  # time without a contact with what moves, and with what does not, s
 MARGIN = 0.1  # added to the robot's radius, m

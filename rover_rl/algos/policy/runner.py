@@ -30,7 +30,7 @@ from rover_rl.envs.sensors.seen_tracks import SeenTracks
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, WALLS
 from rover_rl.envs.sensors.walls import SeenWalls
 from rover_rl.robots import get_robot
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.torch_defaults import with_torch_defaults
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]

@@ -9,7 +9,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
 from rover_rl.envs.task import StepEvent
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 TIME_LIMIT = 60.0  # time in which an attempt succeeds, as in an evaluation, s
 

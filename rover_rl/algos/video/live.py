@@ -12,9 +12,9 @@ from torch import Tensor
 from rover_rl.algos.archives import read_archive
 from rover_rl.algos.train.live import FILE, FOLDER, FORMAT, WATCHED
 from rover_rl.algos.video.recording import Moment
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_in
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World, get_world
 
 STALE = 30.0

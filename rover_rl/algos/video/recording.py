@@ -29,9 +29,9 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import Terrain, World, get_world
 
 NO_WORLD = "none"

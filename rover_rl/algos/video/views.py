@@ -23,13 +23,13 @@ from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SK
 from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.robots import Robot
 from rover_rl.rotations import quaternion_to_euler, rotate
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.draw import parts_from_above
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
 from rover_rl.sims.rendering.renderer import Renderer
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.world import Area
 

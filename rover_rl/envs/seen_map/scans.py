@@ -21,9 +21,9 @@ from rover_rl.envs.sensors.lidar_mask import WHOLE
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix, wrap_angle
-from rover_rl.sims.base import beam_angles
-from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.free_space.fitting import passage_scale
+from rover_rl.sims.rays import seen
+from rover_rl.sims.rover_state import beam_angles
 
 SIZE = 128
 """Number of cells along a side of the window. A power of two."""

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
 from zlib import crc32
 
 import torch
@@ -21,10 +21,10 @@ from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims import RoverState
-from rover_rl.sims.base import Report
+from rover_rl.sims.base import LiveRover
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import cast_at_movers
+from rover_rl.sims.rover_state import Force, RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.table import TerrainTable, WorldTable
 
@@ -43,8 +43,8 @@ class Surroundings:
 
     def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
         self._worlds, self._movers = worlds, movers
-        self.live: Any = None
-        """Simulator of a live rover, around which nothing is known but the map of its world. ``None``: not live."""
+        self.live: LiveRover | None = None
+        """The live rover, around which nothing is known but the map of its world. ``None``: not live."""
 
     def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
         """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers beyond ``farthest`` are seen, too.
@@ -244,7 +244,7 @@ class Sensor(ABC):
     delayed: ClassVar[Delayed] = "state"
     takes_long: ClassVar[bool] = False
     mirror_signs: ClassVar[tuple[float, ...]] = ()
-    needs: ClassVar[tuple[Report, ...]] = ()
+    needs: ClassVar[tuple[Force, ...]] = ()
 
     def __post_init__(self) -> None:
         check_at_least(1, MAX_COUNT, period=self.period)

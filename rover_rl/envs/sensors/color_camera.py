@@ -10,7 +10,7 @@ from rover_rl.envs.sensors.base import SensorInput
 from rover_rl.envs.sensors.ray_images import Pinhole, turned_rays
 from rover_rl.envs.sensors.suite import COLORS
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.base import ColorCarrier
+from rover_rl.sims.base import LiveRover
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,15 +50,14 @@ class ColorCamera(Pinhole):
         count = 3 * self.size[0] * self.size[1]
         return Bounds((0.0,) * count, (1.0,) * count)
 
-    def received(self, inputs: SensorInput) -> Tensor:
+    def received(self, live: LiveRover) -> Tensor:
         """Returns the latest image on the topic, ``[3, rows, columns]``."""
-        live = inputs.surroundings.live
-        return live.color_image(self.topic, self.size) if isinstance(live, ColorCarrier) else super().received(inputs)
+        return live.color_image(self.topic, self.size)
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the images, with their noise and without what is lost. Those of a live rover are its own."""
-        if inputs.surroundings.live is not None:
-            return self.received(inputs).flatten()[None]
+        if (live := inputs.surroundings.live) is not None:
+            return self.received(live).flatten()[None]
         origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)
         colors = inputs.surroundings.colors(origins, rays, inputs.goal, 1 / self.focal_length)
         if self.noise:

@@ -16,7 +16,7 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.reports import SIDES
+from rover_rl.sims.rover_state import SIDES
 
 MAX_WHEELS = 64
 """Largest number of wheels of an entry."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +11,7 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.base import PointCarrier
+from rover_rl.sims.base import LiveRover
 
 MAX_SPACING = 10.0
 """Largest distance between two points, m."""
@@ -80,19 +79,15 @@ class HeightScan(Sensor):
         return self.size
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the heights, some of them changed or lost at random. Those of a live rover are its own.
-
-        Raises:
-            ValueError: for a live rover, around which the ground is not known.
-        """
+        """Returns the heights, some of them changed or lost at random. Those of a live rover are its own."""
         truth = inputs.truth
         position, yaw = truth.rover.position, truth.euler[:, 2:]
         forward, left = _grid(self.size, self.spacing, self.ahead, position.device)
         x = position[:, :1] + forward * yaw.cos() - left * yaw.sin()
         y = position[:, 1:2] + forward * yaw.sin() + left * yaw.cos()
         points = torch.stack((x, y), -1)
-        if inputs.surroundings.live is not None:
-            return (self._received(inputs.surroundings.live, points[0], yaw[0, 0]) - position[:, 2:]).nan_to_num(0.0)
+        if (live := inputs.surroundings.live) is not None:
+            return (self._received(live, points[0], yaw[0, 0]) - position[:, 2:]).nan_to_num(0.0)
         heights = inputs.surroundings.height_at(points) - position[:, 2:]
         count = heights.shape[-1]
         if self.noise:
@@ -101,10 +96,8 @@ class HeightScan(Sensor):
             heights = heights.masked_fill(inputs.uniform(self, count) < self.holes, 0.0)
         return heights
 
-    def _received(self, live: Any, points: Tensor, yaw: Tensor) -> Tensor:
+    def _received(self, live: LiveRover, points: Tensor, yaw: Tensor) -> Tensor:
         """Returns the heights in the world around a live rover at points ``[rows * columns, 2]``, m; NaN: unknown."""
-        if not isinstance(live, PointCarrier):
-            raise ValueError(f"sensor {self.name!r} needs the ground of a simulated world: a live rover has none")
         grid = points.unflatten(0, self.size)
         return live.ground_at(grid, yaw, self.spacing, self.topic, self.layer, self.mount).flatten()
 

@@ -16,8 +16,8 @@ from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.base import ScanCarrier, beam_angles
-from rover_rl.sims.field_of_view import seen
+from rover_rl.sims.rays import seen
+from rover_rl.sims.rover_state import beam_angles
 
 WHOLE = 0.9999
 """Share of the beams from which on a reading is covered. The mean of many ones may be a little less than 1."""
@@ -60,7 +60,7 @@ class LidarMask(RigSensor):
             hidden, live = [], inputs.surroundings.live
             if noise.hides_beams:
                 hidden.append(hidden_beams(noise, inputs.keys, inputs.truth.ranges))
-            if isinstance(live, ScanCarrier):
+            if live is not None:
                 hidden.append(~live.covered())
             return views(*hidden)
 

@@ -16,7 +16,7 @@ from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.sensors.suite import SEGMENTATION
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.base import DepthCarrier, PointCarrier
+from rover_rl.sims.base import LiveRover
 from rover_rl.sims.rendering.scenery import POST_LENGTH, POST_RADIUS
 
 MAX_RANGE = 1000.0
@@ -72,7 +72,7 @@ class PixelImage(Sensor):
         The axes of the frame point ahead, left and up.
         """
 
-    def received(self, inputs: SensorInput) -> Tensor:
+    def received(self, live: LiveRover) -> Tensor:
         """Returns the image or images ``[..., rows, columns]`` of a live rover.
 
         Raises:
@@ -132,8 +132,8 @@ class RayImage(PixelImage):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the image, with its noise and without what is lost. That of a live rover is its own."""
-        if inputs.surroundings.live is not None:
-            return self.received(inputs).clamp(max=self.max_range).flatten()[None]
+        if (live := inputs.surroundings.live) is not None:
+            return self.received(live).clamp(max=self.max_range).flatten()[None]
         rays = turned_rays(self, inputs.goal.device)
         ranges = inputs.scan(self.mount, rays.directions, self.max_range * rays.longest)
         distance = (ranges / rays.scales).clamp(max=self.max_range)
@@ -240,10 +240,9 @@ class DepthCamera(Camera):
     name: str = "depth"
     topic: str | None = None
 
-    def received(self, inputs: SensorInput) -> Tensor:
+    def received(self, live: LiveRover) -> Tensor:
         """Returns the latest depth image on the topic."""
-        live = inputs.surroundings.live
-        return live.depth_image(self.topic, self.size) if isinstance(live, DepthCarrier) else super().received(inputs)
+        return live.depth_image(self.topic, self.size)
 
     def spread(self, distance: Tensor) -> Tensor:
         """Returns ``noise`` times the square of the depth."""
@@ -386,11 +385,8 @@ class Lidar3D(RayImage):
         directions = torch.stack((up.cos() * left.cos(), up.cos() * left.sin(), up.sin()), -1)
         return directions.reshape(-1, 3).tolist(), [1.0] * (planes * beams)
 
-    def received(self, inputs: SensorInput) -> Tensor:
+    def received(self, live: LiveRover) -> Tensor:
         """Returns the latest point cloud on the topic as an image. Before the first one, all pixels are lost."""
-        live = inputs.surroundings.live
-        if not isinstance(live, PointCarrier):
-            return super().received(inputs)
         points = live.point_cloud(self.topic)
         return torch.zeros(self.size) if points is None else self.range_image(points)
 

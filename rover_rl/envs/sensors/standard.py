@@ -15,8 +15,9 @@ from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
 from rover_rl.rotations import quaternion_product
-from rover_rl.sims.base import ScanCarrier, beam_angles
-from rover_rl.sims.field_of_view import seen
+from rover_rl.sims.base import LiveRover
+from rover_rl.sims.rays import seen
+from rover_rl.sims.rover_state import beam_angles
 from rover_rl.worlds import World
 from rover_rl.worlds.region import overlap
 
@@ -151,7 +152,7 @@ class LivePooling(LidarPooling):
     Segments with beams that are unseen, hidden or noisy are those of the beams.
     """
 
-    def __init__(self, live: ScanCarrier, pooling: LidarPooling) -> None:
+    def __init__(self, live: LiveRover, pooling: LidarPooling) -> None:
         super().__init__(pooling.beams, pooling.points, pooling.max_range)
         self._live = live
 

@@ -26,7 +26,7 @@ from rover_rl.envs.wrappers.numpy_batch import (
     row_of,
 )
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rover_rl.native.bullet import pybullet
-from rover_rl.sims.base import Report
-from rover_rl.sims.reports import SIDES, by_side
+from rover_rl.sims.rover_state import SIDES, Force, by_side
 
 _NORMAL, _NORMAL_FORCE = 7, 9
 """Indices in a contact point of PyBullet: the normal on the second body, toward the first one, and the force, N."""
@@ -30,7 +29,7 @@ class Meters:
 
     def __init__(
         self,
-        reports: Mapping[Report, np.ndarray],
+        reports: Mapping[Force, np.ndarray],
         rovers: Sequence[tuple[int, int]],
         wheels: Sequence[int],
         inertial: np.ndarray,

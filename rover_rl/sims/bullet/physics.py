@@ -11,13 +11,13 @@ import numpy as np
 from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
 from rover_rl.rotations import rotation_forms
-from rover_rl.sims.base import Report
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
 from rover_rl.sims.bullet.meters import Meters
 from rover_rl.sims.bullet.movers import MoverBodies
 from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.movers.near import NearParts, fastest_point
+from rover_rl.sims.rover_state import Force
 from rover_rl.worlds import Obstacle, World
 from rover_rl.worlds.movers import Part
 
@@ -109,7 +109,7 @@ class RoverPhysics:
         """Lets parts of movers push the rovers."""
         self._movers = MoverBodies(self._rovers, parts, self._settings) if parts else None
 
-    def report(self, reports: Mapping[Report, np.ndarray]) -> None:
+    def report(self, reports: Mapping[Force, np.ndarray]) -> None:
         """Measures the fields ``[count, k]`` in each control step from now on."""
         wheels, inertial = self._wheels, self._inertial_orientation
         self._meters = Meters(reports, self._rovers, wheels, inertial, self._settings.substeps)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from rover_rl.sims.settings import PhysicsSettings
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT, PhysicsSettings
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rover_rl.native.bullet import disconnect
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.rotations import matrix_to_quaternion
-from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
+from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
@@ -23,12 +23,12 @@ from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.reports import empty_reports, of_rows
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles, no_forces, of_rows
 from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.worlds import World
 
 
-class BulletSimulator:
+class BulletSimulator(Simulator):
     """Simulator in PyBullet. Each world has separate Bullet clients for the physics and the lidar.
 
     Args:
@@ -37,7 +37,7 @@ class BulletSimulator:
         settings: settings of the physics. ``None`` uses the defaults.
     """
 
-    capabilities: frozenset[Capability] = frozenset(
+    features: frozenset[Feature] = frozenset(
         {"contacts", "dynamics", "lidar", "movers", "contact_force", "wheel_torque"}
     )
 
@@ -62,12 +62,11 @@ class BulletSimulator:
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
         self._contact, self._mover_contact = np.zeros((2, count, 1), dtype=bool)
-        self._reports: dict[Report, np.ndarray] = {}
+        self._reports: dict[Force, np.ndarray] = {}
         self._movers: MoverField | None = None
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Places the selected rovers on the ground, at rest. See :meth:`Simulator.reset`."""
         for group in self._groups:
             local = np.flatnonzero(mask.numpy()[group.rows])
             if not len(local):
@@ -83,33 +82,28 @@ class BulletSimulator:
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the selected rovers. See :meth:`Simulator.set_dynamics`."""
         factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
         for group in self._groups:
             local = np.flatnonzero(mask.numpy()[group.rows])
             for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
                 group.physics.set_dynamics(row, *scales)
 
-    def report(self, fields: Collection[Report]) -> None:
-        """Measures forces and torques. See :meth:`Reporter.report`."""
-        self._reports = empty_reports(fields, self.num_envs, len(self._robot.drive.wheels))
+    def measure(self, fields: Collection[Force]) -> None:
+        self._reports = no_forces(fields, self.num_envs, len(self._robot.drive.wheels))
         for group in self._groups:
             group.physics.report(of_rows(self._reports, group.block))
 
-    def meet(self, movers: MoverField) -> None:
-        """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
+    def add_movers(self, movers: MoverField) -> None:
         self._movers = movers
         for group in self._groups:
             group.physics.meet(movers.parts_of(group.world))
 
     def scanner(self, beams: int) -> BulletScanner:
-        """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
         lidars = [Lidar(group.world, self._robot, beam_angles(beams).numpy()) for group in self._groups]
         self._clients.extend(lidar.client for lidar in lidars)
         return BulletScanner(self._groups, lidars, beams)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds, angles = (targets.tolist() for targets in self._drive.advance(commands, active))
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
@@ -130,15 +124,9 @@ class BulletSimulator:
         return self._drive.state(*(torch.from_numpy(a.copy()) for a in known), **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Renders one rover. See :meth:`Simulator.render`."""
         world = next(group.world for group in self._groups if row in group.rows)
         pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
         return self._renderers.render(world, pose, view, width, height, goal, movers)
-
-    @property
-    def robot_connected(self) -> bool:
-        """Whether the rovers are connected. Always true in simulation."""
-        return True
 
     def close(self) -> None:
         """Disconnects all Bullet clients. Idempotent."""
@@ -173,7 +161,6 @@ class BulletScanner:
         self._ranges = np.full((sum(len(group.rows) for group in groups), beams), np.inf, dtype=np.float32)
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Scans. See :meth:`Scanner.scan`."""
         for group, lidar in zip(self._groups, self._lidars, strict=True):
             local = group.local if rows is None else np.flatnonzero(rows.numpy()[group.rows])
             if len(local):

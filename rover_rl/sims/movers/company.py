@@ -14,8 +14,8 @@ from rover_rl.robots import Robot
 from rover_rl.robots.description import Description, Frame, Shape
 from rover_rl.robots.footprint import half_sizes
 from rover_rl.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.parts import MAX_SPEED
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds.movers.shapes import Part
 
 

@@ -19,7 +19,7 @@ from rover_rl.sims.movers.outlines import outlines
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.looks import Look, looks_of
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Door, Motion, Slider, Waypoints
 from rover_rl.worlds.movers.motions.base import Others

@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.rng import random_bits
-from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.company import Company, Solids
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.walls import WallTable
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds.movers.motions.base import Courses, Motion, Others, Scene
 from rover_rl.worlds.movers.mover import Mover
 from rover_rl.worlds.movers.shapes import KINDS, Part, radius_of

@@ -16,10 +16,10 @@ from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
 from rover_rl.robots.drives import Drive
 from rover_rl.robots.inertial_model import InertialModel
-from rover_rl.sims.base import Report
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
 from rover_rl.sims.mujoco.parts import add_parts
 from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.rover_state import Force
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 
@@ -61,7 +61,7 @@ def make_model(
     inertial_model: InertialModel,
     settings: MujocoSettings,
     parts: Sequence[Part] = (),
-    reports: Collection[Report] = (),
+    reports: Collection[Force] = (),
 ) -> mujoco.MjModel:
     """Creates the model of one rover in a world, with ``parts`` of movers, which measures the fields ``reports``.
 

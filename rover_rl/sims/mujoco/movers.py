@@ -12,11 +12,11 @@ import numpy as np
 
 from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
-from rover_rl.sims.base import Report
 from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco.model import scaled_model
 from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.rover_state import Force
 from rover_rl.worlds.movers import Part
 
 _FAR, _SPACING = 1e4, 10.0
@@ -44,7 +44,7 @@ class RoversAmongMovers(RoverPhysics):
         settings: MujocoSettings,
         slots: Sequence[Part],
         parts: Sequence[Part],
-        reports: Mapping[Report, np.ndarray],
+        reports: Mapping[Force, np.ndarray],
     ) -> None:
         super().__init__(model, robot, count, settings, reports)
         places = self._coordinates(f"part {index} x" for index in range(len(slots)))

@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.native.mujoco import Rollout, mujoco
 from rover_rl.robots import Robot
-from rover_rl.sims.base import Report
 from rover_rl.sims.mujoco.model import MAX_FELT, scaled_model
 from rover_rl.sims.mujoco.settings import MujocoSettings
-from rover_rl.sims.reports import SIDES, by_side
+from rover_rl.sims.rover_state import SIDES, Force, by_side
 
 _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)
 """Position (m) and orientation (w, x, y, z) of the base frame in a state. The time comes first."""
@@ -47,7 +46,7 @@ class RoverPhysics:
         robot: Robot,
         count: int,
         settings: MujocoSettings,
-        reports: Mapping[Report, np.ndarray],
+        reports: Mapping[Force, np.ndarray],
     ) -> None:
         self._settings = settings
         self._model = model

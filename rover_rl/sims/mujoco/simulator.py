@@ -14,7 +14,7 @@ from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import matrix_to_quaternion
-from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
+from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
@@ -26,7 +26,7 @@ from rover_rl.sims.mujoco.parts import slots_of
 from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.reports import empty_reports, of_rows
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles, no_forces, of_rows
 from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.worlds import World
 
@@ -34,7 +34,7 @@ MIN_ROVERS_PER_THREAD = 4
 """Minimum number of rovers per thread; with fewer, another thread does not pay."""
 
 
-class MujocoSimulator:
+class MujocoSimulator(Simulator):
     """Simulator in MuJoCo. Rovers in the same world share a model and do not interact.
 
     Threads work on shares of the rovers of every world.
@@ -49,7 +49,7 @@ class MujocoSimulator:
             :func:`rover_rl.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset(
+    features: frozenset[Feature] = frozenset(
         {"contacts", "dynamics", "lidar", "movers", "contact_force", "wheel_torque"}
     )
 
@@ -62,7 +62,7 @@ class MujocoSimulator:
         self._worlds = list(worlds)
         self._drive = SimulatedDrives(Fleet.of(robot, count), self.control_dt)
         self._renderers = RendererCache(robot)
-        self._reports: dict[Report, np.ndarray] = {}
+        self._reports: dict[Force, np.ndarray] = {}
         threads = self.settings.threads or torch.get_num_threads()
         self._threads = self._divide(min(threads, max(1, count // MIN_ROVERS_PER_THREAD)))
         self._pool = ThreadPoolExecutor(len(self._threads) - 1) if len(self._threads) > 1 else None
@@ -88,13 +88,11 @@ class MujocoSimulator:
                     own.append(_Share(world, share, physics))
         return shares
 
-    def report(self, fields: Collection[Report]) -> None:
-        """Measures forces and torques. See :meth:`Reporter.report`."""
-        self._reports = empty_reports(fields, self.num_envs, len(self._robot.drive.wheels))
+    def measure(self, fields: Collection[Force]) -> None:
+        self._reports = no_forces(fields, self.num_envs, len(self._robot.drive.wheels))
         self._threads = self._divide(len(self._threads))
 
-    def meet(self, movers: MoverField) -> None:
-        """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
+    def add_movers(self, movers: MoverField) -> None:
         self._movers = movers
         shares = [share for shares in self._threads for share in shares]
         for world in dict.fromkeys(share.world for share in shares):
@@ -112,7 +110,6 @@ class MujocoSimulator:
                 )
 
     def scanner(self, beams: int) -> MujocoScanner:
-        """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
         scenes = {world: Scene(world, self._robot.lidar_range) for world in dict.fromkeys(self._worlds)}
         angles = beam_angles(beams)
         shares = (share for shares in self._threads for share in shares)
@@ -120,7 +117,6 @@ class MujocoSimulator:
         return MujocoScanner(self._run, lidars, np.full((self.num_envs, beams), np.inf, dtype=np.float32))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Places the selected rovers on the ground, at rest. See :meth:`Simulator.reset`."""
 
         def place(share: _Share, local: np.ndarray) -> None:
             rows = torch.from_numpy(share.rows.start + local)
@@ -135,7 +131,6 @@ class MujocoSimulator:
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the selected rovers. See :meth:`Simulator.set_dynamics`."""
         factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
         for share in (share for shares in self._threads for share in shares):
             for row in np.flatnonzero(mask.numpy()[share.rows]).tolist():
@@ -144,7 +139,6 @@ class MujocoSimulator:
                         physics.set_dynamics(row, factors[share.rows.start + row].tolist())
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds, angles = (targets.numpy() for targets in self._drive.advance(commands, active))
 
         def advance(share: _Share, local: np.ndarray) -> None:
@@ -170,14 +164,8 @@ class MujocoSimulator:
         return self._drive.state(*(torch.from_numpy(a.copy()) for a in known), **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Renders one rover. See :meth:`Simulator.render`."""
         pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
         return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
-
-    @property
-    def robot_connected(self) -> bool:
-        """Whether the rovers are connected. Always true in simulation."""
-        return True
 
     def close(self) -> None:
         """Stops the threads and releases the renderers. Idempotent."""
@@ -225,7 +213,6 @@ class MujocoScanner:
         self._run, self._lidars, self._ranges = run, lidars, ranges
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Scans. See :meth:`Scanner.scan`."""
 
         def scan(share: _Share, local: np.ndarray) -> None:
             ranges = self._lidars[share].scan(share.position[local], share.orientation[local])

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from rover_rl.robots.footprint import Footprint
 from rover_rl.rotations import rotate
-from rover_rl.sims.reports import SIDES, by_side
 from rover_rl.sims.ros2.messages import Contact, Contacts, Entity, Header, JointWrench, Vector3, Wrench
 from rover_rl.sims.ros2.poses import read_finite
+from rover_rl.sims.rover_state import SIDES, by_side
 
 MAX_RISE = 0.5**0.5
 """Largest vertical part of the normal of an obstacle, that of 45 degrees. A contact with a larger one is the ground."""

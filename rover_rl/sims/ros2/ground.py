@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from rover_rl.rotations import rotate
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.ros2.elevation_maps import read_elevation_map
 from rover_rl.sims.ros2.messages import GridMap, PointCloud2
@@ -19,6 +18,7 @@ from rover_rl.sims.ros2.point_clouds import read_points
 from rover_rl.sims.ros2.sensors import Sensors, read_frame, read_stamp
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
+from rover_rl.sims.settings import Connection
 
 GROUND_TYPES = {kind.ros_type: kind for kind in (GridMap, PointCloud2)}
 """Messages that the ground is read from, by type."""
@@ -53,14 +53,14 @@ class LivePoints:
         self._kinds: dict[str, Any] = {}
 
     def cloud(self, topic: str | None) -> Tensor | None:
-        """See :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""
+        """See :meth:`~rover_rl.sims.base.LiveRover.point_cloud`."""
         found = self._latest(topic or self._points_topic, "lidar3d", PointCloud2, self._read_own)
         return None if found is None else found.value
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        """See :meth:`~rover_rl.sims.base.PointCarrier.ground_at`."""
+        """See :meth:`~rover_rl.sims.base.LiveRover.ground_at`."""
         topic = topic or self._elevation_topic
         kind = self._kind_of(topic)
         if kind is GridMap:
@@ -145,7 +145,7 @@ def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Te
 
     Args:
         points: points ``[P, 3]``, m.
-        grid, yaw, cell: see :meth:`~rover_rl.sims.base.PointCarrier.ground_at`.
+        grid, yaw, cell: see :meth:`~rover_rl.sims.base.LiveRover.ground_at`.
 
     Returns:
         Heights ``[rows, columns]``, m; NaN in cells without a point.

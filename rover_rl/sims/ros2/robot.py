@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.contacts import contacts_message
 from rover_rl.sims.ros2.elevation_maps import elevation_map_message
@@ -26,7 +24,9 @@ from rover_rl.sims.ros2.point_clouds import point_cloud_message
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.served import Report, Served
+from rover_rl.sims.settings import Connection
 
 FRAME = "world"
 """Frame of the poses."""

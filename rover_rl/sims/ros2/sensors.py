@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import MAX_AGE
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.image_formats import image_format
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
@@ -30,6 +29,7 @@ from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
 from rover_rl.sims.served import ImageKind
+from rover_rl.sims.settings import Connection
 
 RATE_WINDOW = 20
 """Number of scan periods in a measurement of the scan rate."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 from rover_rl.checks import check_topics
-from rover_rl.sims.timing import CONTROL_DT, MIN_REVERSAL
+from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "wheels"]
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]

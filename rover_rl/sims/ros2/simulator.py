@@ -14,10 +14,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.robots import Robot
-from rover_rl.sims.base import Capability, Report, RoverState, View, beam_angles
+from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
-from rover_rl.sims.connection import Connection
-from rover_rl.sims.reports import SIDES
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.commands import Commands
 from rover_rl.sims.ros2.contacts import contact_force, read_contacts
@@ -31,6 +29,8 @@ from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cu
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
+from rover_rl.sims.rover_state import SIDES, Force, RoverState, beam_angles
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
 
 _log = logging.getLogger(__name__)
@@ -63,7 +63,7 @@ REST_DISTANCE = 0.05
 """Distance below which a rover at rest may move while it settles, m."""
 
 
-class Ros2Simulator:
+class Ros2Simulator(Simulator):
     """A live rover: a real one, one in Gazebo, or ``rover-rl robot``.
 
     Messages arrive in a thread of the transport. :meth:`step` sends a command, waits for the next scan, and uses the
@@ -90,7 +90,7 @@ class Ros2Simulator:
     """
 
     # The task knows of no contacts. Motor torques are those of its joint states, contact forces those of contact_topic.
-    capabilities: frozenset[Capability] = frozenset({"contacts", "contact_force", "lidar", "live", "wheel_torque"})
+    features: frozenset[Feature] = frozenset({"contacts", "contact_force", "lidar", "wheel_torque"})
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class Ros2Simulator:
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
         self._world, self._wheels, self._connection = worlds[0], robot.drive.wheels, connection
-        self._reported: Collection[Report] = ()
+        self._reported: Collection[Force] = ()
         self._step_start = -math.inf
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
         self._limiter = CommandLimiter(settings.min_reversal)
@@ -128,6 +128,10 @@ class Ros2Simulator:
         self._sensors = Sensors(self._transport, settings, connection, self._pose_estimator)
         self._points = LivePoints(self._sensors, self._transport, settings, connection)
         self.wait_for_robot(connection.timeout)
+
+    @property
+    def live(self) -> Ros2Simulator:
+        return self
 
     @property
     def last_command(self) -> tuple[float, float]:
@@ -217,8 +221,8 @@ class Ros2Simulator:
         self._dt = self.control_dt
         return self.state()
 
-    def report(self, fields: Collection[Report]) -> None:
-        """Adds motor torques and contact forces to the states: see :meth:`~rover_rl.sims.base.Reporter.report`.
+    def measure(self, fields: Collection[Force]) -> None:
+        """Adds motor torques and contact forces to the states.
 
         Raises:
             ValueError: for contact forces without ``connection.contact_topic``.
@@ -238,7 +242,7 @@ class Ros2Simulator:
 
     def _reports(self) -> dict[str, Tensor]:
         """Returns the motor torques and contact forces that were asked for."""
-        measure: dict[Report, Callable[[], Tensor]] = {
+        measure: dict[Force, Callable[[], Tensor]] = {
             "wheel_torque": self._torque,
             "contact_force": self._contact_force,
         }
@@ -262,7 +266,7 @@ class Ros2Simulator:
         return torch.zeros(2 * len(SIDES)) if felt is None else contact_force(felt, *self._world_pose())
 
     def scanner(self, beams: int) -> Ros2Scanner:
-        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
+        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`Simulator.scanner`."""
         self._set_beams(beams)
         return Ros2Scanner(self, beams)
 
@@ -284,7 +288,7 @@ class Ros2Simulator:
         return self._aligned_scan.seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.ScanCarrier.segments`."""
+        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.LiveRover.segments`."""
         if self._scan is None:
             return None
         found = cut(self._scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted), points)
@@ -371,23 +375,23 @@ class Ros2Simulator:
         return position[None], orientation[None]
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
+        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.LiveRover.depth_image`."""
         image = self._sensors.image("depth", topic)
         return torch.zeros(size) if image is None else resized(image, size)
 
     def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest color image: see :meth:`~rover_rl.sims.base.ColorCarrier.color_image`."""
+        """Returns the latest color image: see :meth:`~rover_rl.sims.base.LiveRover.color_image`."""
         image = self._sensors.image("colors", topic)
         return torch.zeros(3, *size) if image is None else resized(image, size)
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
-        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""
+        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.LiveRover.point_cloud`."""
         return self._points.cloud(topic)
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.PointCarrier.ground_at`."""
+        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.LiveRover.ground_at`."""
         return self._points.ground_at(grid, yaw, cell, topic, layer, mount)
 
     def follow_clock(self) -> None:

@@ -15,11 +15,12 @@ from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
-from rover_rl.sims.base import Capability, Dynamics, Report, RoverState, View, beam_angles
+from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.cache import RendererCache
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics
@@ -43,7 +44,7 @@ GPU_LIDAR_LANES = 4
 """Threads that scan for one rover on a GPU: see :class:`WarpSettings`."""
 
 
-class WarpSimulator:
+class WarpSimulator(Simulator):
     """Batch of rovers simulated by Warp kernels, a thread each.
 
     All rovers share a launch, whatever world they are in; they do not interact.
@@ -59,8 +60,8 @@ class WarpSimulator:
             :func:`rover_rl.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset(
-        {"contacts", "dynamics", "lidar", "movers", "robots", "contact_force", "wheel_torque"}
+    features: frozenset[Feature] = frozenset(
+        {"contacts", "dynamics", "lidar", "movers", "robots", "worlds", "contact_force", "wheel_torque"}
     )
 
     def __init__(
@@ -143,13 +144,11 @@ class WarpSimulator:
         ]
         return self._record(step_dynamics, *inputs)
 
-    def report(self, fields: Collection[Report]) -> None:
-        """Measures forces and torques: see :meth:`Reporter.report`."""
-        self._buffers.report(fields)
+    def measure(self, fields: Collection[Force]) -> None:
+        self._buffers.measure(fields)
         self._dynamics = self._record_dynamics()
 
-    def meet(self, movers: MoverField) -> None:
-        """Lets movers push the rovers: see :meth:`MoverCarrier.meet`."""
+    def add_movers(self, movers: MoverField) -> None:
         self._movers = movers
 
     def _follow_movers(self) -> None:
@@ -167,7 +166,6 @@ class WarpSimulator:
             self._dynamics = self._record_dynamics()
 
     def scanner(self, beams: int) -> WarpScanner:
-        """Creates a lidar: see :meth:`LidarCarrier.scanner`."""
         scanner = WarpScanner(self, beams)
         angles = beam_angles(beams).numpy()
         directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device=self._wp_device)
@@ -176,7 +174,6 @@ class WarpSimulator:
         return scanner
 
     def enter_worlds(self) -> None:
-        """Copies new worlds to the device, and moves rovers: see :meth:`WorldChanger.enter_worlds`."""
         # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
         with wp.ScopedStream(self._stream):
             for slot, world in self._entered().items():
@@ -184,15 +181,12 @@ class WarpSimulator:
         self._buffers.scene.copy_(self._worlds.slots)
 
     def prepare_world(self, world: World) -> None:
-        """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
         self._scenes.prepare(world)
 
     def enter_robots(self, mask: Tensor) -> None:
-        """Gives rovers the robots of the fleet: see :meth:`RobotChanger.enter_robots`."""
         self._buffers.enter_robots(mask)
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
         self._buffers.poses.copy_(poses)
         self._buffers.active.copy_(mask)
         inputs = [self._scenes.scenes, self._models.models, self._buffers.rovers, self._poses]
@@ -201,11 +195,9 @@ class WarpSimulator:
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the rovers of ``mask``: see :meth:`Simulator.set_dynamics`."""
         self._buffers.set_dynamics(mask, dynamics)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Simulates one control step of ``settings.substeps`` substeps: see :meth:`Simulator.step`."""
         targets = self._drive.advance(commands, active)
         self._buffers.target_speeds.copy_(targets.speeds)
         self._buffers.target_angles.copy_(targets.angles)
@@ -225,15 +217,9 @@ class WarpSimulator:
         return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched, **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Renders an image: see :meth:`Simulator.render`."""
         pose, movers = self._buffers.base_state[row, :7], parts_of(self._movers, row)
         renderers = self._renderers.setdefault(self.fleet[row], RendererCache(self.fleet[row]))
         return renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
-
-    @property
-    def robot_connected(self) -> bool:
-        """Always true: simulated rovers are always connected."""
-        return True
 
     def close(self) -> None:
         """Stops the threads and releases the renderers. Idempotent."""
@@ -248,7 +234,6 @@ class WarpSimulator:
         return wp.stream_from_torch(self.device) if self.device.type == "cuda" else None
 
     def launch(self) -> None:
-        """Launches the physics of a control step for the active rovers: see :meth:`run`."""
         self.run(self._dynamics)
 
     def run(self, recorded: Sequence[wp.Launch]) -> None:
@@ -282,7 +267,6 @@ class WarpScanner:
         self._simulator = simulator
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Scans: see :meth:`Scanner.scan`."""
         if rows is None:
             self.rows.fill_(True)
         else:

@@ -11,8 +11,7 @@ from torch import Tensor
 from rover_rl.native.warp import wp
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import InertialModel, MassTable
-from rover_rl.sims.base import Dynamics, Report
-from rover_rl.sims.reports import empty_reports
+from rover_rl.sims.rover_state import Dynamics, Force, no_forces
 from rover_rl.sims.warp.kernels.types import RoverArrays
 
 
@@ -89,10 +88,10 @@ class StateBuffers:
             setattr(rovers, name, wp.from_torch(tensor, dtype=types[name].type.dtype))
         return rovers
 
-    def report(self, fields: Collection[Report]) -> None:
+    def measure(self, fields: Collection[Force]) -> None:
         """Adds arrays for fields that are asked for. They are the kernels' from the next launch that is recorded."""
         count, wheels = self._arrays["wheel_spins"].shape
-        empty = empty_reports(fields, count, wheels)
+        empty = no_forces(fields, count, wheels)
         self.reports = {name: torch.from_numpy(values).to(self.scene.device) for name, values in empty.items()}
         self._arrays |= self.reports
         self.rovers = self.struct()

@@ -28,10 +28,10 @@ from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
-from rover_rl.sims import RoverState
-from rover_rl.sims.base import Dynamics
-from rover_rl.sims.connection import Connection
+from rover_rl.sims import RoverState, Simulator
 from rover_rl.sims.free_space import rest_on_ground
+from rover_rl.sims.rover_state import Dynamics
+from rover_rl.sims.settings import Connection
 from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.pool import WorldPool, WorldSource
@@ -62,9 +62,8 @@ class SlidingBackend:
         return SlidingSimulator(worlds, robot, device or torch.device("cpu"))
 
 
-class SlidingSimulator:
-    robot_connected = True
-    capabilities = frozenset({"dynamics", "lidar"})
+class SlidingSimulator(Simulator):
+    features = frozenset({"dynamics", "lidar", "worlds"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device) -> None:
         self.num_envs = count = len(worlds)
@@ -85,8 +84,6 @@ class SlidingSimulator:
             self._terrains[slot], self._lengths[slot] = world.terrain, world.bounds[0][1]
         slots = self._worlds.slots
         self._ground, self._length = self._terrains.of(slots), self._lengths[slots]
-
-    def prepare_world(self, world: World) -> None: ...
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         self._pose = torch.where(mask[:, None], poses, self._pose)

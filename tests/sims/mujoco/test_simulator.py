@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv
-from rover_rl.sims.base import Dynamics
 from rover_rl.sims.mujoco import MujocoSettings
+from rover_rl.sims.rover_state import Dynamics
 from rover_rl.worlds import get_world
 from tests.sims.driven import FLAT, all_rows, drive, placed, slope
 

@@ -11,11 +11,11 @@ import torch
 
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, box
 from rover_rl.envs.served_rover import ServedRover
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.contacts import contact_force, read_contacts
 from rover_rl.sims.ros2.messages import Contact, Contacts, Entity, JointWrench, Vector3, Wrench, decode, encode
 from rover_rl.sims.ros2.robot import RobotNode
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds.movers import Box
 from tests.sims.movers.scenes import going
 

@@ -14,9 +14,8 @@ from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.robots import get_robot
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.timing import MIN_REVERSAL
+from rover_rl.sims.settings import MIN_REVERSAL, Connection
 
 LIMIT_NAMES = ["max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"]
 LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)

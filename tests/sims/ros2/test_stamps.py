@@ -14,8 +14,8 @@ import torch
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import make_simulator
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import get_world
 from tests.sims.ros2.peer import Peer
 

@@ -15,7 +15,6 @@ from rover_rl.envs.served_rover import ServedRover
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import make_simulator
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.messages import (
     Header,
@@ -37,6 +36,7 @@ from rover_rl.sims.ros2.messages import (
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.ros2.sensors import LatestMessages, ReceivedMessage
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World, get_world
 
 BEAMS = 8

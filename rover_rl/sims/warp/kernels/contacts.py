@@ -616,7 +616,7 @@ def collide_with_movers(
 def add_forces(forces: wp.array2d[float], rover: int, contacts: wp.array[Contact], first: int, count: int, rate: float):
     """Adds the normal impulses of obstacles and movers, times a rate (1/s), by the side of the rover that they act on.
 
-    Columns: front, left, back and right for obstacles, then for movers. See :func:`rover_rl.sims.reports.by_side`.
+    Columns: front, left, back and right for obstacles, then for movers. See :func:`rover_rl.sims.rover_state.by_side`.
     """
     for k in range(first, count):
         if contacts[k].key >= OBSTACLE_KEYS:
