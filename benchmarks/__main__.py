@@ -1,22 +1,17 @@
-"""Benchmarks: ``python -m benchmarks`` runs all of them, ``python -m benchmarks cores peers`` some of them.
+"""Benchmarks: ``python -m benchmarks`` runs all of them, ``python -m benchmarks rollouts peers`` some of them.
 
 - ``rollouts``: steps per second by number of rovers and beams, with one worker and with all, and Bullet's share of the
   time.
-- ``breakdown``: profile of a batched step by function.
-- ``physics``: speed and accuracy of the physics presets.
 - ``simulators``: speed of the simulators compared with Bullet, on one core.
 - ``law``: every simulator compared with Coulomb's law of friction by hand.
 - ``parity``: agreement of the simulators with one another.
-- ``endurance``: robustness of Warp under ten million random actions.
-- ``cores``: speedup of rollouts by parallel workers.
 - ``peers``: speed compared with a process and a PyBullet client for each rover.
-- ``footprint``: startup time and memory.
 - ``training``: speed of PPO and SAC compared with Stable-Baselines3.
 - ``gpu``: speed on a GPU, skipped without one; see :mod:`benchmarks.gpu`.
 
 Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
-and its load. Run nothing else at the same time. Lines tell what is measured, and what was found. Writes
-``bench.json``, ``bench.png`` and ``breakdown.html`` to ``runs/bench/``.
+and its load. Run nothing else at the same time. Lines tell what is measured, and what was found. Writes ``bench.json``
+to ``runs/bench/``.
 """
 
 from __future__ import annotations
@@ -33,24 +28,10 @@ import tyro
 from rich.console import Console
 
 from benchmarks.options import Options
-from benchmarks.plot import draw
-from benchmarks.told import told
+from benchmarks.ratios import told
 from rover_rl.files import write_json
 
-Part = Literal[
-    "rollouts",
-    "breakdown",
-    "physics",
-    "simulators",
-    "law",
-    "parity",
-    "endurance",
-    "cores",
-    "peers",
-    "footprint",
-    "training",
-    "gpu",
-]
+Part = Literal["rollouts", "simulators", "law", "parity", "peers", "training", "gpu"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +54,6 @@ def main(options: Bench) -> dict[str, Any]:
         results[part] = told(part, partial(module.measure, options))
         console.print(module.table(results[part]))
         write_json(options.out / "bench.json", results)
-    draw(results, options.out / "bench.png")
     return results
 
 

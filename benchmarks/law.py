@@ -22,7 +22,7 @@ from torch import Tensor
 from benchmarks import coulomb, maneuvers
 from benchmarks.engines import choose_engines, with_friction
 from benchmarks.options import Options
-from benchmarks.told import told
+from benchmarks.ratios import told
 from rover_rl.robots import get_robot
 from rover_rl.robots.inertial_model import read_inertial_model
 

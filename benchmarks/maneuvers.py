@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from benchmarks.engines import with_friction
-from benchmarks.physics import STEPS_PER_SECOND, Trajectories
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
 from rover_rl.sims import make_simulator
 from rover_rl.worlds import Terrain, World
 
+STEPS_PER_SECOND = 20
 DIRECTIONS = torch.arange(16) * (2 * math.pi / 16)
 """Directions of the rovers, or toward which the ground rises, rad."""
 PLANE = World("plane", Terrain.flat((60, 60)))
@@ -34,6 +34,29 @@ _BRACKET = 16.0
 """Largest distance of a measured limit from the expected one, degrees."""
 _BISECTIONS = 7
 """Number of halvings of the bracket around a limit: to an eighth of a degree."""
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Poses of rovers over time.
+
+    Attributes:
+        position: positions ``[T, N, 3]``, m.
+        euler: roll, pitch and yaw ``[T, N, 3]``, rad.
+    """
+
+    position: Tensor
+    euler: Tensor
+
+    def difference(self, other: Trajectories) -> dict[str, float]:
+        """Returns medians over the rovers: final position (m), final yaw (rad), and mean roll and pitch (rad)."""
+        position = (self.position[-1, :, :2] - other.position[-1, :, :2]).norm(dim=-1)
+        turned = wrap_angle(self.euler - other.euler).abs()
+        return {
+            "position_m": position.median().item(),
+            "yaw_rad": turned[-1, :, 2].median().item(),
+            "tilt_rad": turned[..., :2].mean((0, 2)).median().item(),
+        }
 
 
 def incline(degrees: float, direction: float = 0.0, size: float = 8.0, cell: float = 0.25) -> World:

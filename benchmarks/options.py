@@ -29,8 +29,6 @@ class Options:
     """Number of rovers for Warp's simulator. Bullet has ``rovers``."""
     warp_envs: int = 4096
     """Number of rovers for environments with Warp."""
-    endurance: int = 10_000_000
-    """Number of random steps of the endurance benchmark."""
     workers: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     """Number of worker processes."""
     processes: tuple[int, ...] = ()

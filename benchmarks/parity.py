@@ -23,11 +23,11 @@ from benchmarks import maneuvers
 from benchmarks.coulomb import steady_motion
 from benchmarks.engines import choose_engines
 from benchmarks.law import center_of_mass
+from benchmarks.maneuvers import Trajectories
 from benchmarks.options import Options
-from benchmarks.physics import NUDGE, SECONDS, Trajectories, grounds
-from benchmarks.told import told
+from benchmarks.ratios import told
 from rover_rl.robots import get_robot
-from rover_rl.worlds import Terrain, World, box
+from rover_rl.worlds import Terrain, World, box, get_world
 
 ROLLOVER_ANGLE = math.radians(85)
 """Roll or pitch above which a rover counts as rolled over, rad."""
@@ -35,6 +35,10 @@ TURNS = ((0.0, 1.0), (0.0, 2.0), (0.5, 1.0))
 """Commands (m/s, rad/s) whose steady yaw rates are compared with Coulomb's law."""
 BAR = 0.05
 """Largest median difference in position after 5 s that passes on flat ground, slope and rough ground, m."""
+SECONDS = 5
+"""Duration on flat ground, slope and rough ground, s."""
+NUDGE = 0.001
+"""Shift of the start, m."""
 SENSITIVE = "bullet"
 """Simulator that is also compared with itself after a shift of the start."""
 
@@ -84,6 +88,17 @@ def scenes(count: int) -> dict[str, Scene]:
         "down an edge of 0.2 m": Scene(_stepped(-0.2), ahead, forward),
         "over a ridge that touches the belly": Scene(_ridge(0.16), ahead, forward),
         "sideways off an edge": Scene(_stepped(-0.8), sideways - torch.tensor((-0.55, 0.0, 0.0)), forward),
+    }
+
+
+def grounds() -> dict[str, World]:
+    """Returns flat ground, a slope of 10 degrees, and the moon without its boulders."""
+    x = torch.arange(161) * 0.25 - 20
+    slope = Terrain((math.tan(math.radians(10)) * x).expand(161, -1), 0.25)
+    return {
+        "flat": World("flat", Terrain.flat((60, 60))),
+        "slope": World("slope", slope),
+        "rough": World("rough", get_world("moon").terrain),
     }
 
 

@@ -18,11 +18,10 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 from torchrl.envs import GymWrapper as TorchRLGymWrapper
 from torchrl.envs import ParallelEnv
 
-from benchmarks.collecting import rollouts
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
-from benchmarks.ratios import paired
-from benchmarks.told import told
+from benchmarks.ratios import paired, told
+from benchmarks.rollouts import rollouts
 
 BEAMS = 128
 PROCESS_BYTES = 2**28

@@ -1,11 +1,14 @@
-"""Ratios of speeds, measured alternately in one run, so that other load affects both alike."""
+"""Ratios of speeds, measured alternately in one run so that load affects both alike, and lines that tell of them."""
 
 from __future__ import annotations
 
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -56,3 +59,14 @@ def rate(work: Callable[[], int], seconds: float) -> float:
         passed = time.perf_counter() - begin
         if passed >= seconds:
             return steps / passed
+
+
+def told(what: str, measure: Callable[[], Result]) -> Result:
+    """Calls ``measure``. Prints a line before it, and one after it with the numbers of its result, a row or a ratio."""
+    print(f"{what} ...", flush=True)
+    begin = time.perf_counter()
+    result: Any = measure()
+    numbers = (asdict(result) if isinstance(result, Ratio) else result if isinstance(result, dict) else {}).items()
+    found = [f"{name} {value:,.4g}" for name, value in numbers if isinstance(value, int | float)]
+    print(f"{what}: {', '.join([*found, f'took {time.perf_counter() - begin:.0f} s'])}", flush=True)
+    return result

@@ -16,8 +16,7 @@ from torchrl.envs import EnvBase
 
 from benchmarks.engines import choose_engines
 from benchmarks.options import Options
-from benchmarks.ratios import paired
-from benchmarks.told import told
+from benchmarks.ratios import paired, told
 from rover_rl import make_env
 from rover_rl.sims import Backend
 from rover_rl.sims.backends import resolve_backend

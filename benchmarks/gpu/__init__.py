@@ -4,17 +4,15 @@
     python -m benchmarks gpu --device cpu --gpu-rovers 64 256 --gpu-learners 64 --gpu-seconds 0.1   # a rehearsal
 
 Meant to take less than eight minutes on an H100 or H200. Writes ``gpu.json`` after each section, so that little is lost
-if the machine goes away, and ``gpu.png``. A section that fails is reported with its error, and the others go on.
+if the machine goes away. A section that fails is reported with its error, and the others go on.
 
 - ``machine``: GPU, versions, and measured ceilings: memory bandwidth, float32 arithmetic, and the cost of a launch.
 - ``speed``: steps per second of physics, lidar and whole environment, by number of rovers, beams and worlds, and memory
   per rover.
 - ``steps``: what the device does in a step of the environment, kernel by kernel, and how many launches the host makes.
-- ``tuning``: the kernels with other block sizes and numbers of lidar threads per rover.
 - ``kernels``: time of each kernel beside what its arithmetic and its bytes need at the measured ceilings. With Nsight
   Compute (``ncu``), also divergence, occupancy and what warps wait for.
 - ``training``: speed of PPO, and the shares of simulation, gradient steps and idle time of the device.
-- ``processors``: the same environment on all cores of the machine's CPU.
 """
 
 from __future__ import annotations
@@ -30,10 +28,10 @@ import torch
 from rich.console import Group
 
 from benchmarks.options import Options
-from benchmarks.told import told
+from benchmarks.ratios import told
 from rover_rl.files import write_json
 
-SECTIONS = ("machine", "speed", "steps", "kernels", "training", "tuning", "processors")
+SECTIONS = ("machine", "speed", "steps", "kernels", "training")
 """Sections in the order in which they run: what matters most comes first."""
 
 
@@ -48,7 +46,6 @@ def measure(options: Options) -> dict[str, Any] | None:
     for name in SECTIONS:
         results[name] = told(name, partial(_attempt, _module(name).measure, options, place, results))
         write_json(options.out / "gpu.json", results)
-    _module("plot").draw(results, options.out / "gpu.png")
     return results
 
 

@@ -16,10 +16,10 @@ from rich.console import Group
 from rich.table import Table
 
 from benchmarks.gpu.counters import count
+from benchmarks.gpu.kernel_resources import resident_threads
 from benchmarks.gpu.profiled import map_work
 from benchmarks.gpu.speed import driving
 from benchmarks.gpu.timing import timed
-from benchmarks.kernel_resources import resident_threads
 from benchmarks.options import Options
 from rover_rl.envs.seen_map.mover_kernels import close_ways
 from rover_rl.envs.seen_map.route_kernels import plan_routes

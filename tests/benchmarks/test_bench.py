@@ -6,7 +6,6 @@ import json
 import runpy
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,19 +15,18 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-from benchmarks import footprint, law, simulators
+from benchmarks import law, simulators
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
-from benchmarks.ratios import paired
-from benchmarks.told import told
+from benchmarks.ratios import paired, told
 from rover_rl import RoverEnv
-from tests.fork_server import fork_server, quick_workers
+from tests.fork_server import quick_workers
 
 Bench = Callable[..., dict[str, Any]]
 SMALL = [
     *("--num-envs", "1", "2", "--beams", "32", "--rovers", "2", "--workers", "2", "--processes", "2"),
-    *("--warp-rovers", "16", "--warp-envs", "16", "--endurance", "2000"),
+    *("--warp-rovers", "16", "--warp-envs", "16"),
     *("--seconds", "0.05", "--rounds", "1", "--minutes", "0.005", "--world", "maze"),
 ]
 
@@ -49,29 +47,21 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 @pytest.mark.slow
-def test_rollouts_cores_and_footprint(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Processes that are not fresh start sooner, and what they measure does not matter here.
-    monkeypatch.setattr(footprint, "ProcessPoolExecutor", lambda count, _: ProcessPoolExecutor(count, fork_server()))
-    results = bench("rollouts", "breakdown", "cores", "footprint")
-    assert [row["num_envs"] for row in results["rollouts"]] == [1, 2]
-    assert all(row["physics"] > 0 and row["rays"] > 0 and row["rest"] > 0 for row in results["rollouts"])
-    assert [row["all_workers"] is None for row in results["rollouts"]] == [True, False]
-    assert results["cores"]["workers"] == 2
-    assert results["cores"]["median"] > 0
-    assert [row["rovers"] for row in results["footprint"]] == [1, 2]
-    assert (tmp_path / "bench.png").stat().st_size > 1000
-    assert "<html" in (tmp_path / "breakdown.html").read_text()[:1000].lower()
+def test_rollouts(bench: Bench) -> None:
+    rows = bench("rollouts")["rollouts"]
+    assert [row["num_envs"] for row in rows] == [1, 2]
+    assert all(row["physics"] > 0 and row["rays"] > 0 and row["rest"] > 0 for row in rows)
+    assert [row["all_workers"] is None for row in rows] == [True, False]
 
 
 @pytest.mark.slow
 def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     # Bullet takes a second to prepare the ground of inspect and moon.
     monkeypatch.setattr(simulators, "WORLDS", ("maze", "maze:1", "maze:2"))
-    results = bench("simulators", "endurance", "--engines", "warp")
+    results = bench("simulators", "--engines", "warp")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
-    assert all(row["broken"] == 0 and row["highest_m"] < 2.0 for row in results["endurance"])
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 
 from benchmarks import gpu
-from benchmarks.gpu import kernels, speed, training, tuning
+from benchmarks.gpu import kernels, speed, training
 from benchmarks.gpu.counters import METRICS, read_counters
 from benchmarks.options import Options
 
@@ -46,7 +46,6 @@ def test_a_rehearsal_on_the_cpu_measures_everything(
 ) -> None:
     monkeypatch.setattr(speed, "DRIVEN", 4)
     monkeypatch.setattr(training, "BATCHES", 1)
-    monkeypatch.setattr(tuning, "LANES", (1, 8))
     results = gpu.measure(options)
     assert results is not None
     assert json.loads((tmp_path / "gpu.json").read_text()) == results
@@ -63,16 +62,10 @@ def test_a_rehearsal_on_the_cpu_measures_everything(
     assert all(row["wall_s"] > 0 for row in results["steps"])
     assert all(row["steps_per_s"] > 0 for row in results["training"])
     assert {row["map"] for row in results["training"]} == {True, False}
-    assert {row["lanes"] for row in results["tuning"]} == {1, 8}
-    assert all(row["physics"] > 0 and row["lidar"] > 0 for row in results["tuning"])
-    assert results["processors"][0]["gpu_speedup"] > 0
     assert results["machine"]["bytes_per_s"] > 0
-    assert (tmp_path / "gpu.png").stat().st_size > 1000
     told = shown(gpu.table(results))
     assert "failed" not in told
-    assert all(
-        title in told for title in ("Machine", "Steps/s", "A step of", "Kernels", "PPO", "other settings", "CPU of")
-    )
+    assert all(title in told for title in ("Machine", "Steps/s", "A step of", "Kernels", "PPO"))
 
 
 def test_a_section_that_fails_does_not_end_the_others(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:

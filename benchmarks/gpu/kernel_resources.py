@@ -1,7 +1,7 @@
 """Resources of the Warp kernels on a GPU, without one: registers, local memory and resident threads.
 
     pip install nvidia-cuda-nvcc
-    python -m benchmarks.kernel_resources --arch 90
+    python -m benchmarks.gpu.kernel_resources --arch 90
 
 Compiles the kernels of the package to PTX and assembles them with NVIDIA's ``ptxas``, from the wheel
 ``nvidia-cuda-nvcc`` or on the ``PATH``. The table lists for each kernel the registers of a thread, its stack frame and
