@@ -49,7 +49,7 @@ pygments_dark_style = "monokai"
 maximum_signature_line_length = 80
 
 myst_enable_extensions = ["colon_fence", "deflist", "attrs_inline"]
-myst_heading_anchors = 4
+myst_heading_anchors = 5
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -103,7 +103,7 @@ class Drive:
     """Topic of the IMU."""
     camera_topic: str = Connection.camera_topic
     """Topic of the depth image, for policies that read one. One that ends in /compressed or /compressedDepth has
-    compressed images (docs/cameras.md)."""
+    compressed images (docs/sensors.md#cameras-3d-lidars-and-height-scans)."""
     color_topic: str = Connection.color_topic
     """Topic of the color image, likewise."""
     elevation_topic: str = Connection.elevation_topic
@@ -113,7 +113,7 @@ class Drive:
     joint_topic: str = Connection.joint_topic
     """Topic of the motor torques, for policies that read effort."""
     contact_topic: str | None = Connection.contact_topic
-    """Topic of Gazebo's contact sensor, for policies that read contact (docs/forces.md)."""
+    """Topic of Gazebo's contact sensor, for policies that read contact (docs/sensors.md#contact-forces-and-motor-torques)."""
     model: str = Ros2Settings.model
     """Name of the rover in Gazebo, by which its contacts are known."""
     mover_names: tuple[str, ...] = Ros2Settings.mover_names

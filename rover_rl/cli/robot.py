@@ -46,7 +46,7 @@ class RobotCommand:
     backend: str | None = None
     """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None
-    """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
+    """Preset of Bullet's physics: default, accurate or fast (docs/simulators.md#bullet-speed-and-accuracy)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
     harsh: bool = False

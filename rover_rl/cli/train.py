@@ -49,7 +49,7 @@ class RunOptions(RunConfig):
 
     started_from: Annotated[str | None, tyro.conf.arg(name="from")] = None
     """Policy to train further, in a new run: pretrained:NAME, folder of a run, or checkpoint. Other options override
-    the settings of its training (docs/fine_tuning.md)."""
+    the settings of its training (docs/training.md#fine-tuning)."""
 
 
 @dataclass(frozen=True)

@@ -593,7 +593,7 @@ class EnvConfig:
     backend: BackendLike = "bullet"
     """Simulator: bullet, warp (fast), mujoco (an extra), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
-    """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
+    """Physics preset of the backend. Bullet has default, accurate and fast, see docs/simulators.md."""
     control_rate: float | None = None
     """Control steps per second. Default: those of the backend's settings, 20. A fast robot needs more: at 5 m/s and 20
     Hz, it drives 0.25 m in a step. Numbers of steps, as the length of an episode, stay as they are."""

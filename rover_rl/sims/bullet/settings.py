@@ -14,7 +14,7 @@ class BulletSettings(PhysicsSettings):
 
     With the defaults a standing rover stays in place, and friction agrees with Coulomb's law within 5 %, except that
     rovers creep on slopes close to the limit.
-    ``docs/physics.md`` lists the speed of each preset and its error relative to steps of 1 ms.
+    ``docs/simulators.md`` lists the speed of each preset and its error relative to steps of 1 ms.
 
     Args:
         control_dt: duration of a control step, s. The contract controls at 20 Hz.
