@@ -57,7 +57,7 @@ Part: TypeAlias = Literal["rollouts", "pools", "policies", "baselines", "trainin
 
 
 @dataclass(frozen=True)
-class Digests:
+class Options:
     """Print digests of rollouts, evaluations and trainings, to compare two revisions to the last bit."""
 
     count: int = 64
@@ -141,4 +141,4 @@ def digest(tensors: dict[str, Tensor]) -> str:
 
 
 if __name__ == "__main__":
-    tyro.cli(Digests)()
+    tyro.cli(Options)()
