@@ -113,7 +113,7 @@ class Drive:
     joint_topic: str = Connection.joint_topic
     """Topic of the motor torques, for policies that read effort."""
     contact_topic: str | None = Connection.contact_topic
-    """Topic of Gazebo's contact sensor, for policies that read contact (docs/sensors.md#contact-forces-and-motor-torques)."""
+    """Topic of Gazebo's contact sensor, for policies that read contact (docs/sensors.md)."""
     model: str = Ros2Settings.model
     """Name of the rover in Gazebo, by which its contacts are known."""
     mover_names: tuple[str, ...] = Ros2Settings.mover_names
