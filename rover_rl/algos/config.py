@@ -387,8 +387,6 @@ _CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "cur
 
 
 def _check_ranges(settings: dict[str, Any]) -> None:
-    """Checks each setting by itself. Those that are ``None`` have their default."""
-
     def some(*names: str) -> dict[str, Any]:
         return {name: settings[name] for name in names if settings.get(name) is not None}
 

@@ -59,7 +59,6 @@ def config_from(data: Any, source: str) -> TrainingConfig:
 
 
 def _backend_name(env: Any) -> str:
-    """Name of the backend in the plain data of an environment; that of the default if there is none."""
     named = env.get("backend") if isinstance(env, dict) else None
     named = next(iter(named), None) if isinstance(named, dict) else named
     return named if isinstance(named, str) else default_config("ppo").env.backend
@@ -157,6 +156,5 @@ def differing_settings(one: TrainingConfig, other: TrainingConfig) -> list[str]:
 
 
 def _flat(config: TrainingConfig) -> dict[str, Any]:
-    """Settings that change what is learned, by their names alone."""
     parts = [(name, value) for part in PARTS for name, value in vars(getattr(config, part)).items()]
     return {name: value for name, value in parts if name not in _OF_A_RUN}

@@ -28,7 +28,6 @@ def read_npy(path: Path, shape: Shape) -> np.ndarray:
 
 
 def _load(path: Path) -> Any:
-    """Reads an array, or a dictionary of arrays."""
     if not path.is_file():
         raise FileNotFoundError(f"no file at {path}")
     try:

@@ -138,7 +138,6 @@ class Barn(Suite):
         super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
 
     def score(self, course: Course, run: Trajectory) -> float:
-        """See :class:`Barn`."""
         optimal = course.length / SPEED
         clipped = min(max(run.seconds, FASTEST * optimal), SLOWEST * optimal)
         return (run.ending == "goal") * optimal / clipped

@@ -63,7 +63,6 @@ def _course(file: MotionFile, number: int, radius: float) -> Course:
 
 
 def _walls() -> list[Obstacle]:
-    """Returns the walls of the yard: behind the goal, and at both sides."""
     away, length = HALF + WALL / 2, 2 * (HALF + WALL)
     centers = [(-away, 0.0, HEIGHT / 2), (0.0, away, HEIGHT / 2), (0.0, -away, HEIGHT / 2)]
     return list(boxes(np.array(centers), np.array([(WALL, length, HEIGHT)] + [(2 * HALF, WALL, HEIGHT)] * 2)))

@@ -196,7 +196,6 @@ def run_roboterrain(
 @torch.no_grad()
 @single_threaded()
 def _drive(job: _Job) -> Run:
-    """Drives rovers for some time. One that leaves the world starts again."""
     env = RoverEnv(job.env)
     runner = PolicyRunner(job.policy or RandomPolicy(job.env.seed or 0), None, _MIN_ROWS, env)
     steps = round(job.seconds / env.control_dt)
@@ -237,7 +236,6 @@ def print_roboterrain(suite: RoboTerrain, runs: Sequence[Run], console: Console 
 
 
 def _published(world: str) -> dict[str, dict[str, Estimate]]:
-    """Returns the published metrics in a world, by policy. The world is found by its name."""
     nothing = Estimate(math.nan, math.nan, math.nan)
     found = {}
     for policy, figures in PUBLISHED.items():

@@ -71,7 +71,6 @@ def _course(file: MotionFile, number: int) -> Course:
 
 
 def _cylinders(rows: np.ndarray) -> list[Obstacle]:
-    """Returns upright cylinders, given by x, y and radius."""
     found: list[Obstacle] = []
     for radius in np.unique(rows[:, 2]).tolist():
         centers = rows[rows[:, 2] == radius, :2]

@@ -292,7 +292,6 @@ def run_suite(
 
 
 def _until_contact(evaluation: Evaluation) -> Evaluation:
-    """Cuts each run at its first contact."""
     runs = []
     for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True):
         if touched.any():

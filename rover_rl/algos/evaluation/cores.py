@@ -88,7 +88,6 @@ def _in_processes(
 
 
 def _how_ended(processes: set[BaseProcess], error: BrokenProcessPool) -> str:
-    """Returns in words how a worker process has ended. The pool then ends the others with SIGTERM."""
     codes = {process.exitcode for process in processes} - {None, 0, -signal.SIGTERM}
     if not codes:
         return f"a worker process has failed: {str(error.__cause__ or error).strip().splitlines()[-1]}"
@@ -100,7 +99,6 @@ def _how_ended(processes: set[BaseProcess], error: BrokenProcessPool) -> str:
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """Returns the way to start processes. Forking a process that has run PyTorch threads can hang."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -126,7 +124,6 @@ def _start_worker(fractions: SynchronizedArray[float]) -> None:
 
 
 def _exit_with_parent() -> None:
-    """Ends a worker process when the main process has been killed. It would finish its item otherwise."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -134,7 +131,6 @@ def _exit_with_parent() -> None:
 
 
 def _apply(work_and_item: bytes, number: int) -> bytes:
-    """Applies ``work`` to an item in a worker process. Both, and the result, are pickled by :func:`dumps`."""
     work, item = pickle.loads(work_and_item)
 
     def report(fraction: float) -> None:

@@ -100,11 +100,9 @@ class EpisodeSet:
 
     @property
     def worlds(self) -> list[World]:
-        """World of each episode."""
         return [self.pool[index] for index in self.world_index.tolist()]
 
     def world_name(self, episode: int) -> str:
-        """Returns the name of the world of an episode."""
         return self.pool.name(int(self.world_index[episode])) if self.several_worlds else self.name
 
     def first(self, count: int) -> EpisodeSet:
@@ -193,7 +191,6 @@ def portable(world: str | World) -> str | World:
 
 
 def _seed_of(world: str | World) -> int:
-    """Returns the seed of a world by its name, 0 for a world without one."""
     return WorldName.parse(world).seed or 0 if isinstance(world, str) else 0
 
 

@@ -124,7 +124,6 @@ def evaluate(
 
 
 def _check_groups(episodes: EpisodeSet, agents: int) -> None:
-    """Raises an error unless each ``agents`` consecutive episodes are in the same world."""
     worlds = episodes.world_index
     if len(worlds) % agents or (worlds.reshape(-1, agents) != worlds[::agents, None]).any():
         raise ValueError(
@@ -134,7 +133,6 @@ def _check_groups(episodes: EpisodeSet, agents: int) -> None:
 
 
 def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
-    """Divides episodes into parts of consecutive ones that are in ``rows`` worlds at most."""
     begins, worlds = [0], set[int]()
     for episode, world in enumerate(episodes.world_index.tolist()):
         if len(worlds | {world}) > rows:

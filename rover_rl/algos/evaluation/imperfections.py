@@ -41,7 +41,6 @@ def change(one: Evaluation, other: Evaluation) -> Estimate:
 
 
 def _cells(column: str, first: str, rows: Sequence[dict[str, Evaluation]]) -> list[str]:
-    """Returns the success rate and the change of each row."""
     cells = []
     for row in rows:
         undefined = Estimate(math.nan, math.nan, math.nan)

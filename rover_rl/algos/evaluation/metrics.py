@@ -457,7 +457,6 @@ def _mover_contact_share(d: Drives) -> Estimate:
 
 
 def _figure(name: str, per: Callable[[Drives], Sequence[float]] | None = None) -> Callable[[Drives], Estimate]:
-    """Returns a metric: the mean of a figure over episodes, or its sum divided by that of what ``per`` returns."""
     return lambda d: ratio([getattr(each, name) for each in d.figures], None if per is None else per(d))
 
 
@@ -575,7 +574,6 @@ def endless_metrics(trajectories: Sequence[Trajectory], contacts: Sequence[Tenso
 
 
 def _computed(table: Mapping[str, Metric], drives: Drives) -> dict[str, Estimate]:
-    """Computes the metrics of a table and those of all episodes, with movers also those of encounters."""
     found = {name: metric.of(drives) for name, metric in {**table, **_BOTH}.items()}
     if drives.meeting:
         found |= {name: metric.of(drives.meeting) for name, metric in _WITH_MOVERS.items()}

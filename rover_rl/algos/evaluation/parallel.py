@@ -123,6 +123,5 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
 
 def _whole_groups(rows: int, env: EnvConfig | None) -> int:
-    """Returns a number of rows of whole groups: at most ``rows``, but at least one group."""
     agents = 1 if env is None else env.agents
     return max(agents, rows - rows % agents)

@@ -70,7 +70,6 @@ def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int 
 
 
 def _draw_worst_worlds(evaluations: Sequence[Evaluation], path: Path, max_episodes: int) -> None:
-    """Draws the paths of policies in the worlds in which they succeed least, with a row of panels for each policy."""
     indices, panels = evaluations[0].episodes.world_index, []
     for evaluation in evaluations:
         rates = {world["world"]: world["success_rate"] for world in evaluation.by_world}
@@ -117,7 +116,6 @@ def _square_around(points: Tensor, margin: float = 0.7) -> Area:
 
 
 def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
-    """Draws the episodes of an evaluation in one world."""
     episodes, driven = evaluation.episodes, evaluation.trajectories
     draw_pale_map(ax, episodes.world, area)
     for trajectory in driven:
@@ -212,7 +210,6 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
 
 
 def _mark_events(panels: Sequence[Axes], seconds: np.ndarray, steps: TensorDictBase) -> list[Line2D | Patch]:
-    """Marks goals, collisions and endings in every panel. Returns the handles of the legend."""
     outcome = steps["outcome"]
     goals, endings = seconds[outcome["goal_reached"].squeeze(-1)], np.flatnonzero(steps["done"].squeeze(-1))
     collision = outcome["collision"].squeeze(-1).numpy()

@@ -83,13 +83,11 @@ def check_columns(names: Sequence[str]) -> list[str]:
 
 
 def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
-    """Whether a metric has a column: false for undefined metrics and for endings that do not occur."""
     values = [evaluation.metrics[key].value for evaluation in evaluations if key in evaluation.metrics]
     return any(value > 0 for value in values) or not (key.startswith(ENDING) or all(map(math.isnan, values)))
 
 
 def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[_Row]:
-    """Returns a row for each evaluation. Those of a policy stand below one another."""
     several = _several_backends(evaluations)
     order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
     return [
@@ -99,19 +97,16 @@ def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[_Row]:
 
 
 def _labeled(name: str, one: Evaluation | EndlessEvaluation, several_backends: bool, note: str = "") -> str:
-    """Returns a name with a second line that tells what differs in its evaluations."""
     notes = [note, one.backend if several_backends else "", one.imperfection]
     return "\n".join(filter(None, (name, ", ".join(filter(None, notes)))))
 
 
 def _cell(key: str, estimate: Estimate) -> str:
-    """Formats a value and its confidence interval. Endings have none, as there are many of them."""
     shown = Estimate(estimate.value, math.nan, math.nan) if key.startswith(ENDING) else estimate
     return cell(shown, METRICS[key].unit)
 
 
 def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> list[_Row]:
-    """Returns a row for each group of several policies, in each backend, with means and standard deviations."""
     found: dict[tuple[str, str, str], list[Evaluation | EndlessEvaluation]] = {}
     for one in evaluations:
         if one.name in groups:
@@ -125,20 +120,17 @@ def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: M
 
 
 def _mean_cell(key: str, values: Sequence[float]) -> str:
-    """Formats the mean of several policies and, below it, their standard deviation; ``-`` if a value is undefined."""
     mean, deviation = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
     unit = METRICS[key].unit
     return "-" if math.isnan(mean) else f"{formatted(mean, unit)}\n± {formatted(deviation, unit)}"
 
 
 def _several_backends(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
-    """Whether a policy is in several backends."""
     places = {(evaluation.name, evaluation.backend) for evaluation in evaluations}
     return len(places) > len({name for name, _ in places})
 
 
 def _worst_worlds(evaluation: Evaluation) -> str:
-    """Returns a line with the worlds that have the lowest success rates."""
     worlds = {world["world"]: world for world in evaluation.by_world}
     worst = (worlds[index] for index in worst_worlds([evaluation]))
     named = ", ".join(f"{world['name']} {world['success_rate']:.0%}" for world in worst if world["success_rate"] < 1)
@@ -148,7 +140,6 @@ def _worst_worlds(evaluation: Evaluation) -> str:
 
 
 def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation | EndlessEvaluation], grouped: bool) -> str:
-    """Returns what explains the columns and the second lines of the tables, and nothing else."""
     said = [f"{METRICS[key].heading}: {METRICS[key].meaning}" for key in shown if METRICS[key].meaning]
     endings = [METRICS[key].heading for key in shown if key.startswith(ENDING)]
     said += [f"{', '.join(endings)}: episodes that end so"] if endings else []
@@ -215,7 +206,6 @@ def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
 
 
 def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[list[Evaluation]]:
-    """Groups of evaluations of a policy on the same episodes with one goal each, one per backend."""
     groups: dict[tuple[object, ...], list[dict[str, Evaluation]]] = {}
     for one in evaluations:
         if isinstance(one, Evaluation):
@@ -235,7 +225,6 @@ def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[l
 
 
 def _print_disagreements(disagreements: Sequence[Disagreement], console: Console) -> None:
-    """Prints the first episodes on which backends disagree."""
     if not disagreements:
         console.print("The backends agree on which episodes reach their goal.")
         return

@@ -79,7 +79,6 @@ class _Results(ABC):
 
     @property
     def _ends(self) -> list[dict[str, Any]]:
-        """Ending, duration and events of each episode as plain data."""
         return [_end(t, walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
 
     def _summary(self, mode: str, world: str, seed: int) -> dict[str, Any]:
@@ -217,7 +216,6 @@ class Evaluation(_Results):
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
-        """Returns each episode as plain data."""
         columns = (getattr(self.episodes, key).tolist() for key in ("start", "goal", "shortest"))
         return [
             {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **end}
@@ -288,7 +286,6 @@ class EndlessEvaluation(_Results):
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
-        """Returns each episode as plain data."""
         return [{"goals": int(t.goal.sum()), **end} for t, end in zip(self.trajectories, self._ends, strict=True)]
 
     def episode_rows(self) -> list[dict[str, Any]]:
@@ -315,7 +312,6 @@ def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[
 
 
 def _plain(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
-    """Returns the summary, environment, metrics and endings as plain data."""
     return {
         **evaluation.summary(),
         "env": plain_env_or_none(evaluation.env),
@@ -325,7 +321,6 @@ def _plain(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
 
 
 def _row(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
-    """Returns what the row of an episode begins with."""
     summary = evaluation.summary()
     keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
     shared = {key: summary[key] for key in keys if key in summary}
@@ -346,7 +341,6 @@ def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, fl
 
 
 def _end(trajectory: Trajectory, walls: Tensor) -> dict[str, Any]:
-    """Returns ending, duration and events of an episode as plain data. ``walls`` are contacts with obstacles."""
     end = {
         "ending": trajectory.ending,
         "seconds": round(trajectory.seconds, 3),

@@ -97,7 +97,6 @@ def finite_row(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _room(rows: int, columns: Sequence[Column], console: Console) -> int:
-    """Returns the width that columns leave for the names."""
     without = _table([""] * rows, columns, 0, "policy")
     needed = console.measure(without, options=console.options.update(width=_UNLIMITED)).maximum
     return console.width - needed + len("policy")

@@ -118,7 +118,6 @@ def _merit(row: Row) -> float:
 
 
 def _everywhere(by_world: dict[str, list[Experiment]]) -> list[list[Experiment]]:
-    """Experiments with the same settings in every world, in the order of the worlds."""
     by_settings = [{one.settings: one for one in experiments} for experiments in by_world.values()]
     shared = [name for name in by_settings[0] if all(name in others for others in by_settings)]
     return [[world[name] for world in by_settings] for name in shared]

@@ -106,7 +106,6 @@ class _Curve:
 
 
 def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
-    """Gives each experiment a color, and further lines styles where the colors repeat."""
     curves, used = [], dict.fromkeys(_PALETTES, 0)
     for experiment in sorted(experiments, key=lambda one: (one.world, one.settings)):
         algo = experiment.runs[0].config.algo

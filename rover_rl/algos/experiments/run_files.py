@@ -83,6 +83,5 @@ class RunFiles:
 
 
 def _sums(values: np.ndarray, width: int) -> np.ndarray:
-    """Returns the sums over the last ``width`` values, ``[rows]``."""
     total = np.concatenate((np.zeros(width), np.cumsum(np.nan_to_num(values))))
     return total[width:] - total[:-width]

@@ -135,7 +135,6 @@ def find_runs(words: Sequence[str]) -> list[Path]:
 
 
 def _natural(path: Path) -> list[Any]:
-    """Key that sorts ``seed10`` after ``seed9``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
 
 

@@ -142,7 +142,6 @@ def with_varied(config: TrainingConfig, values: Mapping[str, Any]) -> TrainingCo
 
 
 def _value(text: str) -> Any:
-    """Reads a value as YAML, and numbers as Python does: YAML takes 1e-4 for a text."""
     for kind in (int, float):
         try:
             return kind(text)
@@ -155,13 +154,11 @@ def _value(text: str) -> Any:
 
 
 def _places(config: TrainingConfig) -> dict[str, tuple[str, ...]]:
-    """Keys of each setting in the plain data, by its name."""
     found = _paths(plain(config))
     places = {".".join(path[1:]): path for path in found if len(path) > 1}
     return {name: path for name, path in places.items() if name not in _FIXED}
 
 
 def _paths(data: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Returns the keys that lead to everything in nested dictionaries."""
     below = [_paths(value, (*path, key)) for key, value in data.items()] if isinstance(data, dict) else []
     return [path, *chain.from_iterable(below)]

@@ -63,11 +63,9 @@ def probability_of_improvement(ours: Sequence[np.ndarray], theirs: Sequence[np.n
 
 
 def _resampled(values: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Draws as many runs as there are with replacement, ``[RESAMPLES, runs, ...]``."""
     return values[generator.integers(len(values), size=(RESAMPLES, len(values)))]
 
 
 def _better(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Share of pairs in which a value of ``a [..., runs]`` is larger than one of ``b [..., runs]``."""
     difference = np.sign(a[..., :, None] - b[..., None, :])
     return (0.5 + difference / 2).mean((-2, -1))

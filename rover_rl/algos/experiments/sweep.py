@@ -80,7 +80,6 @@ class Sweep:
         self._require_same()
 
     def _require_same(self) -> None:
-        """Stores the settings of a new sweep, and compares those of an existing one."""
         stated = {"vary": [str(setting) for setting in self.space], "episodes": self._count}
         saved = self._study.user_attrs
         if not saved:
@@ -143,7 +142,6 @@ class Sweep:
         return True
 
     def _next(self, trials: int) -> FrozenTrial | None:
-        """Returns the trial that was interrupted, else a new one; ``None`` if there is nothing left to try."""
         from optuna.samplers import TPESampler
         from optuna.trial import TrialState
 
@@ -166,7 +164,6 @@ class Sweep:
         return self._study.get_trials()[number]
 
     def _tell(self, trial: FrozenTrial, value: float | None, attributes: dict[str, float] | None = None) -> None:
-        """Stores the result of a trial; ``None``: it failed."""
         from optuna.trial import TrialState
 
         storage = self._study._storage
@@ -175,7 +172,6 @@ class Sweep:
         self._study.tell(trial.number, value, state=TrialState.FAIL if value is None else None)
 
     def _evaluate(self, folder: Path, episodes: EpisodeSet) -> Evaluation:
-        """Evaluates the policy of a trial in the simulator that it was trained in, without randomization."""
         actor = Checkpoint.load(folder).make_actor()
         env = replace(environment_for(actor, None), backend=self.config.env.backend, device=self.config.env.device)
         (result,) = evaluate_all([GoalRequest(actor, episodes, {"name": folder.name, "env": env})])
@@ -207,7 +203,6 @@ def validation_episodes(config: TrainingConfig, count: int) -> EpisodeSet:
 
 
 def _open_study(folder: Path) -> Study:
-    """Opens the study in a folder, or creates it."""
     try:
         import optuna
     except ImportError as error:

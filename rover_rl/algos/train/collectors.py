@@ -149,7 +149,6 @@ def with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDic
 def _make_collector(
     config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv, logs: Sequence[Path | None], **options: Any
 ) -> BaseCollector:
-    """Makes TorchRL's collector with a worker for each of ``logs``."""
     frames = config.num_envs * config.algorithm.rollout_length
     return Collector(
         [partial(make_env, worker, log) for worker, log in enumerate(logs)],
@@ -209,7 +208,6 @@ def _enough_files(workers: int) -> Iterator[None]:
 
 
 def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
-    """Yields the collector's batches until a worker fails."""
     batches = iter(collector)
     while True:
         try:
@@ -221,7 +219,6 @@ def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
 
 
 def _send_weights(collector: BaseCollector) -> None:
-    """Sends the actor's weights to the workers. TorchRL alone waits forever for the reply of a dead worker."""
     done: Future[None] = Future()
 
     def send() -> None:
@@ -241,7 +238,6 @@ def _send_weights(collector: BaseCollector) -> None:
 
 
 def _last_output(log: Path) -> str:
-    """Returns the end of a worker's output."""
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
     return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} printed nothing"
 
@@ -309,7 +305,6 @@ def connect() -> int:
 
 
 def _ended_actors(collector: BaseCollector) -> list[str]:
-    """Returns Ray's reports on the workers that have ended. This can take some seconds."""
     import ray
 
     replies = [worker.__ray_ready__.remote() for worker in collector.remote_collectors]

@@ -113,12 +113,10 @@ class Learnability:
 
 
 def _rate(successes: Tensor, attempts: Tensor, prior: Tensor | float) -> Tensor:
-    """Mean of the success rate under a beta distribution with the mean ``prior`` before the attempts."""
     return (successes + _PRIOR_ATTEMPTS * prior) / (attempts + _PRIOR_ATTEMPTS)
 
 
 def _group(name: WorldName) -> tuple[str, int | None]:
-    """Worlds of equal groups are similar."""
     level = name.difficulty
     return name.part, None if level is None else min(int(level * _LEVELS), _LEVELS - 1)
 

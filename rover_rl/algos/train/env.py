@@ -74,7 +74,6 @@ def make_training_env(
 
 
 def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
-    """Returns the settings of one worker's environment."""
     env, rovers = config.env, config.rovers_per_worker
     backend = env.backend
     if backend in ("mujoco", "warp"):
@@ -93,7 +92,6 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
 
 
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
-    """Returns the sensors. Those that take long are read once for a decision, if the policy reads them."""
     sensors, read = own_sensors(config.env.sensors), config.network.observation
     if ROUTE in read:
         # Not part of the environment that a policy is made for, but of its runner: so are movers.
@@ -113,5 +111,4 @@ def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
 
 
 def _threads(config: TrainingConfig) -> int:
-    """Returns the number of CPU threads of one worker."""
     return max(1, usable_cores() // config.workers)

@@ -154,7 +154,6 @@ class PPOLearner(Learner):
         return self._logged(losses)
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
-        """Clips actions and scales them to 95 % of their range: a squashed normal does not reach its bounds."""
         middle, half = middle_and_half(action_spec(self.config.env.bounded_action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
@@ -164,7 +163,6 @@ def _image_networks(network: nn.Module) -> list[ImageFeatures]:
 
 
 def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
-    """Returns the expert to imitate, a function from decisions ``[...]`` to actions ``[..., 2]``."""
     assert isinstance(config.algorithm, PPOConfig)
     robot = get_robot(config.env.robot)
     if config.algorithm.expert == "route":

@@ -69,7 +69,6 @@ class Stopwatch:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Adds the duration of the block to the activity ``name``."""
         started = time.perf_counter()
         try:
             yield
@@ -162,7 +161,6 @@ class ProgressLog:
 
 
 def _keep_rows(path: Path, updates: int) -> list[str]:
-    """Truncates the table to its first ``updates`` rows, or deletes it; returns the names of its columns."""
     if not updates:
         path.unlink(missing_ok=True)
     if not path.exists():

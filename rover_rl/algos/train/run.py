@@ -84,7 +84,6 @@ class Learner(ABC):
         self._optimizer.load_state_dict(state["optimizer"])
 
     def _set_learning_rate(self, share: float) -> None:
-        """Sets the learning rate for the fraction ``share`` of training that is done."""
         settings = self.config.algorithm
         for group in self._optimizer.param_groups:
             group["lr"] = settings.learning_rate * (1 - share if settings.anneal else 1.0)
@@ -93,7 +92,6 @@ class Learner(ABC):
         return torch.stack([losses[key].detach() for key in self.logged])
 
     def _means(self, steps: list[Tensor]) -> dict[str, float]:
-        """Returns what to log of the gradient steps of an update. Waits until a GPU has finished them."""
         means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(self.logged)
         learned = {"gradient_steps": len(steps), "learning_rate": self._optimizer.param_groups[0]["lr"]}
         return learned | dict(zip(self.logged, means, strict=True))
@@ -173,7 +171,6 @@ class TrainingRun:
             self._lock = self._lock.pop_all()
 
     def _resume(self, folder: Path) -> None:
-        """Restores the learner, the counters and PyTorch's random generator, if the run has a checkpoint."""
         path = folder / STATE
         if not path.is_file():
             if (folder / CHECKPOINT).is_file():
@@ -256,7 +253,6 @@ class TrainingRun:
             self._lock.close()
 
     def _stop(self, number: int, frame: object) -> None:
-        """Handles a signal: ends the run after the current batch, or immediately at the second signal."""
         if self._stopping:
             raise KeyboardInterrupt
         self._stopping = True
@@ -321,7 +317,6 @@ class TrainingRun:
         self._saved_steps = self.steps
 
     def _require_finite(self) -> None:
-        """Ends a run that has diverged, to keep its last good checkpoint."""
         if (diverged := first_not_finite(self.learner.weights())) is None:
             return
         lower = f"--learning-rate {self.config.algorithm.learning_rate / 3:.1g}"

@@ -149,5 +149,4 @@ class RunRecord:
             write_config(self.path, self.config, self.sessions)
 
     def __str__(self) -> str:
-        """What changes, such as ``learning_rate=0.0001 (before: 0.001)``."""
         return ", ".join(f"{name}={new} (before: {old})" for name, (old, new) in self.changed.items())

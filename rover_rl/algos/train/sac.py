@@ -81,7 +81,6 @@ class SACLearner(Learner):
             return self._means([self._gradient_step(self._replay_buffer.sample(), critic_alone) for _ in range(count)])
 
     def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool) -> Tensor:
-        """Takes a gradient step, of all networks or of the critics alone, and returns the logged values."""
         if self._settings.mirror_augmentation:
             rows = torch.rand(len(decisions), device=self.config.device) < 0.5
             decisions = mirrored(decisions, rows, self._encoder.sensors)
@@ -108,7 +107,6 @@ class SACLearner(Learner):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """See :meth:`Learner.load_state_dict`."""
         super().load_state_dict(state)
         if state["memory"]:
             count = len(state["memory"]["action"])

@@ -134,7 +134,6 @@ def _open_mlflow(folder: Path, config: TrainingConfig, resumed_at: int | None) -
 
 
 def _with_dots(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Returns nested dictionaries as one whose keys are joined by dots."""
     flat: dict[str, Any] = {}
     for key, value in data.items():
         flat |= _with_dots(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}

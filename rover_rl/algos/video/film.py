@@ -170,7 +170,6 @@ _VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "to
 
 
 def _pictures(view: ChaseView | TopView, moments: Sequence[Moment]) -> Iterator[np.ndarray]:
-    """Draws the frames of a film in order. Other threads render the next ones meanwhile."""
     threads = os.cpu_count() or 1
     coming, rendered = iter(moments), deque[Future[Any]]()
     with ThreadPoolExecutor(threads) as pool:
@@ -181,7 +180,6 @@ def _pictures(view: ChaseView | TopView, moments: Sequence[Moment]) -> Iterator[
 
 
 def _held(pictures: Iterator[np.ndarray], count: int) -> Iterator[np.ndarray]:
-    """Repeats the last picture ``count`` times."""
     picture = None
     for picture in pictures:
         yield picture
@@ -190,7 +188,6 @@ def _held(pictures: Iterator[np.ndarray], count: int) -> Iterator[np.ndarray]:
 
 
 def _writer(path: Path) -> tuple[Callable[[Path, Iterable[np.ndarray], int], None], int]:
-    """Returns the function that writes the video format of ``path``, and the default number of frames per second."""
     suffix = path.suffix.lower()
     if suffix not in (".mp4", ".gif"):
         raise ValueError(f"a film must be .mp4 or .gif, got {str(path)!r}")
@@ -222,7 +219,6 @@ def _write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
 
 
 def _require_space(path: Path) -> None:
-    """Raises the error of the operating system if a file cannot grow. ffmpeg does not report it."""
     with path.open("ab") as file:
         file.write(bytes(1 << 20))
 
@@ -242,7 +238,6 @@ def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
 
 
 def _palette_table(palette: Image.Image) -> np.ndarray:
-    """Computes the index of the palette for each color of ``_BITS`` bits per channel, uint8 ``[2 ** (3 * _BITS)]``."""
     # Pillow takes 20 ms for a frame of 640 x 480, the table a tenth of that. Dithered frames compress poorly.
     levels = ((np.arange(1 << _BITS) + 0.5) * (256 >> _BITS)).astype(np.uint8)
     colors = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), -1).reshape(1, -1, 3)

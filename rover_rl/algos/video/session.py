@@ -67,7 +67,6 @@ class Pose:
 
     @classmethod
     def of(cls, rover: RoverState) -> Pose:
-        """Returns the poses of a state."""
         return cls(rover.position.cpu(), rover.orientation.cpu())
 
     def toward(self, other: Pose, share: float) -> Pose:
@@ -212,7 +211,6 @@ class Session:
             self.observation = self.env.maybe_reset(following)
 
     def _count(self, after: TensorDictBase) -> None:
-        """Counts goals and episodes after a step."""
         outcome, done = after["outcome"], after["done"].squeeze(-1).cpu()
         reached = outcome["goal_reached"].squeeze(-1).cpu()
         self._goals += reached
@@ -226,7 +224,6 @@ class Session:
         self._goals[done] = 0
 
     def _record(self, after: TensorDictBase, action: Tensor) -> None:
-        """Records what happened to the followed rover."""
         row = self.row
         values = {
             "distance": after["target"][row, 0].item(),

@@ -137,7 +137,6 @@ class ChaseView:
         return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "", rendered.image)
 
     def _draw_beams(self, rendered: Rendered) -> None:
-        """Draws the lidar beams. Parts behind obstacles are faint."""
         pixels, seen = rendered.beams, rendered.seen
         shown = seen[:, :-1] & seen[:, 1:]
         # Lines break at points that are not a number.
@@ -235,7 +234,6 @@ class TopView:
         return self._figure.picture(caption)
 
     def _draw_trails(self) -> None:
-        """Draws the fading trail of the last seconds of each rover. A new episode starts a new trail."""
         points = torch.stack([past.rover.position[:, :2] for past in self._past])
         episodes = torch.stack([past.episodes for past in self._past])
         segments = torch.stack((points[:-1], points[1:]), 2)
@@ -256,7 +254,6 @@ _MARGIN = 2.5
 
 
 def _area(world: World, aspect: float) -> Area:
-    """Computes the part of a world that contains the starts and goals, extended to an aspect ratio."""
     x, y = zip(world.spawn_range, world.goal_range, strict=True)
     ends = [(min(low for low, _ in axis) - _MARGIN, max(high for _, high in axis) + _MARGIN) for axis in (x, y)]
     (x_center, width), (y_center, height) = (((low + high) / 2, high - low) for low, high in ends)
