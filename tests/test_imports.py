@@ -45,6 +45,7 @@ LAYERS = (
     ("envs",),
     ("algos.archives", "algos.config", "algos.config_files", "algos.workers"),
     ("algos.policy", "algos.pretrained"),
+    ("algos.driving",),
     ("algos.train",),
     ("algos.evaluation",),
     ("algos.benchmarks", "algos.deploy", "algos.experiments", "algos.video"),

@@ -153,7 +153,7 @@ class Drive:
             raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.drive_log import DriveLog, check_log
             from rover_rl.algos.deploy.driving import drive_to
-            from rover_rl.algos.evaluation.metrics import RESTARTED
+            from rover_rl.algos.driving import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs import RoverEnv
             from rover_rl.envs.config import name_of_part

@@ -11,7 +11,8 @@ from viser import uplot
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, spread_bars
-from rover_rl.algos.video.session import VALUE, Episode
+from rover_rl.algos.video.recording import Episode
+from rover_rl.algos.video.session import VALUE
 
 COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, GREY, "#8b5e3c", "#4b5563")
 """Colors of the lines of a plot."""

@@ -14,8 +14,9 @@ from typing import Any, ClassVar
 import torch
 
 from rover_rl.algos.benchmarks.suite import Course, Result, Suite, describe_robot, mean_rate
+from rover_rl.algos.driving import CONTACT
 from rover_rl.algos.evaluation.body_contacts import is_touching
-from rover_rl.algos.evaluation.metrics import CONTACT, Estimate, Trajectory
+from rover_rl.algos.evaluation.metrics import Estimate, Trajectory
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.envs import EnvConfig
 from rover_rl.robots import get_robot

@@ -19,10 +19,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.algos.driving import CONTACT, TIME_LIMIT
 from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy
-from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Estimate, Trajectory, proportion, ratio
+from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, proportion, ratio
 from rover_rl.algos.evaluation.mover_traces import TRACE
 from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
 from rover_rl.algos.evaluation.results import Evaluation

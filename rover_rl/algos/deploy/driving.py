@@ -22,10 +22,9 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.deploy.drive_log import DriveLog
-from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy
-from rover_rl.algos.evaluation.metrics import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.driving import ENDINGS, RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs import RoverEnv, StepEvent
 from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.sims import RoverState
@@ -94,7 +93,7 @@ def drive_to(
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of
-        :data:`~rover_rl.algos.evaluation.evaluate.ENDINGS`.
+        :data:`~rover_rl.algos.driving.ENDINGS`.
 
     Raises:
         RobotLostError: if the rover's sensors stop sending, or several robots answer.

@@ -9,27 +9,26 @@ Example:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rover_rl.algos.driving import Schedule, Step, drives
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
 from rover_rl.algos.evaluation.episodes import draw_episodes as draw_episodes
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Encounters, MoverTrack, Trajectory
+from rover_rl.algos.evaluation.metrics import Encounters, MoverTrack, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.policy.runner import Policy, PolicyRunner, default_action_repeat
+from rover_rl.algos.policy.runner import Policy, default_action_repeat
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
-from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.config import RobotLike, require_match
 from rover_rl.envs.groups import first_of_group
 from rover_rl.progress import ProgressDisplay
@@ -41,15 +40,6 @@ from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World, get_world
 
-ENDINGS = {
-    StepEvent.INVALID_ACTION: "invalid action",
-    StepEvent.FLIP: "flipped",
-    StepEvent.JAM: "jammed",
-    StepEvent.OUT_OF_BOUNDS: "out of bounds",
-    StepEvent.STUCK: "stuck",
-    StepEvent.GOAL: "goal",
-}
-"""Endings of an episode before its time limit, by the event of its last step."""
 Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
 """Function that watches an evaluation: see :func:`evaluate`."""
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
@@ -108,15 +98,14 @@ def evaluate(
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
         agents = env_config.agents
-        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)), agents > 1)
+        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)), part.offset, agents > 1)
         worlds = [part.pool[index] for index in schedule.worlds[::agents]]
         place, seed = tuple(worlds) if len(set(worlds)) > 1 else worlds[0], part.seed + part.offset
-        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(schedule.first), seed=seed))
+        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(schedule.worlds), seed=seed))
         rovers.length = max(1, round(seconds / rovers.control_dt))
-        places = {"start": part.start, "goal": part.goal}
         keys = first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents)
-        options = (places, part.offset, watch, track_movers, keys)
-        return _drive(rovers, policy, action_repeat, name, schedule, *options)
+        schedule.at(rovers, keys, start=part.start, goal=part.goal)
+        return _drive(rovers, policy, action_repeat, name, schedule, watch, track_movers)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
@@ -180,8 +169,9 @@ def evaluate_endless(
     world_name = world if isinstance(world, str) else place.name
     limits: dict[str, Any] = {"num_envs": rows, "length": steps, "end_on_goal": False, "task": task}
     env_config = replace(env_config, world=world_name, seed=seed, **limits)
-    rovers, schedule = RoverEnv(replace(env_config, world=place, seed=seed + offset)), _Schedule([0] * rows, rows)
-    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
+    rovers = RoverEnv(replace(env_config, world=place, seed=seed + offset))
+    schedule = _Schedule([0] * rows, rows, offset)
+    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
 
 
@@ -221,7 +211,6 @@ def default_backend(robot: RobotLike) -> str:
     return "warp" if names_several(robot) else "bullet"
 
 
-@torch.no_grad()
 @single_threaded()
 def _drive(
     env: RoverEnv,
@@ -229,71 +218,65 @@ def _drive(
     action_repeat: int,
     name: str,
     schedule: _Schedule,
-    places: Mapping[str, Tensor] | None = None,
-    offset: int = 0,
     watch: Watcher | None = None,
     track_movers: bool | float = False,
-    keys: Tensor | None = None,
 ) -> list[Trajectory]:
-    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
-
-    Movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an
-    episode.
-    """
-    places = places or {}
-    runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
     recorder = _Recorder(schedule.count, env, watch, track_movers)
-    episode = torch.tensor(schedule.first)
-    driving = torch.ones(env.num_envs, dtype=torch.bool)
-
-    def placed() -> dict[str, Tensor]:
-        if keys is not None:
-            env.movers.keys = env.robots.keys = keys[episode]
-        return {key: values[episode] for key, values in places.items()}
-
-    with closing(env), ProgressDisplay(name) as display, set_exploration_type(ExplorationType.DETERMINISTIC):
-        tensordict = env.reset(**placed())
-        recorder.add(env, tensordict, episode, driving)
-        while driving.any():
-            action = runner(tensordict.set("episode", offset + episode[:, None]))
-            tensordict = env.step(tensordict.set("action", action).set("_step", driving))["next"]
-            recorder.add(env, tensordict, episode, driving)
-            restarting = driving & tensordict["done"].squeeze(-1).to("cpu")
-            for row in restarting.nonzero().squeeze(-1).tolist():
-                recorder.end(tensordict[row], int(episode[row]))
-                next_episode = schedule.next(row)
-                driving[row] = restarting[row] = next_episode is not None
-                episode[row] = episode[row] if next_episode is None else next_episode
-            if restarting.any():
-                tensordict = env.reset(tensordict.set("_reset", restarting[:, None]), **placed())
-                runner.reset(restarting)
-                recorder.add(env, tensordict, episode, restarting)
+    steps = drives(env, policy, schedule, action_repeat=action_repeat, min_rows=_MIN_ROWS)
+    with closing(env), ProgressDisplay(name) as display:
+        for step in steps:
+            recorder.add(env, step, schedule.number)
             display.update(recorder.progress)
     return recorder.trajectories
 
 
-class _Schedule:
-    """Distribution of episodes over rovers, each of which stays in one world.
+class _Schedule(Schedule):
+    """Distribution of episodes over rovers, each of which stays in one world and takes the next one there.
 
-    Worlds take turns. With ``in_order``, all episodes have a rover, in their order.
+    Worlds take turns. With ``in_order``, all episodes have a rover, in their order. ``number`` is that of the episode
+    that each rover drives, and ``offset`` that of the first one.
     """
 
-    def __init__(self, worlds: Sequence[int], rows: int, in_order: bool = False) -> None:
-        self.count = len(worlds)
+    def __init__(self, worlds: Sequence[int], rows: int, offset: int, in_order: bool = False) -> None:
+        self.count, self._offset = len(worlds), offset
         waiting: dict[int, deque[int]] = {}
         for episode, world in enumerate(worlds):
             waiting.setdefault(world, deque()).append(episode)
         turns = sorted((turn, episode) for queue in waiting.values() for turn, episode in enumerate(queue))
-        self.first = [*range(self.count)] if in_order else [episode for _, episode in turns[:rows]]
-        self.worlds = [worlds[episode] for episode in self.first]
+        first = [*range(self.count)] if in_order else [episode for _, episode in turns[:rows]]
+        self.worlds = [worlds[episode] for episode in first]
         for world in self.worlds:
             waiting[world].popleft()
-        self._waiting = waiting
+        self._waiting, self.number = waiting, torch.tensor(first)
+        self.driving = torch.ones(len(first), dtype=torch.bool)
+        self._places: dict[str, Tensor] = {}
+        self._env: RoverEnv | None = None
 
-    def next(self, row: int) -> int | None:
-        """Returns the next episode of a rover; ``None`` if there is no further one in its world."""
-        waiting = self._waiting[self.worlds[row]]
-        return waiting.popleft() if waiting else None
+    def at(self, env: RoverEnv, keys: Tensor, **places: Tensor) -> None:
+        """Places the rovers of an environment.
+
+        Movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives
+        an episode.
+        """
+        self._env, self._keys, self._places = env, keys, places
+
+    @property
+    def episode(self) -> Tensor:  # type: ignore[override]
+        return self._offset + self.number
+
+    def places(self) -> dict[str, Tensor]:
+        if self._env is not None:
+            self._env.movers.keys = self._env.robots.keys = self._keys[self.number]
+        return {key: values[self.number] for key, values in self._places.items()}
+
+    def restart(self, ended: Tensor) -> Tensor:
+        restarting = ended.clone()
+        for row in ended.nonzero().squeeze(-1).tolist():
+            if waiting := self._waiting[self.worlds[row]]:
+                self.number[row] = waiting.popleft()
+            else:
+                self.driving[row] = restarting[row] = False
+        return restarting
 
 
 class _Recorder:
@@ -313,9 +296,9 @@ class _Recorder:
             steps = None if track_movers is True else 1 + round(track_movers / self._dt)
             self._tracks = [_Tracker(steps) for _ in range(count)]
 
-    def add(self, env: RoverEnv, tensordict: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
-        """Records a step of the ``rows`` (bool ``[N]``), each of which drives an ``episode`` (int64 ``[N]``)."""
-        outcome, rover = tensordict["outcome"], env.rover_state
+    def add(self, env: RoverEnv, step: Step, episode: Tensor) -> None:
+        """Records a step of the rovers, each of which drives an ``episode`` (int64 ``[N]``)."""
+        outcome, rover, rows = step.observation["outcome"], env.rover_state, step.rows
         values = [rover.position, quaternion_to_euler(rover.orientation), outcome["collision"], outcome["goal_reached"]]
         if self._has_movers:
             gap = (outcome["mover_distance"] - env.robot.radius).clamp(min=0)
@@ -329,11 +312,8 @@ class _Recorder:
                 self._tracks[int(episode[row])].add(env.movers.parts, row)
         if self._watch is not None:
             self._watch(env, episode, rows)
-
-    def end(self, tensordict: TensorDictBase, episode: int) -> None:
-        """Records the ending of an episode from the observation after its last step."""
-        early = bool(tensordict["terminated"])
-        self._endings[episode] = ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))] if early else TIME_LIMIT
+        for row, ending in step.endings().items():
+            self._endings[int(episode[row])] = ending
 
     @property
     def progress(self) -> float:

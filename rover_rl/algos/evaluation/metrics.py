@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.algos.driving import EARLY_ENDINGS, TIME_LIMIT
 from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.envs.rewards import STANDSTILL as STANDSTILL
 from rover_rl.robots import Robot
@@ -37,14 +38,6 @@ RISK = 0.5  #: Distance from the rover's origin to that of a mover below which t
 PERSONAL = 1.2  #: Distance between rover and mover below which the rover intrudes on the mover's space, m.
 FREEZING = 2.0  #: Distance between rover and mover within which a rover that stands still counts as frozen, m.
 RESAMPLES = 2000  #: Number of bootstrap resamples.
-
-TIME_LIMIT = "time limit"  #: Ending of an episode at its time limit.
-TOO_NEAR = "obstacle too near"  #: Ending of a live drive: an obstacle is closer than the required clearance.
-CONTACT = "contact"  #: Ending of a run of a benchmark: the body touches an obstacle.
-STOPPED = "stopped"  #: Ending of a live drive: a person interrupted it, or the connection to the rover was lost.
-RESTARTED = "robot restarted"  #: Ending of a live drive: the rover's clock went backwards, or its pose jumped.
-EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
-"""Endings of an episode before its time limit, other than at its goal."""
 
 
 @dataclass(frozen=True)

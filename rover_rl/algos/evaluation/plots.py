@@ -24,8 +24,9 @@ from matplotlib.patches import Patch, Rectangle
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
-from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Trajectory
+from rover_rl.algos.driving import CONTACT, ENDINGS, TIME_LIMIT
+from rover_rl.algos.evaluation.evaluate import Evaluation
+from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.algos.evaluation.mover_traces import draw_mover_traces, mover_handle
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.envs import StepEvent

@@ -13,17 +13,16 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
+from rover_rl.algos.driving import Step, drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
+from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
 from rover_rl.algos.evaluation.stored import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
@@ -98,7 +97,53 @@ class Recording:
         return replace(self, moments=self.moments[-1 - max(1, round(seconds / self.dt)) :])
 
 
-@torch.no_grad()
+@dataclass(frozen=True)
+class Episode:
+    """An episode that has ended: its rover, number from 1, duration (s), ending and number of goals reached."""
+
+    row: int
+    number: int
+    seconds: float
+    ending: str
+    goals: int
+
+
+class Tally:
+    """Counts the goals and episodes of ``count`` rovers.
+
+    Attributes:
+        goals: number of goals that each rover has reached, int64 ``[N]``.
+        episodes: number of episodes that each has ended, int64 ``[N]``.
+        ended: episodes that have ended, in order.
+        event: last event of the followed rover, and its time (s).
+    """
+
+    def __init__(self, count: int) -> None:
+        self.goals = self.episodes = self._goals_before = torch.zeros(count, dtype=torch.int64)
+        self.ended: list[Episode] = []
+        self.event = "", 0.0
+
+    def add(self, step: Step, seconds: float, dt: float, row: int = 0) -> None:
+        """Counts a step, which ends at ``seconds`` and takes ``dt`` (s). ``row`` is the followed rover."""
+        outcome = step.observation["outcome"]
+        reached = outcome["goal_reached"].squeeze(-1).cpu()
+        self.goals, self.episodes = self.goals + reached, self.episodes + step.ended
+        endings, took = step.endings(), outcome["steps"].squeeze(-1) * dt
+        goals = self.goals - self._goals_before
+        self.ended += [
+            Episode(one, int(self.episodes[one]), took[one].item(), ending, int(goals[one]))
+            for one, ending in endings.items()
+        ]
+        self._goals_before = torch.where(step.ended, self.goals, self._goals_before)
+        if row in endings or reached[row]:
+            self.event = f"{endings[row]}: new start" if row in endings else "goal reached", seconds
+
+    def moment(self, seconds: float, rovers: RoverEnv, row: int = 0) -> Moment:
+        """Returns the state of all rovers at a time, and the movers around the followed one."""
+        seen, endings = (rovers.rover_state, rovers.scan, rovers.goal), [one.ending for one in self.ended]
+        return Moment(seconds, *seen, self.goals, self.episodes, endings, self.event, parts_of(rovers.movers, row))
+
+
 @single_threaded()
 def record_endless(
     policy: Policy | None, world: str | World, *, seconds: float, rows: int, seed: int, env: EnvConfig | None
@@ -111,29 +156,22 @@ def record_endless(
     steps = max(1, round(seconds / rovers.control_dt))
     rovers.length = steps + 1
     rewarded = add_reward(rovers, config.reward, config)
-    runner = PolicyRunner(policy or RandomPolicy(seed), env=rovers)
     driven: list[TensorDict] = []
-    goals = episodes = torch.zeros(rows, dtype=torch.int64)
-    endings: list[str] = []
-    event = "", 0.0
-    with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC), ProgressDisplay("driving") as display:
-        tensordict = rewarded.reset()
-        movers = parts_of(rovers.movers, 0)
-        moments = [Moment(0.0, rovers.rover_state, rovers.scan, rovers.goal, goals, episodes, movers=movers)]
-        for _ in display.track(range(steps), steps):
-            step, tensordict = rewarded.step_and_maybe_reset(tensordict.set("action", runner(tensordict)))
-            driven.append(step[0])
-            outcome, done = step["next", "outcome"], step["next", "done"].squeeze(-1)
-            runner.reset(done)
-            reached = outcome["goal_reached"].squeeze(-1)
-            goals, episodes = goals + reached, episodes + done
-            ended = [ENDINGS[StepEvent(phase)] for phase in outcome["phase"].squeeze(-1)[done].tolist()]
-            endings = endings + ended
+    moments: list[Moment] = []
+    tally = Tally(rows)
+    with closing(rewarded), ProgressDisplay("driving") as display:
+        for step in drives(rewarded, policy or RandomPolicy(seed)):
             seconds = len(driven) * rovers.control_dt
-            if done[0] or reached[0]:
-                event = f"{ended[0]}: new start" if done[0] else "goal reached", seconds
-            seen, movers = (rovers.rover_state, rovers.scan), parts_of(rovers.movers, 0)
-            moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event, movers))
+            if step.transition is None:
+                # A new start takes the place of the end.
+                moments[-1:] = [tally.moment(seconds, rovers)]
+                continue
+            driven.append(step.transition.select("action", "next")[0])
+            tally.add(step, seconds + rovers.control_dt, rovers.control_dt)
+            moments.append(tally.moment(seconds + rovers.control_dt, rovers))
+            display.update(len(driven) / steps)
+            if len(driven) == steps:
+                break
         angles = rovers.scanner.angles.cpu()
         return Recording(moments, rovers.worlds[0], rovers.fleet[0], angles, rovers.control_dt, steps=driven)
 

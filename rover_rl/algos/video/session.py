@@ -14,13 +14,11 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from rover_rl.algos.evaluation.evaluate import ENDINGS
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT
+from rover_rl.algos.driving import Drive
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
-from rover_rl.algos.video.recording import Moment
+from rover_rl.algos.video.recording import Episode, Moment, Tally
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.envs.make import RewardedEnv, make_env
@@ -29,7 +27,6 @@ from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.specs import action_bounds
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.path_distance import PathDistances
-from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 
@@ -45,17 +42,6 @@ Critic: TypeAlias = Callable[[TensorDictBase], float]
 """Estimates the value of an observation ``[1]``."""
 _OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
 """Settings of an environment that a policy was made for."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """An episode that has ended: its rover, number, duration (s), ending and number of goals reached."""
-
-    row: int
-    number: int
-    seconds: float
-    ending: str
-    goals: int
 
 
 @dataclass(frozen=True)
@@ -78,18 +64,6 @@ class Pose:
         return Pose(torch.lerp(self.position, other.position, share_of), turned / turned.norm(dim=-1, keepdim=True))
 
 
-def rovers_in(env: EnvBase) -> RoverEnv:
-    """Returns the :class:`RoverEnv` inside of an environment. Raises ``ValueError`` if there is no batched one."""
-    inner: Any = env
-    while not isinstance(inner, RoverEnv):
-        inner = getattr(inner, "base_env", None)
-        if inner is None:
-            raise ValueError(f"the environment must be a RoverEnv or make_env(...), got {type(env).__name__}")
-    if not inner.batch_size:
-        raise ValueError("the environment must be a batch: create it with num_envs=1, not None")
-    return inner
-
-
 class Session:
     """Environment, policy and the records of their steps. One thread uses it.
 
@@ -103,15 +77,21 @@ class Session:
     """
 
     def __init__(self, env: EnvBase, policy: Policy | None) -> None:
-        self._set_env(env)
         self.row, self._policy, self.exploring = 0, policy, False
         self._critic: Critic | None = None
+        self._set_env(env)
         self.set_policy(policy)
         self.reset()
 
     def _set_env(self, env: EnvBase) -> None:
-        self.env, self.rovers = env, rovers_in(env)
+        self.env, self._drive = env, Drive(env, None)
+        self.rovers = self._drive.rovers
         self._distances: tuple[World, PathDistances] | None = None
+
+    @property
+    def observation(self) -> TensorDictBase:
+        """The last observation, ``[N]``."""
+        return self._drive.observation
 
     @property
     def config(self) -> EnvConfig:
@@ -155,20 +135,23 @@ class Session:
                 self.change(**{name: getattr(made_for, name) for name in _OF_POLICY})
                 return
         self._policy = policy
-        self._runner = PolicyRunner(policy or RandomPolicy(0), env=self.rovers)
+        self._drive.runner = PolicyRunner(policy or RandomPolicy(), env=self.rovers)
 
     def reset(self) -> None:
         """Starts a new episode of all rovers."""
-        self._begin(self.env.reset())
-        count = self.rovers.num_envs
-        self._numbers, self._goals = torch.ones(count, dtype=torch.int64), torch.zeros(count, dtype=torch.int64)
-        self.episodes: deque[Episode] = deque(maxlen=KEPT_EPISODES)
-        self.seconds, self.event = 0.0, ("", 0.0)
-
-    def _begin(self, observation: TensorDictBase) -> None:
-        self.observation = observation
-        self._runner.reset()
+        self._drive.begin()
+        self._tally, self.seconds = Tally(self.rovers.num_envs), 0.0
         self.history: dict[str, deque[float]] = {}
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """Episodes that have ended, the last one first."""
+        return self._tally.ended[: -KEPT_EPISODES - 1 : -1]
+
+    @property
+    def event(self) -> tuple[str, float]:
+        """Last event of the followed rover, and its time (s)."""
+        return self._tally.event
 
     def put(self, row: int, xy: tuple[float, float]) -> None:
         """Puts a rover elsewhere, which starts a new episode with the same goal."""
@@ -176,11 +159,7 @@ class Session:
         yaw = quaternion_to_euler(rovers.rover_state.orientation)[:, 2:]
         start, goal = torch.cat((rovers.rover_state.position[:, :2], yaw), -1), rovers.goal
         start[row, :2] = torch.tensor(xy)
-        mask = torch.zeros(rovers.num_envs, 1, dtype=torch.bool)
-        mask[row] = True
-        given = self.observation.clone(False).set("_reset", mask)
-        self.observation = self.env.reset(given, start=start, goal=goal)
-        self._runner.reset(mask.squeeze(-1))
+        self._drive.begin(torch.arange(rovers.num_envs) == row, start=start, goal=goal)
 
     def set_goal(self, row: int, xy: tuple[float, float]) -> None:
         """Moves the goal of a rover."""
@@ -190,40 +169,21 @@ class Session:
 
     def decide(self) -> Tensor:
         """Returns the actions of the policy, ``[N, 2]``."""
-        way = ExplorationType.RANDOM if self.exploring else ExplorationType.DETERMINISTIC
-        with torch.no_grad(), set_exploration_type(way):
-            return self._runner(self.observation)
+        return self._drive.decide(exploring=self.exploring)
 
     def advance(self, action: Tensor, by_hand: int | None = None) -> None:
         """Takes a step. The episode of the rover that is driven ``by_hand`` goes on when it stands for long."""
-        with torch.no_grad():
-            step = self.env.step(self.observation.set("action", action))
-            self.seconds += self.rovers.control_dt
-            self._record(step["next"], action)
-            following = step_mdp(step, exclude_reward=False)
-            if by_hand is not None and following["outcome", "phase"][by_hand] in (StepEvent.STUCK, StepEvent.NONE):
-                others = torch.arange(self.rovers.num_envs, device=following["done"].device)[:, None] != by_hand
-                for key in ("done", "terminated", "truncated"):
-                    following[key] = following[key] & others
-            self._count(following)
-            done = following["done"].squeeze(-1)
-            self._runner.reset(done)
-            self.observation = self.env.maybe_reset(following)
+        before = self.observation
+        step = self._drive.step(action)
+        self.seconds += self.rovers.control_dt
+        self._record(before, step.observation, action)
+        if by_hand is not None and step.observation["outcome", "phase"][by_hand] in (StepEvent.STUCK, StepEvent.NONE):
+            step = step._replace(ended=step.ended & (torch.arange(len(step.ended)) != by_hand))
+        self._tally.add(step, self.seconds, self.rovers.control_dt, self.row)
+        if step.ended.any():
+            self._drive.begin(step.ended)
 
-    def _count(self, after: TensorDictBase) -> None:
-        outcome, done = after["outcome"], after["done"].squeeze(-1).cpu()
-        reached = outcome["goal_reached"].squeeze(-1).cpu()
-        self._goals += reached
-        for row in done.nonzero().squeeze(-1).tolist():
-            ending = ENDINGS.get(StepEvent(int(outcome["phase"][row])), TIME_LIMIT)
-            seconds = outcome["steps"][row].item() * self.rovers.control_dt
-            self.episodes.appendleft(Episode(row, int(self._numbers[row]), seconds, ending, int(self._goals[row])))
-        if done[self.row] or reached[self.row]:
-            self.event = self.episodes[0].ending if done[self.row] else "goal reached", self.seconds
-        self._numbers += done
-        self._goals[done] = 0
-
-    def _record(self, after: TensorDictBase, action: Tensor) -> None:
+    def _record(self, before: TensorDictBase, after: TensorDictBase, action: Tensor) -> None:
         row = self.row
         values = {
             "distance": after["target"][row, 0].item(),
@@ -232,9 +192,9 @@ class Session:
             "turn command": action[row, 1].item(),
         }
         if self._critic is not None:
-            seen = self.observation[row : row + 1]
-            if self._runner.seen_map is not None:
-                seen = seen.copy().set(ROUTE, self._runner.seen_map[1][row : row + 1])
+            seen = before[row : row + 1]
+            if self._drive.runner.seen_map is not None:
+                seen = seen.copy().set(ROUTE, self._drive.runner.seen_map[1][row : row + 1])
             values[VALUE] = self._critic(seen)
         components = after.get("reward_components", None)
         if components is not None:
@@ -244,10 +204,7 @@ class Session:
 
     def moment(self) -> Moment:
         """Returns the state of all rovers."""
-        rovers = self.rovers
-        movers = parts_of(rovers.movers, self.row)
-        state = rovers.rover_state, rovers.scan, rovers.goal
-        return Moment(self.seconds, *state, self._goals, self._numbers, (), self.event, movers)
+        return self._tally.moment(self.seconds, self.rovers, self.row)
 
     def neighbors(self) -> Tensor:
         """Returns the rovers in the world of the followed one, int64."""
@@ -268,9 +225,9 @@ class Session:
         It is the lower bound, one standard deviation below the center, the center, one above it, and the upper bound of
         each part, ``[k, 5]``.
         """
-        if self._runner.distribution is None:
+        if self._drive.runner.distribution is None:
             return None
-        loc, scale = (one[self.row].cpu()[:, None] for one in self._runner.distribution)
+        loc, scale = (one[self.row].cpu()[:, None] for one in self._drive.runner.distribution)
         bounds = action_bounds(self.config.bounded_action)
         low, high = (torch.tensor(one)[:, None] for one in (bounds.low, bounds.high))
         inner = (low + high) / 2 + (high - low) / 2 * (loc + scale * torch.tensor((-1.0, 0.0, 1.0))).tanh()
@@ -284,9 +241,9 @@ class Session:
             :meth:`~rover_rl.envs.seen_map.seen_map.SeenMap.levels`. And the points of the route from the rover on,
             ``[3, 2]``, m. ``None`` if the runner keeps no map for the policy.
         """
-        if self._runner.seen_map is None:
+        if self._drive.runner.seen_map is None:
             return None
-        seen, route = self._runner.seen_map
+        seen, route = self._drive.runner.seen_map
         (levels, corner), row, rovers = seen.levels(), self.row, self.rovers
         cell = seen.cell[row].item()
         marked = (levels[row] < FREE).nonzero()
@@ -303,18 +260,18 @@ class Session:
 
         They are x and y (m), velocity along x and y (m/s), and radius (m), in the frame of the world.
         """
-        if self._runner.tracked is None:
+        if self._drive.runner.tracked is None:
             return torch.zeros(0, 5)
         rover = self.rovers.rover_state[self.row : self.row + 1]
         yaw = quaternion_to_euler(rover.orientation)[0, 2]
-        movers = movers_of(self._runner.tracked[self.row])
+        movers = movers_of(self._drive.runner.tracked[self.row])
         place, velocity, radius = movers[movers[:, -1] > 0].split((2, 2, 1), -1)
         turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos())).reshape(2, 2)
         return torch.cat((rover.position[:, :2] + place @ turn, velocity @ turn, radius), -1).cpu()
 
     def inside(self) -> dict[str, float]:
         """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""
-        return {f"norm of {key}": value[self.row].norm().item() for key, value in self._runner.state.items()}
+        return {f"norm of {key}": value[self.row].norm().item() for key, value in self._drive.runner.state.items()}
 
     def close(self) -> None:
         """Closes the environment."""

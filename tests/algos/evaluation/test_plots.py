@@ -9,9 +9,9 @@ from matplotlib.image import imread
 from tensordict import TensorDict
 
 from rover_rl import World
+from rover_rl.algos.driving import ENDINGS, TIME_LIMIT
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT
+from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.plots import draw_paths, draw_reward_components
 from rover_rl.worlds import Terrain, box
 from tests.algos.evaluation.drives import line

@@ -11,8 +11,9 @@ import torch
 from rich.console import Console
 
 from rover_rl import World
+from rover_rl.algos.driving import EARLY_ENDINGS, TIME_LIMIT
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import EARLY_ENDINGS, METRICS, TIME_LIMIT
+from rover_rl.algos.evaluation.metrics import METRICS
 from rover_rl.algos.evaluation.report import check_columns, print_table
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.evaluation.tables import folded

@@ -11,7 +11,7 @@ from rover_rl import RoverEnv
 from rover_rl.algos.deploy.drive_log import DriveLog, read_drives
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.deploy.export import OnnxPolicy, export
-from rover_rl.algos.evaluation.metrics import STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.driving import STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
