@@ -289,7 +289,7 @@ def test_the_distribution_of_the_action_is_within_its_bounds(open_viewer):
     assert spread[:, 2].tolist() == pytest.approx(center, abs=1e-5)
     session.exploring = True
     # An action is held for some steps.
-    assert [session.decide() for _ in range(session._runner.action_repeat)][-1][0].tolist() != center
+    assert [session.decide() for _ in range(session._drive.runner.action_repeat)][-1][0].tolist() != center
     session.set_policy(ScriptedPolicy())
     session.decide()
     assert session.action_spread() is None
