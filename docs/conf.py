@@ -137,7 +137,7 @@ autodoc_type_aliases = {
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
-    "filename_pattern": r"\.py$",
+    "filename_pattern": r"/(?!sweep)\w+\.py$",  # A sweep takes minutes.
     "within_subsection_order": "gallery.place_of",
     "thumbnail_size": (480, 360),
     "download_all_examples": False,

@@ -27,7 +27,7 @@ from tests.pages import NEEDS, ROOT, blocks, name_of, pages
 
 MODULES = """
 rover_rl rover_rl.algos.config rover_rl.algos.evaluation.episodes rover_rl.algos.evaluation.evaluate
-rover_rl.algos.evaluation.report rover_rl.algos.experiments.runs rover_rl.algos.experiments.space
+rover_rl.algos.evaluation.report rover_rl.algos.experiments.runs
 rover_rl.algos.policy.checkpoint rover_rl.algos.policy.networks rover_rl.algos.policy.runner rover_rl.algos.pretrained
 rover_rl.algos.train.ppo rover_rl.envs rover_rl.sims.bullet rover_rl.sims.free_space rover_rl.robots
 rover_rl.worlds rover_rl.worlds.pool rover_rl.worlds.table
@@ -139,17 +139,24 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
         ("evaluate_policies.py", {"EPISODES": 2}, r"anywhere: 2 of 2 goals"),
         ("torchrl_ppo.py", {"STEPS": 256, "ROVERS": 2}, "256 steps"),
         ("sb3_sac.py", {"STEPS": 64, "ROVERS": 2, "EPISODE": 20}, "of 2 rovers reached a goal"),
+        ("sweep.py", {"TRIALS": 1, "STEPS": 1_000, "EPISODES": 1}, "best: trial 0, success"),
         pytest.param("deploy_policy.py", {"STEPS": 20}, r"m from the goal after 1\.0 s", marks=pytest.mark.slow),
         pytest.param("fine_tuning.py", {"EPISODES": 1, "STEPS": 1_000}, "fine-tuned: ", marks=pytest.mark.slow),
     ],
 )
 def test_programs_of_the_gallery(
-    name: str, constants: dict[str, int], expected: str, capsys: pytest.CaptureFixture[str]
+    name: str,
+    constants: dict[str, int],
+    expected: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """They run with other values of their constants, draw what they have found, and print it."""
     import matplotlib.pyplot as plt
 
     plt.switch_backend("Agg")
+    monkeypatch.chdir(tmp_path)
     threads = torch.get_num_threads()
     code = (EXAMPLES / name).read_text(encoding="utf-8")
     for constant, value in constants.items():

@@ -87,79 +87,6 @@ class JaxNavBenchmark(_Benchmark):
         return _run(JaxNav(courses, unsolvable, runs=self.runs, seed=self.seed, **limits), self)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _MovingBenchmark(_Benchmark):
-    data: Path
-    """JSON file of worlds and motions."""
-    worlds: str = "all"
-    """Worlds: all that the file has, or numbers such as 1,7,20-29."""
-    runs: int = 1
-    """Number of runs in each world. All but the first start a few centimeters away from the benchmark's start."""
-
-    def _numbers(self) -> list[int] | None:
-        return None if self.worlds == "all" else _parsed(self.worlds, 1000, "all")
-
-
-@dataclass(frozen=True, kw_only=True)
-class DynaBarnBenchmark(_MovingBenchmark):
-    """Run policies in the yards of DynaBARN: up to 24 cylinders of up to 2 m/s, 20 m to the goal, any contact fails."""
-
-    out: Path = Path("runs/benchmark-dynabarn")
-    """Folder to write to."""
-
-    def __call__(self) -> int:
-        """Runs the command."""
-        from rover_rl.algos.benchmarks.dynabarn import DynaBarn, read_dynabarn
-
-        return _run(DynaBarn(read_dynabarn(self.data, self._numbers()), runs=self.runs, seed=self.seed), self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RosJackalBenchmark(_MovingBenchmark):
-    """Run policies in the worlds of ros_jackal: moving boxes or sliding walls, 10 m to the goal, any contact fails."""
-
-    out: Path = Path("runs/benchmark-ros-jackal")
-    """Folder to write to."""
-
-    def __call__(self) -> int:
-        """Runs the command."""
-        from rover_rl.algos.benchmarks.ros_jackal import RosJackal, read_ros_jackal
-
-        return _run(RosJackal(read_ros_jackal(self.data, self._numbers()), runs=self.runs, seed=self.seed), self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RoboTerrainBenchmark(_Benchmark):
-    """Run policies among RoboTerrain's walkers: seconds close to people and seconds, per goal."""
-
-    data: Path
-    """Folder with SDF files of worlds with actors."""
-    rovers: int = 16
-    """Number of rovers in each world."""
-    seconds: float = 300.0
-    """Time that each drives, s."""
-    out: Path = Path("runs/benchmark-roboterrain")
-    """Folder to write to."""
-
-    def __call__(self) -> int:
-        """Runs the command."""
-        from rover_rl.algos.benchmarks import roboterrain as benchmark
-
-        worlds = benchmark.read_roboterrain(self.data)
-        suite = benchmark.RoboTerrain(worlds, self.rovers, self.seconds, self.seed)
-        policies = _policies(suite.name, self)
-        check_outputs(*(self.out / f"benchmark{suffix}" for suffix in (".json", ".csv")), force=self.force)
-        self.out.mkdir(parents=True, exist_ok=True)
-        runs = benchmark.run_roboterrain(suite, policies, self.workers)
-        try:
-            benchmark.write_roboterrain(self.out / "benchmark.json", suite, runs)
-        finally:
-            # Prints the results even if a file could not be written.
-            benchmark.print_roboterrain(suite, runs)
-        print(f"Results: {self.out / 'benchmark.json'}, benchmark.csv")
-        return 0
-
-
 @dataclass(frozen=True)
 class Benchmark:
     """Run policies in the worlds of others, as their benchmarks do."""
@@ -168,9 +95,6 @@ class Benchmark:
         Union[  # noqa: UP007
             Annotated[BarnBenchmark, tyro.conf.subcommand("barn", prefix_name=False)],
             Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
-            Annotated[DynaBarnBenchmark, tyro.conf.subcommand("dynabarn", prefix_name=False)],
-            Annotated[RosJackalBenchmark, tyro.conf.subcommand("ros-jackal", prefix_name=False)],
-            Annotated[RoboTerrainBenchmark, tyro.conf.subcommand("roboterrain", prefix_name=False)],
         ],
         tyro.conf.arg(name=""),
     ]
@@ -193,10 +117,9 @@ def _parsed(worlds: str, count: int, names: str) -> list[int]:
     return [*dict.fromkeys(numbers)]
 
 
-def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchmark | RosJackalBenchmark) -> int:
+def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     """Runs the policies in a suite, writes the results, and prints a table."""
-    from rover_rl.algos.benchmarks.report import draw_worst_runs, print_results, write_results
-    from rover_rl.algos.benchmarks.suite import run_suite
+    from rover_rl.algos.benchmarks.suite import draw_worst_runs, print_results, run_suite, write_results
 
     out, policies = options.out, _policies(suite.name, options)
     pictures = {name: out / f"worst-{re.sub('[:/]', '-', name)}.png" for name in policies}

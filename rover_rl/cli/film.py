@@ -44,8 +44,6 @@ class Film:
     """File to write: .mp4 (needs the extra video) or .gif."""
     html: Path | None = None
     """Page to write in place of a film: one file that opens offline, with a time slider (needs the extra view)."""
-    rrd: Path | None = None
-    """File for Rerun to write in place of a film, .rrd (needs rerun-sdk)."""
     episode: int | None = None
     """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a log: the drive in it;
     default: the last one."""
@@ -97,9 +95,7 @@ class Film:
 
     def _check(self) -> None:
         """Checks the settings before the drive, which takes seconds."""
-        self._style.check(self.out if self._exported is None else Path("page.gif"))
-        if self.html is not None and self.rrd is not None:
-            raise ValueError("give --html or --rrd, not both")
+        self._style.check(self.out if self.html is None else Path("page.gif"))
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
@@ -109,21 +105,19 @@ class Film:
                 raise ValueError(f"{name} belongs to films without --episode, --failures and logs")
         if self.episode is not None and self.failures:
             raise ValueError("give --episode or --failures, not both")
-        if self._exported is not None and self.rewards is not None:
-            raise ValueError("--rewards belongs to films without --html and --rrd")
+        if self.html is not None and self.rewards is not None:
+            raise ValueError("--rewards belongs to films without --html")
         if self.failures and self.policy.endswith(LOG):
             raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
         if self.html is not None:
             check_page(self.html)
-        if self.rrd is not None and self.rrd.suffix.lower() != ".rrd":
-            raise ValueError(f"--rrd takes a file whose name ends in .rrd, got {self.rrd}")
         if not self.failures:
             self._check_outputs([self._out])
 
     def _check_outputs(self, films: list[Path]) -> None:
         rewards = [] if self.rewards is None else [self.rewards]
         inputs = (self.policy, self.world or "", self.evaluation or "", self.environment.env or "")
-        option = "--html" if self.html else "--rrd" if self.rrd else "--out"
+        option = "--html" if self.html else "--out"
         check_outputs(*films, *rewards, inputs=inputs, force=self.force, option=option)
 
     @property
@@ -136,8 +130,8 @@ class Film:
         from rover_rl.algos.video.film import film_recording
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
-        if self._exported is not None:
-            self._export(shown, out)
+        if self.html is not None:
+            _write_page(shown, out)
         else:
             film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
@@ -205,8 +199,8 @@ class Film:
         # Each rover meets movers of its own, of which a film shows those of the first one.
         alone = self.view == "chase" or bool(WorldPool(world)[0].movers)
         rows = self.rovers or (1 if alone else 16)
-        if self._exported is not None:
-            self._export_endless(policy, world, rows)
+        if self.html is not None:
+            self._show_endless(policy, world, rows, self.html)
             return
         rollout = film(
             policy.module,
@@ -227,37 +221,26 @@ class Film:
             draw_reward_components(rollout, self.rewards)
             print(f"Rewards: {self.rewards}")
 
-    def _export_endless(self, policy: ResolvedPolicy, world: str, rows: int) -> None:
-        """Writes a page, or a file for Rerun, of rovers that drive from goal to goal."""
+    def _show_endless(self, policy: ResolvedPolicy, world: str, rows: int, page: Path) -> None:
         from rover_rl.algos.video.recording import record_endless
 
-        assert self._exported is not None
         seconds = FILMED if self.seconds is None else self.seconds
         env = self.environment.description(policy.module, self.backend)
         recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
-        self._export(recording, self._exported)
-        print(f"{'Page' if self.html else 'Recording'}: {self._exported}")
-
-    @property
-    def _exported(self) -> Path | None:
-        """File to write in place of a film, if there is one."""
-        return self.html or self.rrd
+        _write_page(recording, page)
+        print(f"Page: {page}")
 
     @property
     def _out(self) -> Path:
         """File to write."""
-        return self._exported or self.out
+        return self.html or self.out
 
-    def _export(self, recording: Recording, path: Path) -> None:
-        if self.html is None:
-            from rover_rl.algos.video.rerun_export import write_rrd
 
-            write_rrd(recording, path)
-            return
-        # Importing viser takes seconds.
-        from rover_rl.view.replay import write_replay
+def _write_page(recording: Recording, path: Path) -> None:
+    # Importing viser takes seconds.
+    from rover_rl.view.replay import write_replay
 
-        write_replay([recording], path)
+    write_replay([recording], path)
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:

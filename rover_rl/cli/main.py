@@ -17,7 +17,7 @@ from rover_rl.cli.benchmark import Benchmark
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
-from rover_rl.cli.experiments import Compare, sweep_defaults
+from rover_rl.cli.experiments import Compare
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film, Play
 from rover_rl.cli.help_text import ReadableHelp
@@ -57,7 +57,7 @@ COMMANDS = {
 
 def commands(args: Sequence[str] = ()) -> dict[str, Any]:
     """Returns all commands by name: dataclasses, or instances that hold defaults, which depend on ``args``."""
-    return {"train": train_defaults(args), "sweep": sweep_defaults(args), **COMMANDS}
+    return {"train": train_defaults(args), **COMMANDS}
 
 
 def read_command(args: Sequence[str]) -> Any:

@@ -13,8 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rover_rl.algos.benchmarks.arrays import read_npy, read_npz
-from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_npy, read_npz
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
 from rover_rl.worlds import cylinders
@@ -131,8 +130,7 @@ class Barn(Suite):
 
     name = "BARN"
     score_name = "score"
-    places = "worlds"
-    columns: ClassVar = {**RATES, "score": ("score", ""), **TIME}
+    columns: ClassVar = {**COLUMNS, "score": ("score", "")}
 
     def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
         super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
@@ -143,19 +141,15 @@ class Barn(Suite):
         return (run.ending == "goal") * optimal / clipped
 
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        """Returns the metrics of the table."""
         return {**result.common_metrics(), "score": ratio(result.scores.mean(1).tolist())}
 
     def differences(self, env: EnvConfig) -> list[str]:
-        """Returns how runs in an environment differ from the original benchmark."""
-        body, lidar = describe_robot(env)
-        told = [
+        robot, lidar = " (BARN: Jackal, chassis 0.42 x 0.31 m, 2 m/s)", " (BARN: 720 beams in 270 degrees, up to 30 m)"
+        differences = [
             "BARN worlds in this simulator, no score of the public leaderboard.",
-            f"Robot: {body} (BARN: Jackal, chassis 0.42 x 0.31 m, 2 m/s).",
-            f"Lidar: {lidar} (BARN: 720 beams in 270 degrees, up to 30 m).",
-            *self.common_differences(env),
+            *self.common_differences(env, robot, lidar),
             "Time: from the start of the run (BARN: from the first 0.1 m).",
         ]
         if {course.number for course in self.courses} != {*TEST_WORLDS}:
-            told.append(f"Worlds: {len(self.courses)}, not the 50 test worlds of the benchmark's score.")
-        return told
+            differences.append(f"Worlds: {len(self.courses)}, not the 50 test worlds of the benchmark's score.")
+        return differences

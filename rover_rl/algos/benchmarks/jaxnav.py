@@ -14,8 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rover_rl.algos.benchmarks.arrays import read_npz
-from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_npz
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
 from rover_rl.worlds import boxes
@@ -100,7 +99,7 @@ class JaxNav(Suite):
     name = "JaxNav"
     score_name = "spl"
     places = "levels"
-    columns: ClassVar = {**RATES, "spl": ("SPL", ""), "worst_levels": ("worst 10 %", "%"), **TIME}
+    columns: ClassVar = {**COLUMNS, "spl": ("SPL", ""), "worst_levels": ("worst 10 %", "%")}
 
     def __init__(
         self,
@@ -116,12 +115,10 @@ class JaxNav(Suite):
         self.unsolvable = unsolvable
 
     def score(self, course: Course, run: Trajectory) -> float:
-        """Returns the success of a run weighted by its path's length, 0 to 1."""
         shortest = max(course.length - self.goal_radius, 0.0)
         return (run.ending == "goal") * shortest / max(run.length, shortest, 1e-9)
 
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        """Returns the metrics of the table."""
         spl = ratio(result.scores.mean(1).tolist())
         return {**result.common_metrics(), "spl": spl, "worst_levels": self._worst_levels(result)}
 
@@ -134,22 +131,21 @@ class JaxNav(Suite):
         return ratio(success[worst][:, 1::2].mean(1).tolist())
 
     def differences(self, env: EnvConfig) -> list[str]:
-        """Returns how runs in an environment differ from the original benchmark."""
-        body, lidar = describe_robot(env)
-        told = [
+        robot = ", with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding)"
+        differences = [
             "JaxNav levels in this simulator.",
-            f"Robot: {body}, with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding).",
-            f"Lidar: {lidar} (JaxNav: 200 beams in 360 degrees, up to 6 m).",
-            *self.common_differences(env),
+            *self.common_differences(env, robot, " (JaxNav: 200 beams in 360 degrees, up to 6 m)"),
             "SPL: relative to the shortest path over the cells and their eight neighbors, less the goal radius.",
         ]
         if (self.goal_radius, self.seconds) != (GOAL_RADIUS, SECONDS):
-            told.append(
+            differences.append(
                 f"Limits: goal radius {self.goal_radius:g} m and {self.seconds:g} s (JaxNav: {GOAL_RADIUS:g} m and "
                 f"{SECONDS:g} s)."
             )
         if self.runs < 2:
-            told.append("The worst 10 % of the levels need two runs or more: one half to choose them, one to score.")
+            differences.append(
+                "The worst 10 % of the levels need two runs or more: one half to choose them, one to score."
+            )
         if self.unsolvable:
-            told.append(f"Left out: {self.unsolvable} levels without a path from the start to the goal.")
-        return told
+            differences.append(f"Left out: {self.unsolvable} levels without a path from the start to the goal.")
+        return differences

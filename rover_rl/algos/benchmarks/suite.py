@@ -8,15 +8,18 @@ function that reads its courses, and a subclass of :class:`Suite`, as in ``barn.
 from __future__ import annotations
 
 import math
+import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from rich.console import Console
+from rich.markup import escape
 from torch import Tensor
 
 from rover_rl.algos.driving import CONTACT, TIME_LIMIT
@@ -26,21 +29,30 @@ from rover_rl.algos.evaluation.evaluate import Policy
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, proportion, ratio
 from rover_rl.algos.evaluation.mover_traces import TRACE
 from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
-from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.plots import draw_panels
+from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, plain_estimates
+from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.specs import action_bounds
+from rover_rl.files import MADE_BY, write_json
 from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.worlds import Obstacle, Terrain, World
 from rover_rl.worlds.movers import Mover
 from rover_rl.worlds.pool import WorldPool
 
-RATES = {"success_rate": ("success", "%"), "contact_rate": ("contacts", "%"), "time_limit_rate": ("time-outs", "%")}
-TIME = {"mean_time": ("mean time", "s")}  # columns of the metrics that all suites share
+COLUMNS = {
+    "success_rate": ("success", "%"),
+    "contact_rate": ("contacts", "%"),
+    "time_limit_rate": ("time-outs", "%"),
+    "mean_time": ("mean time", "s"),
+}
+"""Headings and units of the metrics that all suites share."""
 JITTER = (0.05, 0.05, 0.1)
 """Largest change of x (m), y (m) and yaw (rad) of a start, in all runs of a course but the first."""
 MAX_RUNS = 1000  # largest number of runs of a course
+WORST_RUNS = 6  # number of runs in a picture
 _TRIES = 32  # number of changed starts of which the first without a contact is taken
 _MARGIN = 5  # width of the open ground around a course, m
 _BOUND = 1e4  # distance of the bounds of a course, which no run reaches, m
@@ -58,11 +70,10 @@ class Course:
     start: tuple[float, float, float]
     goal: tuple[float, float]
     length: float
-    group: str = ""  # name of a group of courses that are also reported apart
 
 
 def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
-    """Creates a world on flat, open ground, whose bounds no run reaches.
+    """Creates a world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
 
     The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
     """
@@ -97,7 +108,7 @@ class Suite(ABC):
     name: ClassVar[str]
     score_name: ClassVar[str]
     columns: ClassVar[Mapping[str, tuple[str, str]]]
-    places: ClassVar[str]
+    places: ClassVar[str] = "worlds"
 
     def __init__(self, courses: Sequence[Course], *, runs: int, seed: int, goal_radius: float, seconds: float) -> None:
         check_at_least(1, MAX_RUNS, runs=runs)
@@ -155,29 +166,32 @@ class Suite(ABC):
 
     def ended(self, evaluation: Evaluation) -> Evaluation:
         """Ends each run at its first contact, which is computed from the poses."""
-        return _until_contact(evaluation)
+        runs = [
+            run.until(int(touched.to(torch.uint8).argmax()), CONTACT) if touched.any() else run
+            for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True)
+        ]
+        return replace(evaluation, trajectories=runs)
 
-    def common_differences(self, env: EnvConfig) -> list[str]:
-        """Returns the differences that all suites share."""
-        told = [
+    def common_differences(self, env: EnvConfig, robot: str, lidar: str) -> list[str]:
+        """Returns the differences that all suites share, beside the ``robot`` and ``lidar`` of the original."""
+        mine, settings = get_robot(env.robot), env.lidar
+        back, front, right, left = footprint(mine)
+        speed = action_bounds(env.bounded_action).high[0]
+        whole = mine.lidar_view == 2 * math.pi
+        seen = "" if whole else f", of which {math.degrees(mine.lidar_view):.0f} are seen"
+        beams = f"{settings.beams} beams in 360 degrees{seen}, up to {settings.max_range:g} m"
+        size = f"{front - back:.2f} x {left - right:.2f} m"
+        differences = [
+            f"Robot: {mine.name}, {size}, up to {speed:g} m/s{robot}.",
+            f"Lidar: {beams}, as {settings.points} readings{lidar}.",
             f"Simulator: {env.backend}, 20 Hz, without noise.",
             "Contact: the footprint, a rectangle, comes within 1 cm of an obstacle, checked at 20 Hz.",
         ]
         if self.runs > 1:
             away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad"
-            told.append(f"Starts: all runs but the first of each start up to {away} away, drawn with seed {self.seed}.")
-        return told
-
-
-def describe_robot(env: EnvConfig) -> tuple[str, str]:
-    """Returns what a robot is, and what its lidar is."""
-    robot, lidar = get_robot(env.robot), env.lidar
-    back, front, right, left = footprint(robot)
-    speed = action_bounds(env.bounded_action).high[0]
-    body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {speed:g} m/s"
-    view = math.degrees(robot.lidar_view)
-    seen = "" if robot.lidar_view == 2 * math.pi else f", of which {view:.0f} are seen"
-    return body, f"{lidar.beams} beams in 360 degrees{seen}, up to {lidar.max_range:g} m, as {lidar.points} readings"
+            more = f"Starts: all runs but the first of each start up to {away} away, drawn with seed {self.seed}."
+            differences.append(more)
+        return differences
 
 
 @dataclass(frozen=True)
@@ -196,7 +210,7 @@ class Result:
     def scores(self) -> Tensor:
         """Score of each run, float64 ``[courses, runs]``."""
         pairs = zip(self._course_of_run, self.evaluation.trajectories, strict=True)
-        return self._by_course([self.suite.score(course, run) for course, run in pairs])
+        return self.by_course([self.suite.score(course, run) for course, run in pairs])
 
     @property
     def succeeded(self) -> Tensor:
@@ -210,7 +224,7 @@ class Result:
 
     def common_metrics(self) -> dict[str, Estimate]:
         """Returns the metrics that all suites share. Intervals cover the variation between courses."""
-        seconds = self._by_course([run.seconds for run in self.evaluation.trajectories])
+        seconds = self.by_course([run.seconds for run in self.evaluation.trajectories])
         succeeded = self.succeeded
         return {
             "success_rate": mean_rate(succeeded),
@@ -218,16 +232,6 @@ class Result:
             "time_limit_rate": mean_rate(self._ended(TIME_LIMIT)),
             "mean_time": ratio((succeeded * seconds).sum(1).tolist(), succeeded.sum(1).tolist()),
         }
-
-    def groups(self) -> dict[str, Result]:
-        """Returns the results in each group of courses by its name, in the order of the courses."""
-        found = {}
-        for name in dict.fromkeys(course.group for course in self.suite.courses if course.group):
-            suite = copy(self.suite)
-            suite.courses = tuple(course for course in self.suite.courses if course.group == name)
-            runs = [number for number, course in enumerate(self._course_of_run) if course.group == name]
-            found[name] = Result(suite, replace(self.evaluation.select(runs), name=f"{self.name}, {name}"))
-        return found
 
     def rows(self) -> list[dict[str, Any]]:
         """Returns each run as plain data."""
@@ -246,24 +250,22 @@ class Result:
         ]
 
     def worst(self, count: int) -> list[int]:
-        """Returns the indices of the runs with the lowest scores, at most ``count``.
-
-        Among equals, those that end farthest from the goal come first.
-        """
+        """Indices of the runs with the lowest scores; among equals, those that end farthest from the goal."""
         runs, goals = self.evaluation.trajectories, self.evaluation.episodes.goal
         left = [torch.dist(run.path[-1], goal).item() for run, goal in zip(runs, goals, strict=True)]
         scores = self.scores.flatten().tolist()
         return sorted(range(len(runs)), key=lambda run: (scores[run], -left[run]))[:count]
+
+    def by_course(self, values: Sequence[float]) -> Tensor:
+        """Returns a value of each run as float64 ``[courses, runs]``."""
+        return torch.tensor(values, dtype=torch.float64).reshape(len(self.suite.courses), self.suite.runs)
 
     @property
     def _course_of_run(self) -> list[Course]:
         return [course for course in self.suite.courses for _ in range(self.suite.runs)]
 
     def _ended(self, ending: str) -> Tensor:
-        return self._by_course([float(run.ending == ending) for run in self.evaluation.trajectories])
-
-    def _by_course(self, values: Sequence[float]) -> Tensor:
-        return torch.tensor(values, dtype=torch.float64).reshape(len(self.suite.courses), self.suite.runs)
+        return self.by_course([float(run.ending == ending) for run in self.evaluation.trajectories])
 
 
 def mean_rate(flags: Tensor) -> Estimate:
@@ -292,10 +294,77 @@ def run_suite(
     return [Result(suite, suite.ended(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
 
 
-def _until_contact(evaluation: Evaluation) -> Evaluation:
-    runs = []
-    for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True):
-        if touched.any():
-            run = run.until(int(touched.to(torch.uint8).argmax()), CONTACT)
-        runs.append(run)
-    return replace(evaluation, trajectories=runs)
+def print_results(results: Sequence[Result], console: Console | None = None) -> None:
+    """Prints a table of policies in the same suite, and what differs from the original benchmark."""
+    console, suite = console or Console(), results[0].suite
+    columns = [
+        Column(heading, unit, [cell(result.metrics[key], unit, digits=3) for result in results])
+        for key, (heading, unit) in suite.columns.items()
+    ]
+    print_tables(suite.title, [result.name for result in results], columns, console)
+    console.print("What differs from the original benchmark:")
+    for line in dict.fromkeys(line for result in results for line in suite.differences(result.evaluation.env)):
+        console.print(f"- {escape(line)}", highlight=False, soft_wrap=True)
+    console.print("Below a value: 95 % confidence interval.", style="dim")
+
+
+def write_results(path: Path, results: Sequence[Result]) -> None:
+    """Writes results in the same suite as JSON, with every run, and beside it as CSV, with a row per run."""
+    suite, policies, rows = results[0].suite, [], []
+    for result in results:
+        head, env = {"policy": result.name, "backend": result.evaluation.backend}, result.evaluation.env
+        rows += [head | row for row in result.rows()]
+        described = {"differences": suite.differences(env), "env": plain_env_or_none(env)}
+        policies.append({**head, **described, "metrics": plain_estimates(result.metrics), "runs": result.rows()})
+    worlds = [course.number for course in suite.courses]
+    settings = {"runs": suite.runs, "seed": suite.seed, "goal_radius": suite.goal_radius, "seconds": suite.seconds}
+    head = {"benchmark": suite.name, "worlds": worlds, "jitter": JITTER, **settings}  # type: ignore[dict-item]
+    write_json(path, {**MADE_BY, **head, "policies": policies})
+    write_rows(path.with_suffix(".csv"), rows)
+
+
+def draw_worst_runs(result: Result, path: Path) -> None:
+    """Draws the paths of the runs with the lowest scores; the suffix of ``path`` selects the format."""
+    rows, panels = result.rows(), []
+    for run in result.worst(WORST_RUNS):
+        row = rows[run]
+        title = f"world {row['world']}, run {row['run']}: {row['ending']} after {row['seconds']:.1f} s"
+        panels.append((title, result.evaluation.select([run])))
+    draw_panels(panels, path, f"{result.name} in {result.suite.name}: the runs with the lowest scores")
+
+
+def read_npz(path: Path, shapes: Mapping[str, tuple[int | None, ...]]) -> dict[str, np.ndarray]:
+    """Reads arrays of numbers by name, with the given shapes (``None`` is any length), from an ``.npz`` file."""
+    arrays = _load(path)
+    if isinstance(arrays, np.ndarray):
+        raise ValueError(f"{path} must be an .npz file, with the arrays {', '.join(shapes)}")
+    if missing := [name for name in shapes if name not in arrays]:
+        raise ValueError(f"{path} has no array {missing[0]!r}; it needs {', '.join(shapes)}")
+    return {name: _checked(f"{name} in {path}", arrays[name], shape) for name, shape in shapes.items()}
+
+
+def read_npy(path: Path, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Reads an array of numbers with the given shape from an ``.npy`` file."""
+    return _checked(str(path), _load(path), shape)
+
+
+def _load(path: Path) -> Any:
+    if not path.is_file():
+        raise FileNotFoundError(f"no file at {path}")
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return loaded
+        with loaded:
+            return dict(loaded)
+    except (ValueError, EOFError, zipfile.BadZipFile, OSError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged, no NumPy file, or has pickled objects, which are not read") from error
+
+
+def _checked(what: str, array: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    array = np.asarray(array)
+    fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype.kind not in "biuf":
+        expected = " x ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{what} must be numbers of the shape {expected}, got {array.dtype} {list(array.shape)}")
+    return array

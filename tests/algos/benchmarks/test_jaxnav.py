@@ -13,8 +13,7 @@ import torch
 from matplotlib.image import imread
 
 from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
-from rover_rl.algos.benchmarks.report import print_results
-from rover_rl.algos.benchmarks.suite import Course, Result, run_suite
+from rover_rl.algos.benchmarks.suite import Course, Result, print_results, run_suite
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
