@@ -182,4 +182,4 @@ def test_programs_for_other_libraries_use_what_exists(path: Path) -> None:
         elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("rover_rl"):
             assert node.module == RSL_RL or all(hasattr(import_module(node.module), each.name) for each in node.names)
     assert "rover_rl" in ast.unparse(tree)
-    assert path.name in (ROOT / "docs" / "other_libraries.md").read_text(encoding="utf-8")
+    assert path.name in (ROOT / "docs" / "gymnasium.md").read_text(encoding="utf-8")
