@@ -97,8 +97,9 @@ class Drive:
         self, env: EnvBase, policy: Policy | PolicyRunner | None, action_repeat: int | None = None, min_rows: int = 1
     ) -> None:
         self.env, self.rovers = env, rovers_in(env)
-        ready = isinstance(policy, PolicyRunner)
-        self.runner = policy if ready else PolicyRunner(policy or RandomPolicy(), action_repeat, min_rows, self.rovers)
+        if not isinstance(policy, PolicyRunner):
+            policy = PolicyRunner(policy or RandomPolicy(), action_repeat, min_rows, self.rovers)
+        self.runner = policy
 
     @torch.no_grad()
     def begin(self, rows: Tensor | None = None, **places: Tensor) -> Step:

@@ -237,6 +237,8 @@ class _Schedule(Schedule):
     that each rover drives, and ``offset`` that of the first one.
     """
 
+    driving: Tensor
+
     def __init__(self, worlds: Sequence[int], rows: int, offset: int, in_order: bool = False) -> None:
         self.count, self._offset = len(worlds), offset
         waiting: dict[int, deque[int]] = {}
