@@ -107,7 +107,6 @@ nitpick_ignore = [
             "Tensor",
             "rover_rl.algos.policy.baselines.Lane",
             "rover_rl.sims.free_space.fitting.Source",
-            "rover_rl.sims.free_space.rest_pose.Stance",
             "TimeLimit",
             "Transform",
             "Unknown",

@@ -660,7 +660,7 @@ class EnvConfig:
 
         ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
         see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named. Worlds
-        of several robots stay: see :class:`~rover_rl.sims.free_space.robot_groups.RobotGroups`.
+        of several robots stay: see :class:`~rover_rl.sims.free_space.fitting.RobotGroups`.
         """
         backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
         if self.robot == EnvConfig.robot or backend == "ros2" or names_several(self.robot):

@@ -12,7 +12,7 @@ from torch import Tensor
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.sims.rover_state import Dynamics
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.worlds.world import World, Worlds

@@ -42,7 +42,7 @@ from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import MAX_AGE, Feature, Scanner, View
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.free_space.robot_groups import RobotGroups
+from rover_rl.sims.free_space.fitting import RobotGroups
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.company import Company
 from rover_rl.sims.movers.rays import MoverScanner

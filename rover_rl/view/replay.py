@@ -20,7 +20,7 @@ from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.view.cameras import LOOK_AT, Cameras
 from rover_rl.view.page import HOST, PORT, Page, close_page, open_page
 from rover_rl.view.panels import Plot

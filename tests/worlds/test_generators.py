@@ -10,7 +10,7 @@ import torch
 
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.worlds import WORLDS
 
 NAMES = sorted(WORLDS)

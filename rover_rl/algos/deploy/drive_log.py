@@ -23,7 +23,7 @@ from rover_rl.files import check_writable
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import RoverState
-from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import get_world
 from rover_rl.worlds.pool import WorldPool

@@ -11,7 +11,6 @@ from torch import Tensor
 from rover_rl.robots import Robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix
-from rover_rl.sims.free_space.space import distance_to_polygon
 from rover_rl.worlds import World
 from rover_rl.worlds.obstacles import Obstacle, groups_of
 
@@ -68,7 +67,7 @@ def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
     """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
     outline = obstacle.footprint.to(path)
     near = ((path >= outline.amin(0) - reach) & (path <= outline.amax(0) + reach)).all(-1)
-    near[near.clone()] = distance_to_polygon(path[near], outline) <= reach
+    near[near.clone()] = _distance_to_polygon(path[near], outline) <= reach
     return near
 
 
@@ -80,3 +79,13 @@ def _outline(robot: Robot) -> Tensor:
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))
     ends = torch.cartesian_prod(torch.tensor((back, front)), y)
     return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
+
+
+def _distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
+    """Distance from ``points [..., 2]`` to a convex polygon, counter-clockwise ``[K, 2]``, 0 inside it."""
+    edges = polygon.roll(-1, 0) - polygon
+    offsets = points[..., None, :] - polygon
+    along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
+    distance = (offsets - along[..., None] * edges).norm(dim=-1).amin(-1)
+    inside = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(-1)
+    return distance.masked_fill(inside, 0.0)

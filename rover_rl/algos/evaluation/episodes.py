@@ -36,7 +36,7 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.robots.fleet import largest_of
 from rover_rl.sims.free_space.fitting import fitting_worlds
-from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.worlds.pool import WorldPool, WorldSource
 from rover_rl.worlds.table import WorldTable
@@ -63,7 +63,7 @@ class EpisodeSet:
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.
         shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
-            see :func:`~rover_rl.sims.free_space.shortest_paths.shortest_paths`.
+            see :func:`~rover_rl.sims.free_space.paths.shortest_paths`.
         offset: index of the first episode in the set that this is a part of.
         world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
     """

@@ -29,7 +29,7 @@ from rover_rl.envs.row_robots import RowRobots
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.sims.backends import name_of
-from rover_rl.sims.free_space.robot_groups import RobotGroups
+from rover_rl.sims.free_space.fitting import RobotGroups
 from rover_rl.worlds import World
 
 WORST = 6  # number of worlds with the lowest success rates that are named and drawn

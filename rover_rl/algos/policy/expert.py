@@ -19,7 +19,7 @@ from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.worlds.world import Worlds
 
 # Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them

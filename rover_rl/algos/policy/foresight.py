@@ -31,7 +31,7 @@ from rover_rl.envs.transforms.path_reward import CAUTION, world_of
 from rover_rl.robots import get_robot
 from rover_rl.robots.slip import estimated_yaw_gain
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.sims.movers import MoverField
 from rover_rl.worlds import World
 from rover_rl.worlds.clearance import clearance_on_grid

@@ -19,7 +19,7 @@ from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
 from rover_rl.robots import get_robots
-from rover_rl.sims.free_space.robot_groups import RobotGroups
+from rover_rl.sims.free_space.fitting import RobotGroups
 from rover_rl.worlds.names import WorldName
 from rover_rl.worlds.pool import WorldPool
 

@@ -26,7 +26,7 @@ from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.specs import action_bounds
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 

@@ -15,7 +15,7 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.suite import ROUTE
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.tensordicts import in_rows
 
 CAUTION = 4.0

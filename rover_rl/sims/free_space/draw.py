@@ -15,9 +15,9 @@ from matplotlib.patches import Patch, Rectangle
 from scipy.ndimage import label
 
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space.cell_grid import cells_of
-from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.free_space.space import FreeSpace, free_space
+from rover_rl.sims.free_space.cells import cells_of
+from rover_rl.sims.free_space.paths import PathGrid, shortest_paths
+from rover_rl.sims.free_space.space import free_space
 from rover_rl.sims.movers.draw import SECONDS, WAY, draw_movers
 from rover_rl.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
 from rover_rl.worlds.region import Area, Region, expanded, overlap
@@ -38,8 +38,6 @@ CAUTION = 1.0
 """Relative extra cost of the drawn path at obstacles: it keeps away from them where there is room."""
 MOVER_LABEL = f"mover, and {SECONDS:g} s of its way"
 """What the legend says on movers."""
-STEP = 3
-"""Longest step of the drawn path, in cells."""
 
 
 def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
@@ -50,9 +48,6 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
         robot: robot for which the free space is computed.
         path: path of the image file, whose suffix selects the format. ``None`` does not save the figure.
         ax: axes to draw on. ``None`` creates a new figure.
-
-    Returns:
-        The figure.
     """
     view = _view(world)
     if ax is None:
@@ -75,7 +70,6 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
 
 
 def _view(world: World) -> Area:
-    """Returns the area that a map shows."""
     return overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
 
 
@@ -98,13 +92,12 @@ def _draw_free_space(ax: Axes, world: World, robot: Robot) -> None:
 
 
 def _extent(center: tuple[float, float], cell: float, cells: np.ndarray) -> tuple[float, float, float, float]:
-    """Returns left, right, bottom and top of a grid of cells, of which the first has its center at ``center``, m."""
+    """Left, right, bottom and top of a grid of cells, of which the first has its center at ``center``, m."""
     (left, bottom), (rows, columns) = (middle - cell / 2 for middle in center), cells.shape
     return left, left + columns * cell, bottom, bottom + rows * cell
 
 
 def _draw_area(ax: Axes, area: Area, region: Region | None, color: str, line: Any) -> None:
-    """Outlines an area, or the region in it."""
     if region is None:
         _outline(ax, area, edgecolor=color, linestyle=line, linewidth=2.2)
         return
@@ -144,17 +137,13 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
     Raises:
         ValueError: if the world has no free space for the robot.
     """
-    # Importing NVIDIA Warp takes half a second.
-    from rover_rl.sims.free_space.path_grid import PathGrid
-
     space, rng = free_space(world, robot), np.random.default_rng(seed)
     start = space.spawn_cells[int(rng.integers(len(space.spawn_cells)))]
     goals = space.goal_cells[torch.from_numpy(rng.integers(len(space.goal_cells), size=CANDIDATES))]
     goal = goals[int((goals - start).norm(dim=-1).argmax())]
     figure = draw_world(world, robot)
     ax = figure.axes[0]
-    field = PathGrid(world, robot, CAUTION).costs(goal[None])[0].numpy()
-    way = _descend(space, field, start.numpy())
+    way = PathGrid(world, robot, CAUTION).path(start, goal)
     ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
     ax.plot(*way.T, color=OBSTACLE_EDGE, linewidth=2.2, zorder=6)
     marks: dict[str, Any] = {"markeredgecolor": "white", "markersize": 15, "linestyle": "none", "zorder": 7}
@@ -166,18 +155,3 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
     _add_legend(ax, world, *places, path_line)
     figure.savefig(path, dpi=150)
     return float(shortest_paths(world, robot, start[None], goal[None])[0])
-
-
-def _descend(space: FreeSpace, field: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Returns the path that descends the distances to a goal from cell to cell: ``[P, 2]``, m."""
-    passable = space.passable.numpy()
-    column, row = np.rint((start - space.origin) / space.cell).astype(int)
-    cells = [(row, column)]
-    while True:
-        rows, columns = (slice(max(0, k - STEP), k + STEP + 1) for k in cells[-1])
-        near = np.where(passable[rows, columns], field[rows, columns], np.inf)
-        best = np.unravel_index(near.argmin(), near.shape)
-        cell = int(rows.start + best[0]), int(columns.start + best[1])
-        if field[cell] >= field[cells[-1]]:
-            return np.array(cells)[:, ::-1] * space.cell + space.origin
-        cells.append(cell)

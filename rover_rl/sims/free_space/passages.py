@@ -2,7 +2,7 @@
 
 The footprint, a rectangle, is covered by discs along the rover's x axis
 (:func:`rover_rl.robots.footprint.covering_discs`). It is free at the center of a cell in an orientation of
-:mod:`rover_rl.sims.free_space.path_steps`, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the
+:mod:`rover_rl.sims.free_space.cells`, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the
 distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of each disc, where r is the radius
 of the discs, and the last term covers the half bin.
 
@@ -27,10 +27,12 @@ from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.robots.footprint import covering_discs
-from rover_rl.sims.free_space.cell_grid import CellGrid, ring
-from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS, ORIENTATIONS, STEP_ORIENTATIONS, STEPS, free_steps
+from rover_rl.sims.free_space import cells
+from rover_rl.sims.free_space.cells import ALL_ORIENTATIONS, ORIENTATIONS, CellGrid
+from rover_rl.sims.free_space.kernels import fit_footprint
 
 MARGIN = 0.02
 """Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
@@ -38,19 +40,16 @@ distances, 5 mm at obstacles like thin cylinders."""
 
 
 def headings_of_bins() -> np.ndarray:
-    """Returns cosine and sine of the 64 headings at the lower ends of the heading bins: ``[64, 2]``."""
-    return ring(2 * ORIENTATIONS, start=-math.pi).numpy()
+    """Cosine and sine of the 64 headings at the lower ends of the heading bins: ``[64, 2]``."""
+    return cells.ring(2 * ORIENTATIONS, start=-math.pi).numpy()
 
 
 def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: float = MARGIN) -> np.ndarray:
-    """Returns the orientations in which the footprint at the center of each cell is free: bits of uint32.
+    """Orientations in which the footprint at the center of each cell is free: bits of uint32.
 
     ``room`` is the distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m. The footprint
     keeps the ``margin`` (m).
     """
-    from rover_rl.native.warp import wp
-    from rover_rl.sims.free_space.kernels import fit_footprint
-
     centers, radius = covering_discs(robot)
     discs = centers[centers > -1e-9]
     radii = radius + margin + discs * math.pi / (2 * ORIENTATIONS)
@@ -64,7 +63,7 @@ def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: flo
 def find_reach(
     robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, roomy: np.ndarray, areas: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the cells that are connected to most goals: roomy ones, bool, and orientations in narrow ones, as bits.
+    """Cells that are connected to most goals: roomy ones, bool, and orientations in narrow ones, as bits.
 
     Roomy cells are connected by their sides. Narrow cells count only if they join roomy cells of the spawn and goal
     ``areas`` that are separate otherwise, and the robot turns in place, as it has to where two motions meet. They must
@@ -97,7 +96,7 @@ _BITS = np.uint32(1) << np.arange(ORIENTATIONS, dtype=np.uint32)
 def _components(
     fits: np.ndarray, is_narrow: np.ndarray, parts: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the component of what a rover can reach of each part ``[count + 1]`` and narrow pose ``[cells, 32]``.
+    """The component of what a rover can reach of each part ``[count + 1]`` and narrow pose ``[cells, 32]``.
 
     A rover takes steps from cell to cell in their orientation, forward or backward, and turns on the spot while all
     orientations between fit.
@@ -107,9 +106,9 @@ def _components(
     # The number of a cell's first node, or of the node of its part.
     first = parts + nodes.size
     first[is_narrow] = nodes[:, 0]
-    free, own = free_steps(fits)[is_narrow], fits[is_narrow]
+    free, own = cells.free_steps(fits)[is_narrow], fits[is_narrow]
     starts, ends = [], []
-    for k, ((x, y), orientation) in enumerate(zip(STEPS, STEP_ORIENTATIONS, strict=True)):
+    for k, ((x, y), orientation) in enumerate(zip(cells.STEPS, cells.STEP_ORIENTATIONS, strict=True)):
         taken = free & _BITS[k] > 0
         to = rows[taken] + y, columns[taken] + x
         starts.append(nodes[taken, orientation])
@@ -125,7 +124,7 @@ def _components(
 
 
 def orientations_of_bins(masks: np.ndarray) -> torch.Tensor:
-    """Returns the heading bins, as bits of int64, whose two ends are in orientations of ``masks [S]`` (uint32)."""
+    """Heading bins, as bits of int64, whose two ends are in orientations of ``masks [S]`` (uint32)."""
     both = masks.astype(np.uint64) | (masks.astype(np.uint64) << np.uint64(ORIENTATIONS))
     after = (both >> np.uint64(1)) | (both << np.uint64(2 * ORIENTATIONS - 1))
     return torch.from_numpy((both & after).view(np.int64))

@@ -15,16 +15,11 @@ from scipy.ndimage import binary_opening
 from torch import Tensor
 
 from rover_rl import robots, worlds
+from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space.cell_grid import CellGrid, cells_of, distance_to_cells, ring
-from rover_rl.sims.free_space.ground_limits import (
-    CLIFF_SLOPE,
-    LANE_WIDTH,
-    MAX_TILT,
-    level_cells,
-    rest_headings,
-    slopes_on_grid,
-)
+from rover_rl.sims.free_space import ground
+from rover_rl.sims.free_space.cells import ALL_ORIENTATIONS, CellGrid, cells_of, distance_to_cells, ring
+from rover_rl.sims.free_space.kernels import find_headings
 from rover_rl.sims.free_space.passages import (
     MARGIN,
     find_reach,
@@ -32,7 +27,6 @@ from rover_rl.sims.free_space.passages import (
     headings_of_bins,
     orientations_of_bins,
 )
-from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS
 from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
 from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.region import overlap
@@ -99,7 +93,7 @@ class FreeSpace:
         return replace(self, **moved)
 
     def contains(self, xy: Tensor) -> Tensor:
-        """Returns whether points ``xy [..., 2]`` (m) lie in passable cells: bool ``[...]``."""
+        """Whether points ``xy [..., 2]`` (m) lie in passable cells: bool ``[...]``."""
         passable = self.passable.to(xy.device)
         limits = torch.tensor(passable.shape[::-1], device=xy.device)
         index = ((xy - torch.tensor(self.origin, dtype=xy.dtype, device=xy.device)) / self.cell + 0.5).floor()
@@ -108,7 +102,7 @@ class FreeSpace:
         return inside & passable[row, column]
 
     def orientations(self) -> Tensor:
-        """Returns the orientations in which the rover may be in each cell: bits of int64, ``[rows, columns]``.
+        """Orientations in which the rover may be in each cell: bits of int64, ``[rows, columns]``.
 
         All 32 bits are set in a roomy cell, none where the cell is not passable.
         """
@@ -120,19 +114,15 @@ class FreeSpace:
 def free_space(world: World, robot: Robot) -> FreeSpace:
     """Returns the free space of a world for a robot.
 
-    It is computed once, and stored on disk by the content of the world and the robot
-    in the folder of the cache, ``~/.cache/rover_rl``.
+    It is computed once, and stored on disk by the content of the world and the robot in the folder of the cache,
+    ``~/.cache/rover_rl``.
 
     Raises:
         ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
     """
     by_robot = _cache.setdefault(world, {})
     if robot not in by_robot:
-        space = load_free_space(world, robot)
-        if space is None:
-            space = _compute(world, robot)
-            store_free_space(world, robot, space)
-        by_robot[robot] = space
+        by_robot[robot] = _stored(world, robot)
     return by_robot[robot]
 
 
@@ -142,28 +132,23 @@ _CELLS = ("spawn_cells", "goal_cells")
 """Lists of cells, which are stored as booleans of the grid."""
 
 
-def load_free_space(world: World, robot: Robot) -> FreeSpace | None:
-    """Returns the free space that is stored on disk. ``None`` if there is none, or the file is damaged."""
-    arrays = load_arrays(_KIND, _key(world, robot))
-    if arrays is None:
-        return None
-    grid = _grid(world)
-    cells = {name: grid.centers(arrays.pop(name)) for name in _CELLS}
-    return FreeSpace(grid.cell, grid.origin, **cells, **{name: torch.from_numpy(each) for name, each in arrays.items()})
-
-
-def store_free_space(world: World, robot: Robot, space: FreeSpace) -> None:
-    """Stores free space on disk. A full or read-only disk is no error."""
+def _stored(world: World, robot: Robot) -> FreeSpace:
+    """The free space that is stored on disk, else computed and stored. A full or read-only disk is no error."""
+    folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
+    key = content_key(code_key(*folders), _description(robot), world_key(world))
+    grid = CellGrid(overlap(world.bounds, world.terrain.extent))
+    arrays = load_arrays(_KIND, key)
+    if arrays is not None:
+        cells = {name: grid.centers(arrays.pop(name)) for name in _CELLS}
+        tensors = {name: torch.from_numpy(each) for name, each in arrays.items()}
+        return FreeSpace(grid.cell, grid.origin, **cells, **tensors)
+    space = _compute(world, robot, grid)
     arrays = {name: value.numpy() for name, value in vars(space).items() if isinstance(value, Tensor)}
     for name in _CELLS:
         arrays[name] = np.zeros_like(arrays["passable"])
         arrays[name][cells_of(space, getattr(space, name))] = True
-    store_arrays(_KIND, _key(world, robot), arrays)
-
-
-def _key(world: World, robot: Robot) -> str:
-    folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
-    return content_key(code_key(*folders), _description(robot), world_key(world))
+    store_arrays(_KIND, key, arrays)
+    return space
 
 
 @lru_cache(maxsize=16)
@@ -173,12 +158,7 @@ def _description(robot: Robot) -> bytes:
     return repr(numbers).encode() + robot.urdf.read_bytes()
 
 
-def _grid(world: World) -> CellGrid:
-    return CellGrid(overlap(world.bounds, world.terrain.extent))
-
-
-def _compute(world: World, robot: Robot) -> FreeSpace:
-    grid = _grid(world)
+def _compute(world: World, robot: Robot, grid: CellGrid) -> FreeSpace:
     clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
     room, gentle = clearance.numpy(), _gentle(world, robot, grid)
     areas = [grid.within(world.spawn_range, world.spawn_region), grid.within(world.goal_range, world.goal_region)]
@@ -223,7 +203,7 @@ def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
 
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
-    """Returns the outermost goal cells in 16 directions: ``[16, 2]``, m."""
+    """Outermost goal cells in 16 directions: ``[16, 2]``, m."""
     extremes = goal_cells[(goal_cells @ ring(16).T).argmax(0)]
     # Every place is at least half as far from one of two points as these are from each other.
     if torch.cdist(extremes, extremes).max() >= 2 * (MIN_GOAL_DISTANCE + cell):
@@ -237,33 +217,23 @@ def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float
     return extremes
 
 
-def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
-    """Returns the distance from ``points [..., 2]`` to a convex polygon, counter-clockwise ``[K, 2]``, 0 inside it."""
-    edges = polygon.roll(-1, 0) - polygon
-    offsets = points[..., None, :] - polygon
-    along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
-    distance = (offsets - along[..., None] * edges).norm(dim=-1).amin(-1)
-    inside = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(-1)
-    return distance.masked_fill(inside, 0.0)
-
-
 def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
-    """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
+    """Cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
     Strips and corners narrower than ``LANE_WIDTH`` do not count. The distance of cliffs counts between centers. No
     rover passes between cliffs through narrow cells, as wheels slip on slopes.
     """
     if world.terrain.is_flat:
         return np.ones(grid.shape, dtype=bool)
-    slopes = slopes_on_grid(world.terrain, grid)
+    slopes = ground.slopes_on_grid(world.terrain, grid)
     least = (robot.radius + grid.half_diagonal) / grid.cell
-    away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
+    away, _ = distance_to_cells(slopes > math.tan(ground.CLIFF_SLOPE), least + 1)
     gentle = (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
-    return binary_opening(gentle, np.ones([round(LANE_WIDTH / grid.cell)] * 2))
+    return binary_opening(gentle, np.ones([round(ground.LANE_WIDTH / grid.cell)] * 2))
 
 
 def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cells: Tensor) -> Tensor:
-    """Returns the allowed heading bins of spawn cells with centers ``cells [S, 2]``, as bits of int64: ``[S]``.
+    """Allowed heading bins of spawn cells with centers ``cells [S, 2]``, as bits of int64: ``[S]``.
 
     A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
@@ -277,10 +247,10 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
         chunks = [(cells, torch.tensor([-1]), offsets[None])]
     else:
         # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
-        reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(MAX_TILT) + grid.cell
-        hard = (clearance[cells_of(grid, cells)] < reach) | ~level_cells(world.terrain, robot, grid, cells)
+        reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(ground.MAX_TILT) + grid.cell
+        hard = (clearance[cells_of(grid, cells)] < reach) | ~ground.level_cells(world.terrain, robot, grid, cells)
         parts = cells[hard].split(CHUNK)
-        chunks = [(part, *rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
+        chunks = [(part, *ground.rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
     for least in LIDAR_CLEARANCES:
         headings[hard] = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
         if headings.any():
@@ -291,7 +261,7 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
 def _with_a_way_ahead(
     robot: Robot, grid: CellGrid, reached: np.ndarray, cells: Tensor, headings: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Returns the spawn cells and headings of a robot that cannot turn away from what it faces.
+    """Spawn cells and headings of a robot that cannot turn away from what it faces.
 
     In a heading that counts, ``reached`` cells lie straight ahead for the radius of its sharpest turn. If there is none
     in the whole world, all stay.
@@ -315,13 +285,10 @@ def _with_a_way_ahead(
 def _clear_headings(
     grid: CellGrid, clearance: Tensor, least: float, cells: Tensor, rests: Tensor, offsets: Tensor
 ) -> Tensor:
-    """Returns the heading bins of ``cells [S, 2]`` in which the lidar is ``least`` (m) from obstacles: ``[S]``.
+    """Heading bins of ``cells [S, 2]`` in which the lidar is ``least`` (m) from obstacles: ``[S]``.
 
     The headings in which the rover ``rests``, and ``offsets`` of the lidar there, are those of each cell or of all.
     """
-    from rover_rl.native.warp import wp
-    from rover_rl.sims.free_space.kernels import find_headings
-
     headings = torch.zeros(len(cells), dtype=torch.int64)
     field = [clearance.numpy(), wp.vec2d(*grid.origin), grid.cell, least]
     inputs = [cells.numpy(), offsets.numpy(), rests.numpy().view(np.uint64), *field, headings.numpy()]

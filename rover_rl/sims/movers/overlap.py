@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space.rest_pose import rest_on_ground
+from rover_rl.sims.free_space.ground import rest_on_ground
 from rover_rl.sims.movers.company import solids_of
 from rover_rl.sims.movers.outlines import corners
 from rover_rl.sims.movers.parts import Parts

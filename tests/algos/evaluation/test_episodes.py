@@ -19,7 +19,7 @@ from rover_rl.algos.evaluation.episodes import (
 )
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.worlds import Terrain, box, get_world
 from tests.algos.evaluation.drives import FIELD
 

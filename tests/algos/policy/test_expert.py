@@ -11,7 +11,7 @@ from rover_rl.algos.policy.expert import MapExpert, PrivilegedExpert
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.transforms.path_reward import CAUTION
 from rover_rl.robots import get_robot
-from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 
 ROVER = get_robot("rover_zero")
 POCKET = World(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from matplotlib.figure import Figure
 
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space.draw import draw_world
@@ -24,11 +23,3 @@ def test_draw_world_saves_an_image(name, tmp_path):
     assert [label.split(" (")[0] for label in labels] == [*entries, "start area", "goal area", "bounds"]
     # Only worlds with elevation have a color bar.
     assert [other.get_ylabel() for other in figure.axes[1:]] == ([] if name == "maze" else ["elevation (m)"])
-
-
-def test_draw_world_uses_the_given_axes():
-    figure = Figure()
-    left, right = figure.subplots(1, 2)
-    assert draw_world(get_world("maze"), ROVER, ax=right) is figure
-    assert right.get_title()
-    assert not left.get_title()

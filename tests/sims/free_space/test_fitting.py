@@ -61,7 +61,7 @@ def test_a_live_robot_is_in_the_world_that_is_named():
     assert EnvConfig(world="maze:5", robot=husky(), backend="ros2").fitted().world == "maze:5"
 
 
-@pytest.mark.parametrize("world", ["maze", "rooms", "forest", "moon", "hills", "ramps", "inspect", "crossing"])
+@pytest.mark.parametrize("world", ["maze", "forest", "moon"])
 def test_a_large_robot_has_as_much_room_in_a_world_that_fits_as_rover_zero_has(world):
     def share(name, robot):
         place = get_world(name)
@@ -79,19 +79,6 @@ def test_a_robot_too_wide_for_a_world_is_told_in_a_sentence():
     message = "world 'alley' has no free goal cell for 'husky', which needs a free disc of 0.6 m, in goal_range"
     with pytest.raises(ValueError, match=message):
         RoverEnv(world_n=world, robot=husky(), backend="warp")
-
-
-def test_lidar_and_contacts_meet_the_scaled_obstacles():
-    env = RoverEnv(world_n="maze:3*2", backend="warp", lidar_points=128, num_envs=1, seed=0)
-    at_half = RoverEnv(world_n="maze:3", backend="warp", lidar_points=128, num_envs=1, seed=0)
-    start = at_half.reset()["pose"].clone()
-    x = ZERO.lidar_position[0]
-    pose = torch.tensor([[start[0, 0], start[0, 1], 0.0]])
-    near = at_half.reset(start=pose - torch.tensor([[x, 0.0, 0.0]]))["lidar"]
-    far = env.reset(start=2 * pose - torch.tensor([[x, 0.0, 0.0]]))["lidar"]
-    seen = (far < 11.9) & (near < 11.9)
-    assert seen.sum() > 60
-    assert torch.allclose(far[seen], 2 * near[seen], rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.parametrize("make", [racer, hunter])

@@ -7,7 +7,7 @@ as :func:`rover_rl.sims.free_space.rest_on_ground` does.
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.free_space.rest_pose import CLEARANCE, RIM_ANGLE, RIM_POINTS
+from rover_rl.sims.free_space.ground import CLEARANCE, RIM_ANGLE, RIM_POINTS
 from rover_rl.sims.scenes.ground import ground_at
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.dynamics import clear_reports, write_base_state

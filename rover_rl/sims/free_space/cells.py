@@ -1,9 +1,14 @@
-"""Grid of square cells over an area of a world, and distances between cells."""
+"""Square cells over an area of a world, steps between them in 32 directions, and orientations of a rover.
+
+An orientation is a heading without front and back: orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite.
+"""
 
 from __future__ import annotations
 
 import math
-from itertools import product
+from fractions import Fraction
+from functools import reduce
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -15,6 +20,11 @@ from rover_rl.worlds.region import Area, Region
 
 CELL = 0.1
 """Side length of a cell, m."""
+LONGEST = 3
+"""Greatest extent of a step along an axis, in cells."""
+ORIENTATIONS = 32
+ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
+"""Mask with all orientations."""
 
 
 class CellGrid:
@@ -41,13 +51,13 @@ class CellGrid:
         return low + self.cell * (np.arange(count) + 0.5)
 
     def centers(self, chosen: np.ndarray) -> Tensor:
-        """Returns the centers of the chosen cells, bool ``[rows, columns]``: float64 ``[count, 2]``, m."""
+        """Centers of the chosen cells, bool ``[rows, columns]``: float64 ``[count, 2]``, m."""
         # Three times as fast as numpy.nonzero.
         row, column = np.divmod(np.flatnonzero(chosen), len(self.x))
         return torch.from_numpy(np.stack((self.x[column], self.y[row]), -1))
 
     def within(self, area: Area, region: Region | None = None) -> np.ndarray:
-        """Returns which cells lie entirely in an area, and by nine points in a region: bool ``[rows, columns]``."""
+        """Which cells lie entirely in an area, and by nine points in a region: bool ``[rows, columns]``."""
         half = self.cell / 2 - 1e-6
         in_x, in_y = (
             (axis - half >= low) & (axis + half <= high)
@@ -61,20 +71,20 @@ class CellGrid:
         return inside
 
     def distance_to_border(self) -> np.ndarray:
-        """Returns the distance of the centers from the border of the area: float64 ``[rows, columns]``, m."""
+        """Distance of the centers from the border of the area: float64 ``[rows, columns]``, m."""
         (x_low, x_high), (y_low, y_high) = self.area
         in_x, in_y = np.minimum(self.x - x_low, x_high - self.x), np.minimum(self.y - y_low, y_high - self.y)
         return np.minimum(in_y[:, None], in_x)
 
 
 def cells_of(grid: Any, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns the rows and columns of the cells with the centers ``points [..., 2]`` (m): int64 ``[...]``."""
+    """Rows and columns of the cells with the centers ``points [..., 2]`` (m): int64 ``[...]``."""
     column, row = ((points - torch.tensor(grid.origin)) / grid.cell).round().long().unbind(-1)
     return row, column
 
 
 def distance_to_cells(marked: np.ndarray, limit: float = math.inf) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the distance of each cell to the nearest ``marked`` one, at most ``limit``, in cells, and its number.
+    """Distance of each cell to the nearest ``marked`` one, at most ``limit``, in cells, and the number of that.
 
     Cells are numbered row by row. Without a marked cell, all have the limit and the number -1.
     """
@@ -85,6 +95,43 @@ def distance_to_cells(marked: np.ndarray, limit: float = math.inf) -> tuple[np.n
 
 
 def ring(count: int, start: float = 0.0) -> Tensor:
-    """Returns evenly spaced unit vectors, the first at the angle ``start`` (rad): float64 ``[count, 2]``."""
+    """Evenly spaced unit vectors, the first at the angle ``start`` (rad): float64 ``[count, 2]``."""
     angle = start + 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
     return torch.stack((angle.cos(), angle.sin()), -1)
+
+
+def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
+    """Cells that a straight line from the center of cell (0, 0) to that of another cell runs through.
+
+    Cells that the line only touches in a corner do not count.
+    """
+    # Shares of the line at which it crosses the borders between cells, as exact fractions.
+    borders = {Fraction(2 * k + 1, 2 * abs(side)) for side in step for k in range(abs(side))}
+    shares = sorted({Fraction(0), Fraction(1), *borders})
+    middles = [(a + b) / 2 for a, b in pairwise(shares)]
+    return [(math.floor(t * step[0] + Fraction(1, 2)), math.floor(t * step[1] + Fraction(1, 2))) for t in middles]
+
+
+_SIDES = range(-LONGEST, LONGEST + 1)
+STEPS = sorted(
+    ((x, y) for x in _SIDES for y in _SIDES if math.gcd(x, y) == 1), key=lambda step: math.atan2(*step[::-1])
+)
+"""Steps ``(x, y)`` to other cells in 32 directions, in cells, counter-clockwise."""
+STEP_ORIENTATIONS = [round(math.atan2(y, x) / math.pi * ORIENTATIONS) % ORIENTATIONS for x, y in STEPS]
+"""Orientation that is nearest to the direction of each step."""
+
+
+def free_steps(fits: np.ndarray) -> np.ndarray:
+    """Steps that are free from each cell: bit k of uint32 ``[rows, columns]`` is step k.
+
+    The orientation of a step must fit in all cells that it runs through. ``fits`` are the orientations that fit in each
+    cell, as bits ``[rows, columns]``; 0 in cells that are not passable.
+    """
+    rows, columns = fits.shape
+    around = np.pad(fits.astype(np.uint32), LONGEST)
+    steps = np.zeros_like(fits, dtype=np.uint32)
+    for k, (step, orientation) in enumerate(zip(STEPS, STEP_ORIENTATIONS, strict=True)):
+        crossed = [around[LONGEST + y :, LONGEST + x :][:rows, :columns] for x, y in _crossed_cells(step)]
+        free = (reduce(np.bitwise_and, crossed) >> np.uint32(orientation)) & np.uint32(1)
+        steps |= free << np.uint32(k)
+    return steps
