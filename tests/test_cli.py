@@ -64,9 +64,8 @@ def test_the_help_of_a_command_has_its_options_with_defaults(capsys: pytest.Capt
 
 
 COMMANDS = [
-    *("train", "sweep", "evaluate", "compare", "benchmark", "play", "view", "film", "worlds", "robots", "demo"),
-    *("robot", "drive"),
-    "export",
+    *("train", "evaluate", "compare", "benchmark", "play", "view", "film", "worlds", "robots", "demo"),
+    *("robot", "drive", "export"),
 ]
 NAMES = f"use one of {COMMANDS}; see rover-rl --help"
 
@@ -79,20 +78,14 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate", NO_POLICY),
         # Numbers and worlds out of range.
         ("train --seed -1", "seed must be a whole number from 0 to "),
-        ("film scripted --seed -1 --out film.gif", "seed must be a whole number from 0 to "),
-        ("robot --seed -1", "seed must be a whole number from 0 to "),
         ("evaluate scripted --world maze --count -3", "count must be between 1 and 256, got -3"),
         ("evaluate scripted --world maze --seconds nan", "seconds must be at least 0.05 and at most 1e+06, got nan"),
-        ("film scripted --seconds inf --out film.gif", "seconds must be positive and at most 1e+06, got inf"),
         ("film scripted --width 99999999 --out film.gif", "width must be positive and at most 8192, got 99999999"),
         ("train --num-envs 0", "num_envs must be at least 1 and at most 1e+06, got 0"),
-        ("train --max-minutes nan", "max_minutes must be positive and at most 1e+30, got nan"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
         ("train --hidden 1000000000000", "not enough memory"),
         ("train --backend warp --world maze --physics fast", "presets of the physics are Bullet's"),
         ("demo --count 0", "count must be at least 1 and at most 1000, got 0"),
-        ("demo --seconds 0", "seconds must be at least 0.05 and at most 1e+06, got 0.0"),
-        ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
     ],
 )
 def test_a_wrong_command_line_is_refused_in_one_line(
@@ -108,16 +101,8 @@ def test_a_wrong_command_line_is_refused_in_one_line(
         ("benchmark", ("barn", "jaxnav")),
         ("benchmark barn scripted", ("--data", "Folder of the public repository")),
         ("train --sped 3", ("--sped", "--seed", "rover-rl train --help")),
-        ("train --algo sac --lmbda 0.9", ("--lmbda",)),
-        ("train --max-st 1", ("--max-st", "--max-std")),
-        ("export one two", ("two",)),
         ("train --lidar.points x", ("--lidar.points INT", "'x'")),
-        ("train --learning_rate fast", ("--learning-rate", "fast")),
-        ("train --seed", ("--seed",)),
-        ("train --algo dqn", ("--algo", "sac", "dqn")),
-        ("demo --world mars", ("--world", "forest")),
         ("drive x --goal 1", ("--goal", "FLOAT FLOAT")),
-        ("film", ("POLICY", "Folder of a run, checkpoint")),
         ("train --task.stuck-window 0", ("task", "stuck_window must be positive, got 0")),
         ("train --action.min-speed 2 --action.max-speed 1", ("action", "min_speed must be less than max_speed")),
     ],
@@ -129,10 +114,8 @@ def test_options_that_a_command_does_not_take_are_refused_with_what_it_takes(
     assert [part for part in named if part not in told] == []
 
 
-@pytest.mark.parametrize("command", ["evaluate", "film", "export"])
-def test_a_run_without_a_checkpoint_says_what_to_do(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
-) -> None:
+def test_a_run_without_a_checkpoint_says_what_to_do(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    command = "evaluate"
     (tmp_path / "config.yaml").write_text("algo: ppo\n")
     expected = f"no checkpoint at {tmp_path}/checkpoint.pt: the run has written none yet; if it has ended, go on with"
     assert failed(capsys, command, tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
@@ -169,7 +152,6 @@ def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
     [
         ("export pretrained:moon-ppo --format torch --out {}/moon.pt2", "moon.pt2"),
         ("film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {}/film.gif", "film.gif"),
-        ("film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {}/film.mp4", "film.mp4"),
         ("train --runs {} --name run", "run/config.yaml"),
     ],
 )
@@ -177,8 +159,6 @@ def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
 def test_without_space_the_file_is_named_and_nothing_is_left(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, line: str, name: str
 ) -> None:
-    if name.endswith(".mp4"):
-        pytest.importorskip("imageio_ffmpeg", reason="needs rover_rl[video]")
     with largest_file(100):
         assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
@@ -328,13 +308,6 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["worlds", "--out", str(tmp_path)]) == 0
-    assert {file.stem for file in tmp_path.iterdir()} == {*WORLDS}
-    assert "moon" in capsys.readouterr().out
-
-
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Addresses that were opened in a viewer. There is no display."""
@@ -457,11 +430,9 @@ def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_ou
         ("--backend my_parts:number", "backend must be one of ['bullet', 'mujoco', 'ros2', 'warp']"),
         ("--backend my_parts:needy", "backend 'my_parts:needy' is called with 0 arguments: missing a required"),
         ("--reward my_parts:needy", "reward 'my_parts:needy' is called with 0 arguments: missing a required"),
-        ("--robot my_parts:needy", "robot 'my_parts:needy' is called with 0 arguments: missing a required"),
         ("--world my_parts:needier", "world 'my_parts:needier' is called with 1 arguments: missing a required"),
         ("--reward my_parts:number", "got 4"),
         ("--backend ray", "Ray is a collector: use collector='ray'"),
-        ("--workers 2 --collector process --num-envs 4", "collector='process' has one worker, got workers=2"),
     ],
 )
 def test_parts_and_settings_that_do_not_work_are_one_sentence(
@@ -490,14 +461,10 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
     ("option", "command"),
     [
         ("--runs", ["train", "--world", "maze", "--runs", "OUT"]),
-        ("--runs", ["train", "--world", "maze", "--name", "mine", "--runs", "OUT/deeper"]),
         ("--out", ["evaluate", "scripted", "--world", "maze", "--episodes", "1", "--out", "OUT"]),
         ("--html", ["evaluate", "scripted", "--world", "maze", "--html", "OUT/page.html"]),
         ("--out", ["film", "scripted", "--out", "OUT/film.gif"]),
-        ("--html", ["film", "scripted", "--html", "OUT/page.html"]),
         ("--out", ["export", "pretrained:moon-sac", "--out", "OUT/sac.onnx"]),
-        ("--out", ["compare", "runs", "--out", "OUT"]),
-        ("--runs", ["sweep", "--vary", "gamma=0.9,0.95", "--world", "maze", "--runs", "OUT"]),
         ("--log", ["drive", "pretrained:moon-sac", "--goal", "1", "0", "--log", "OUT/drive.jsonl"]),
         ("--out", ["worlds", "show", "maze", "--out", "OUT/maze.png"]),
     ],
@@ -505,8 +472,6 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
 def test_a_place_that_cannot_be_written_to_is_told_with_the_option_that_names_another(
     option: str, command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if command[0] == "sweep":
-        pytest.importorskip("optuna")
     # A file in place of the folder, and a folder that is read-only, which root does not notice.
     file, folder = tmp_path / "file", tmp_path / "folder"
     file.touch()

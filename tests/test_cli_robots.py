@@ -58,14 +58,6 @@ def test_a_car_is_shown_with_its_turning_circle(capsys: pytest.CaptureFixture[st
     assert Path("pictures/car.png").stat().st_size > 10_000
 
 
-def test_a_robot_that_cannot_be_read_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = Machine().body().write(tmp_path)
-    assert main(["robots", "show", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "it has no wheels" in error
-
-
 def test_options_of_a_robot_are_part_of_its_name_in_all_commands() -> None:
     options = EnvOptions(robot="scout.urdf", robot_options=RobotOptions(drive="skid_steer", lidar="0 0 0.5"))
     assert options.given_robot == "scout.urdf,drive=skid_steer,lidar=0:0:0.5"

@@ -11,11 +11,10 @@ from rover_rl.cli import main
 from rover_rl.cli.main import COMMANDS
 
 WIDTH = 100
-SUBCOMMANDS = ["worlds import", "worlds show", "robots show"]
-SUBCOMMANDS += [f"benchmark {name}" for name in ("barn", "jaxnav", "dynabarn", "ros-jackal", "roboterrain")]
+SUBCOMMANDS = ["worlds import", "worlds show", "robots show", "benchmark barn", "benchmark jaxnav"]
 
 
-@pytest.mark.parametrize("command", ["train", "train --algo sac", "sweep", *COMMANDS, *SUBCOMMANDS])
+@pytest.mark.parametrize("command", ["train", "train --algo sac", *COMMANDS, *SUBCOMMANDS])
 def test_help_has_no_marks_of_the_program_and_no_sentence_is_cut(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:

@@ -29,7 +29,7 @@ LAYERS = (
         "native",
     ),
     ("worlds", "robots"),
-    ("sims.elevation_map", "sims.rover_state", "sims.served", "sims.settings", "sims.shapes", "sims.simulated_drives"),
+    ("sims.rover_state", "sims.sensor_report", "sims.settings", "sims.shapes", "sims.simulated_drives"),
     (
         "sims.base",
         "sims.command_limiter",

@@ -55,52 +55,27 @@ def refused(capsys: pytest.CaptureFixture[str], line: list[str], path: Path) -> 
 
 
 OUTPUTS = [
-    (["worlds", "import", "lab.yaml"], ["lab.world.npz"]),
-    (["worlds", "show", "maze:7"], ["maze-7.world.png"]),
-    (["worlds", "--world", "maze", "moon"], ["worlds/maze.png", "worlds/moon.png"]),
-    (["robots", "show", "leo"], ["leo.robot.png"]),
-    (["export", "runs/small"], ["small.onnx"]),
-    (["export", "runs/small", "--format", "torch"], ["small.pt2"]),
-    (FILM, ["film.mp4"]),
-    ([*FILM, "--out", "film.gif", "--rewards", "rewards.png"], ["film.gif", "rewards.png"]),
-    ([*FILM, "--html", "page.html"], ["page.html"]),
-    ([*FILM, "--rrd", "drive.rrd"], ["drive.rrd"]),
-    (["play", "scripted", "--world", "maze", "--seconds", "0.1"], ["runs/play/scripted-maze.gif"]),
-    (
-        ["evaluate", "scripted", *EPISODES, "--html", "page.html"],
-        [
-            *(f"runs/evaluation/{name}" for name in ("evaluation.json", "evaluation.csv", "paths.png")),
-            *("runs/evaluation/evaluation-summary.csv", "page.html"),
-        ],
-    ),
-    (["evaluate", "runs/small", *EPISODES], ["runs/small/evaluation.json", "runs/small/paths.png"]),
+    (["worlds", "import", "lab.yaml"], "lab.world.npz"),
+    (["worlds", "show", "maze:7"], "maze-7.world.png"),
+    (["worlds", "--world", "maze", "moon"], "worlds/moon.png"),
+    (["robots", "show", "leo"], "leo.robot.png"),
+    (["export", "runs/small"], "small.onnx"),
+    ([*FILM, "--out", "film.gif", "--rewards", "rewards.png"], "rewards.png"),
+    ([*FILM, "--html", "page.html"], "page.html"),
+    (["play", "scripted", "--world", "maze", "--seconds", "0.1"], "runs/play/scripted-maze.gif"),
+    (["evaluate", "scripted", *EPISODES, "--html", "page.html"], "page.html"),
+    (["evaluate", "runs/small", *EPISODES], "runs/small/evaluation.json"),
     (
         ["evaluate", "scripted", *EPISODES, "--backend", "bullet", "warp", "--imperfect", "late"],
-        ["runs/evaluation/paths-warp-late.png", "runs/evaluation/paths-bullet-exact.png"],
+        "runs/evaluation/paths-warp-late.png",
     ),
-    (
-        ["evaluate", "scripted", *EPISODES[:1], "maze:10000-10001", "moon", *EPISODES[2:]],
-        ["runs/evaluation/paths-moon.png", "runs/evaluation/evaluation-worlds.csv"],
-    ),
-    (
-        ["compare", "runs/small"],
-        [f"runs/comparison/{name}" for name in ("comparison.json", "comparison.csv", "comparison.png", "runs.csv")],
-    ),
-    (
-        ["benchmark", "barn", "scripted", "--data", "barn", "--worlds", "all"],
-        [f"runs/benchmark-barn/{name}" for name in ("benchmark.json", "benchmark.csv", "worst-scripted.png")],
-    ),
-    (["drive", "scripted", "--goal", "1", "0", "--world", "maze"], ["runs/drive.jsonl"]),
-    (
-        ["sweep", "--vary", "gamma=0.9,0.95", "--name", "mine", "--hidden", "8"],
-        [f"runs/mine/{name}" for name in ("sweep.db", "trials.csv", "trials.png")],
-    ),
+    (["compare", "runs/small"], "runs/comparison/comparison.csv"),
+    (["benchmark", "barn", "scripted", "--data", "barn", "--worlds", "all"], "runs/benchmark-barn/worst-scripted.png"),
+    (["drive", "scripted", "--goal", "1", "0", "--world", "maze"], "runs/drive.jsonl"),
 ]
 
 
-@pytest.mark.parametrize(
-    ("line", "output"), [pytest.param(line, output, id=output) for line, outputs in OUTPUTS for output in outputs]
-)
+@pytest.mark.parametrize(("line", "output"), OUTPUTS, ids=[output for _, output in OUTPUTS])
 def test_a_command_does_not_touch_a_file_that_it_did_not_make(
     capsys: pytest.CaptureFixture[str], folder: Path, line: list[str], output: str
 ) -> None:
@@ -121,15 +96,6 @@ def test_a_training_takes_no_folder_that_is_there(capsys: pytest.CaptureFixture[
     assert "there is a run runs/small already" in told
 
 
-def test_a_map_and_its_picture_survive_drawings_of_the_world(folder: Path) -> None:
-    before = {name: (folder / name).read_bytes() for name in ("lab.yaml", "lab.png")}
-    assert main(["worlds", "show", "lab.yaml"]) == 0
-    assert main(["worlds", "import", "lab.yaml"]) == 0
-    assert main(["worlds", "show", "lab.world.npz"]) == 0
-    assert {name: (folder / name).read_bytes() for name in before} == before
-    assert (folder / "lab.world.png").is_file()
-
-
 def test_inputs_are_not_outputs_however_they_are_spelled(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "link.world.npz").symlink_to("hall.world.npz")
     (folder / "here").symlink_to(folder)
@@ -137,10 +103,7 @@ def test_inputs_are_not_outputs_however_they_are_spelled(capsys: pytest.CaptureF
     for out in ("hall.world.npz", str(folder / "hall.world.npz"), "link.world.npz", "here/hall.world.npz"):
         assert main(["worlds", "import", "hall.world.npz", "--out", out]) == 2
         assert f"{out} is read by this command" in capsys.readouterr().err
-    assert main(["worlds", "show", "lab.yaml", "--out", "lab.png"]) == 2
-    assert main(["film", "runs/small", "--out", "runs/small/checkpoint.pt"]) == 2
     assert main(["export", "runs/small", "--out", "runs/small/checkpoint.pt"]) == 2
-    assert main([*FILM, "--html", "runs/small/evaluation.json"]) == 2
     assert main([*FILM, "--out", "film.gif", "--rewards", "./film.gif"]) == 2
     assert (folder / "hall.world.npz").read_bytes() == content
     Checkpoint.load(folder / "runs" / "small")
@@ -150,18 +113,10 @@ def test_inputs_are_not_outputs_however_they_are_spelled(capsys: pytest.CaptureF
     "line",
     [
         ["worlds", "import", "lab.yaml"],
-        ["worlds", "show", "lab.yaml"],
-        ["worlds", "show", "maze", "--out", "maze.pdf"],
-        ["worlds", "show", "maze", "--out", "maze.svg"],
-        ["worlds", "show", "maze", "--out", "maze.jpg"],
-        ["robots", "show", "leo"],
-        [*FILM, "--rewards", "rewards.png"],
-        [*FILM, "--out", "film.gif"],
-        pytest.param([*FILM, "--html", "page.html"], marks=pytest.mark.slow),
+        *(["worlds", "show", "maze", "--out", f"maze.{kind}"] for kind in ("pdf", "svg", "jpg")),
+        [*FILM, "--out", "film.gif", "--rewards", "rewards.png"],
         ["evaluate", "scripted", *EPISODES, "--world", "maze:10000-10001"],
-        pytest.param(["benchmark", "barn", "scripted", "--data", "barn", "--worlds", "all"], marks=pytest.mark.slow),
         pytest.param(["export", "runs/small"], marks=pytest.mark.slow),
-        pytest.param(["export", "runs/small", "--format", "torch"], marks=pytest.mark.slow),
     ],
     ids=" ".join,
 )
@@ -218,15 +173,3 @@ def test_tables_and_json_are_known_by_their_mark_and_not_by_their_names(tmp_path
     (tmp_path / "runs.csv").write_text('"run","success"\n"a",0.5\n')
     with pytest.raises(FileExistsError):
         check_outputs(tmp_path / "runs.csv")
-
-
-def test_drives_are_appended_to_logs(tmp_path: Path) -> None:
-    from rover_rl.algos.deploy.drive_log import DriveLog, check_log
-
-    log = tmp_path / "drive.jsonl"
-    check_log(log)
-    with DriveLog(log, "maze", "scripted", 60.0):
-        pass
-    check_log(log)
-    (tmp_path / "empty").touch()
-    check_log(tmp_path / "empty")

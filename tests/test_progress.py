@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import sys
 import threading
 import time
 
@@ -13,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from rover_rl.progress import ProgressDisplay, redirected_progress
-from tests.fork_server import fork_server
 
 QUICK = 0.01
 """Interval of lines, s."""
@@ -53,13 +50,6 @@ def test_no_line_appears_after_the_end() -> None:
     assert output.getvalue() == told
 
 
-def test_quick_operations_print_nothing() -> None:
-    output = Watched()
-    with display_on(output) as display:
-        assert [*display.track("abc", 3)] == ["a", "b", "c"]
-    assert output.getvalue() == ""
-
-
 def test_tenths_are_lines_of_their_own_with_the_remaining_time_at_the_latest_speed() -> None:
     output = Watched()
     with display_on(output, tenths=True) as display:
@@ -88,17 +78,6 @@ def test_an_estimate_that_has_turned_out_wrong_is_not_shown(terminal: bool) -> N
         time.sleep(0.3)
     assert "slow" in output.getvalue()[start:]
     assert "left" not in output.getvalue()[start:]
-
-
-@pytest.mark.parametrize("terminal", [False, True])
-def test_operations_whose_parts_differ_have_no_estimate(terminal: bool) -> None:
-    output = Watched()
-    with display_on(output, terminal, interval=QUICK, estimate=False) as display:
-        for part in range(10):
-            display.update(part / 100, "working on it")
-            time.sleep(QUICK)
-        output.wait_for("working on it")
-    assert "left" not in output.getvalue()
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -155,28 +134,3 @@ def test_output_that_cannot_be_written_raises_at_the_next_update() -> None:
         pytest.raises(OSError, match=r"No space left.*standard output"),
     ):
         updates(display)
-
-
-def print_to_a_closed_pipe(tenths: bool) -> None:
-    """Updates a display whose reader has left; exits with 5 if that raises ``BrokenPipeError``."""
-    read, write = os.pipe()
-    os.close(read)
-    sys.stdout = os.fdopen(write, "w")
-    try:
-        with ProgressDisplay("working", tenths=tenths, interval=3600 if tenths else QUICK) as display:
-            for step in range(6000):
-                display.update(step / 6000)
-                time.sleep(QUICK)
-    except BrokenPipeError as error:
-        os._exit(5 if error.filename == "standard output" else 6)
-    os._exit(7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tenths", [False, True], ids=["in the thread", "in an update"])
-def test_a_reader_that_leaves_raises_at_the_next_update(tenths: bool) -> None:
-    # In another process, because Rich replaces the standard output.
-    process = fork_server().Process(target=print_to_a_closed_pipe, args=(tenths,))  # type: ignore[attr-defined]
-    process.start()
-    process.join()
-    assert process.exitcode == 5

@@ -47,7 +47,6 @@ class BarnBenchmark(_Benchmark):
     """Folder to write to."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.algos.benchmarks.barn import Barn, read_barn
 
         courses = read_barn(self.data, self._numbers())
@@ -79,7 +78,6 @@ class JaxNavBenchmark(_Benchmark):
     """Folder to write to."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
 
         courses, unsolvable = read_jaxnav(self.data)
@@ -101,7 +99,6 @@ class Benchmark:
     """Benchmark to run."""
 
     def __call__(self) -> int:
-        """Runs the benchmark."""
         return self.benchmark()
 
 

@@ -47,7 +47,6 @@ class Demo:
     """Folder that the run is written to."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         # Before PyTorch is imported and a policy is trained.
         training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
         check_at_least(1, MAX_WORLDS, count=self.count)

@@ -7,29 +7,27 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
-from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
-from rover_rl.envs.config import SCAN_POSE, GuardConfig, Randomization
+from rover_rl.cli.help_text import FLAT
+from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, ResolvedPolicy, read_env, resolve_policy
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.robots.options import RobotOptions, with_options
-from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
+from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.cli.policies import ResolvedPolicy
-    from rover_rl.envs.config import EnvConfig
-    from rover_rl.view.live import LivePage
 
 GOAL_NOT_REACHED = 1
 """Exit code if a goal was not reached."""
@@ -37,6 +35,8 @@ UNLIMITED = 10**9
 """Effectively unlimited episode length, steps: the time limit ends a drive."""
 SENSOR_TIMEOUT = 0.5
 """Time without a sensor message after which a drive ends, s. Without a scan, the rover stops after half of it."""
+HIDDEN = {"model", "reset", "reset_topic", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"}
+"""Settings that a drive chooses itself, or that are for resets, of which it has none."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,10 @@ class Drive:
     that restarts, or an obstacle that is too close. A separate process stops it if this process dies. The rover never
     drives in a direction that no lidar beam covers.
     """
+
+    shown: ClassVar = {
+        Ros2Settings: {*Ros2Settings.__dataclass_fields__} - HIDDEN - {"min_reversal", "unseen_range", "max_invalid"}
+    }
 
     policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=LIVE_POLICY)]
     goal: tuple[tuple[float, float], ...] = ()
@@ -65,25 +69,14 @@ class Drive:
     """Robot: a name, a URDF file, or module:attribute. Default: the robot that the policy was made for."""
     robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot."""
-    wait: float = 30.0
-    """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
     """Lidar reading below which the drive ends, m."""
     patience: float = 30.0
     """Longest time to wait, before the drive to a goal, for whatever is nearer than --clearance to go, s."""
     seconds: float = 60.0
     """Time limit for each goal, s."""
-    max_speed: float | None = None
-    """Largest forward speed of a command, m/s. Default of the four limits: what the policy was trained with, else that
-    of the robot (Rover Zero: 1)."""
-    max_yaw_rate: float | None = None
-    """Largest yaw rate of a command, rad/s (Rover Zero: 7)."""
-    max_acceleration: float | None = None
-    """Largest forward acceleration, m/s^2 (Rover Zero: 5). Stops are sent immediately."""
-    max_yaw_acceleration: float | None = None
-    """Largest yaw acceleration, rad/s^2 (Rover Zero: 4)."""
     guard: GuardConfig = field(default_factory=GuardConfig)
-    """Emergency brake: --guard.deceleration 2 brakes before what the scan shows in the way (docs/driving.md)."""
+    """Emergency brake: --guard.deceleration 2 brakes before what the scan shows in the way (docs/ros2.md)."""
     compensate_delay: bool = False
     """Carry late pose, heading and velocities on to now, by their stamps and the commands sent since (docs/ros2.md).
     Default: as in the training of the policy."""
@@ -91,47 +84,6 @@ class Drive:
     """Accept a lidar with a smaller field of view than in training."""
     allow_other_world: bool = False
     """Accept a policy that recognizes the places of another world, by the pose or with north_up."""
-    pose: PoseSource = "pose_array"
-    """Source of the pose: message type of the pose topic, or wheels for the wheel odometry (docs/ros2.md)."""
-    pose_topic: str = Ros2Settings.pose_topic
-    """Topic of the pose."""
-    odometry_topic: str = Ros2Settings.odometry_topic
-    """Topic of the wheel odometry."""
-    scan_topic: str = Connection.scan_topic
-    """Topic of the lidar scan."""
-    imu_topic: str = Connection.imu_topic
-    """Topic of the IMU."""
-    camera_topic: str = Connection.camera_topic
-    """Topic of the depth image, for policies that read one. One that ends in /compressed or /compressedDepth has
-    compressed images (docs/sensors.md#cameras-3d-lidars-and-height-scans)."""
-    color_topic: str = Connection.color_topic
-    """Topic of the color image, likewise."""
-    elevation_topic: str = Connection.elevation_topic
-    """Topic of the elevation map or point cloud of the ground, for policies that read heights."""
-    points_topic: str = Connection.points_topic
-    """Topic of the point cloud of a 3D lidar, for policies that read one."""
-    joint_topic: str = Connection.joint_topic
-    """Topic of the motor torques, for policies that read effort."""
-    contact_topic: str | None = Connection.contact_topic
-    """Topic of Gazebo's contact sensor, for policies that read contact (docs/sensors.md)."""
-    model: str = Ros2Settings.model
-    """Name of the rover in Gazebo, by which its contacts are known."""
-    mover_names: tuple[str, ...] = Ros2Settings.mover_names
-    """What the names of movers in Gazebo contain, in upper or lower case, for contacts with them."""
-    cmd_vel_topic: str = Connection.cmd_vel_topic
-    """Topic of the velocity command."""
-    stamped: bool = False
-    """Send TwistStamped instead of Twist."""
-    give_way: bool = False
-    """While another node sends commands, such as that of a joystick, send none, and drive on 0.5 s after its last one.
-    Default: stop, and name the node."""
-    lidar_yaw: float = Ros2Settings.lidar_yaw
-    """Direction in which the lidar's zero angle points, rad. The default, pi, is backward: the original rover's lidar
-    is mounted turned by 180 degrees, so that its first beam, at -pi, points forward. Most others face forward: 0."""
-    lidar_inverted: bool = False
-    """The lidar hangs upside down: it is rolled by pi before it is turned by --lidar-yaw."""
-    transport: TransportName = Ros2Settings.transport
-    """ROS 2 transport: dds needs no ROS installation, rclpy that of PyPI or of a sourced ROS."""
     seed: int = 0
     """Seed of the random goals."""
     log: Path = Path("runs/drive.jsonl")
@@ -144,6 +96,8 @@ class Drive:
     """Address to serve the page on; 0.0.0.0 lets other machines reach it, and drive."""
     port: int = 8080
     """Port of the page; 0 takes a free one."""
+    connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
+    settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
 
     def __call__(self) -> int:
         """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached."""
@@ -164,7 +118,13 @@ class Drive:
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings(policy.module)
             described = self._description(policy, settings)
-            page = self._open_page(stack) if self.view else None
+            page = None
+            if self.view:
+                # Before the rover moves.
+                from rover_rl.view.live import LivePage
+
+                page = stack.enter_context(LivePage(self.host, self.port))
+                print(f"Page: {page.address}", flush=True)
             env = RoverEnv(described)
             stack.callback(env.close)
             assert isinstance(env.simulator, Ros2Simulator)
@@ -205,14 +165,6 @@ class Drive:
         print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
-    def _open_page(self, stack: ExitStack) -> LivePage:
-        """Opens the page before the rover moves."""
-        from rover_rl.view.live import LivePage
-
-        page = stack.enter_context(LivePage(self.host, self.port))
-        print(f"Page: {page.address}", flush=True)
-        return page
-
     def _check(self) -> None:
         """Checks that all options are in range."""
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
@@ -220,19 +172,17 @@ class Drive:
         if not (self.goal or self.goals or self.random):
             raise ValueError("say where to drive: --goal X Y, --goals FILE or --random COUNT")
         check_positive(MAX_SECONDS, seconds=self.seconds)
-        check_at_least(0, MAX_SECONDS, wait=self.wait)
+        check_at_least(0, MAX_SECONDS, timeout=self.connection.timeout)
         check_at_least(0, MAX_NUMBER, clearance=self.clearance, patience=self.patience)
         check_at_least(0, MAX_COUNT, random=self.random)
         check_seed(self.seed)
-        self._settings()
-        _ = self._connection  # checks the topics
 
     def _policy(self) -> ResolvedPolicy:
         """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
-        from rover_rl.cli.policies import resolve_policy
         from rover_rl.worlds.names import WorldRange
 
-        policy = resolve_policy(self.policy, (self.world,) if self.world else (), self._robot)
+        robot = None if self.robot is None else with_options(self.robot, self.robot_options)
+        policy = resolve_policy(self.policy, (self.world,) if self.world else (), robot)
         if policy.module is None or not policy.worlds:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
@@ -248,23 +198,18 @@ class Drive:
             )
         return policy
 
-    @property
-    def _robot(self) -> str | None:
-        return None if self.robot is None else with_options(self.robot, self.robot_options)
-
-    def _settings(self, policy: Policy | None = None) -> Ros2Settings:
+    def _settings(self, policy: Policy) -> Ros2Settings:
         """Returns the settings of the connection to the rover, with the limits that a policy was trained with."""
-        command: Command = "twist_stamped" if self.stamped else "twist"
-        options = {field.name: getattr(self, field.name) for field in fields(Ros2Settings) if hasattr(self, field.name)}
-        given = Ros2Settings(**options)  # the options of the same names
+        given = replace(self.settings, reset="none", step_timeout=SENSOR_TIMEOUT)
         trained: EnvConfig | None = getattr(policy, "made_for", None)
         if trained is not None and trained.limits.apply:
             limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
-            given = replace(given, **{name: value for name, value in limits.items() if options.get(name) is None})
+            chosen = {name for name in limits if name != "min_reversal" and getattr(given, name) is not None}
+            given = replace(given, **{name: value for name, value in limits.items() if name not in chosen})
         if _knows_coverage(policy):
             # As in training. The guard of unseen directions holds the rover nevertheless.
             given = replace(given, unseen_range=math.inf, max_invalid=given.max_invalid + _dead_share(trained))
-        return replace(given, command="none" if self.dry_run else command, reset="none", step_timeout=SENSOR_TIMEOUT)
+        return replace(given, command="none") if self.dry_run else given
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
         """Describes the environment of the live rover, without a limit on the steps of an episode."""
@@ -283,18 +228,12 @@ class Drive:
             randomization=Randomization(),
             guard=self.guard,
             compensate_delay=self.compensate_delay or made_for.compensate_delay,
-            connection=self._connection,
+            connection=self.connection,
             length=UNLIMITED,
             end_on_goal=True,
             seed=self.seed,
         )
         return environment_for(policy.module, described)
-
-    @property
-    def _connection(self) -> Connection:
-        """The options that are named as the topics of the connection, and the time to wait for the first scan."""
-        topics = {field.name: getattr(self, field.name) for field in fields(Connection) if hasattr(self, field.name)}
-        return Connection(**topics, timeout=self.wait)
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones."""
@@ -324,7 +263,7 @@ class Drive:
 
 
 def _knows_coverage(policy: Policy | None) -> bool:
-    """Returns whether a policy was trained with lidars that see in part, or reads where they do."""
+    """Whether a policy was trained with lidars that see in part, or reads where they do."""
     trained: EnvConfig | None = getattr(policy, "made_for", None)
     hides_beams = trained is not None and trained.randomization.hides_beams
     return hides_beams or LIDAR_MASK in getattr(policy, "in_keys", ())

@@ -83,7 +83,6 @@ class Evaluate:
     """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.evaluate import check_options
         from rover_rl.algos.evaluation.plots import draw_paths

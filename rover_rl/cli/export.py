@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.cli.policies import ROBOT_OPTIONS, load_checkpoint
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
@@ -37,9 +37,7 @@ class Export:
     """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.algos.deploy.export import SUFFIXES, export
-        from rover_rl.cli.policies import load_checkpoint
 
         suffix = SUFFIXES[self.format]
         if self.out is not None and self.out.suffix != suffix:

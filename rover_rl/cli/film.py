@@ -1,14 +1,10 @@
-"""The commands ``rover-rl film`` and ``rover-rl play``."""
+"""The command ``rover-rl film``."""
 
 from __future__ import annotations
 
-import os
-import sys
-import webbrowser
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -24,11 +20,7 @@ if TYPE_CHECKING:
 
 FILMED = 20.0
 """Default duration of a film in endless mode, s."""
-PLAY_FOLDER = Path("runs/play")
-"""Folder of the films of ``play`` of policies that have no folder of their own."""
-PLAY_WIDTH, PLAY_HEIGHT = 400, 300
-"""Size of the films of ``play``, pixels."""
-_POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
+POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
 
 
 @dataclass(frozen=True)
@@ -39,7 +31,7 @@ class Film:
     drive from goal to goal.
     """
 
-    policy: Annotated[tyro.conf.Positional[str], _POLICY]
+    policy: Annotated[tyro.conf.Positional[str], POLICY]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
     html: Path | None = None
@@ -80,7 +72,6 @@ class Film:
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
 
     def __call__(self) -> int:
-        """Runs the command."""
         self._check()
         if self.policy.endswith(LOG):
             from rover_rl.algos.video.recording import recording_of_log
@@ -117,8 +108,7 @@ class Film:
     def _check_outputs(self, films: list[Path]) -> None:
         rewards = [] if self.rewards is None else [self.rewards]
         inputs = (self.policy, self.world or "", self.evaluation or "", self.environment.env or "")
-        option = "--html" if self.html else "--out"
-        check_outputs(*films, *rewards, inputs=inputs, force=self.force, option=option)
+        check_outputs(*films, *rewards, inputs=inputs, force=self.force, option="--html" if self.html else "--out")
 
     @property
     def _style(self) -> Style:
@@ -135,7 +125,7 @@ class Film:
         else:
             film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
-        print(f"Film: {out}: episode {recording.episode} {of}{where}, {_how_it_ended(recording)}", flush=True)
+        print(f"Film: {out}: episode {recording.episode} {of}{where}, {how_it_ended(recording)}", flush=True)
 
     def _resolve(self) -> ResolvedPolicy:
         return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.given_robot)
@@ -192,6 +182,7 @@ class Film:
         """Films rovers that drive from goal to goal."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
+        from rover_rl.algos.video.recording import record_endless
         from rover_rl.worlds.pool import WorldPool
 
         policy = self._resolve()
@@ -199,40 +190,34 @@ class Film:
         # Each rover meets movers of its own, of which a film shows those of the first one.
         alone = self.view == "chase" or bool(WorldPool(world)[0].movers)
         rows = self.rovers or (1 if alone else 16)
+        seconds = FILMED if self.seconds is None else self.seconds
+        env = self.environment.description(policy.module, self.backend)
         if self.html is not None:
-            self._show_endless(policy, world, rows, self.html)
+            recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
+            _write_page(recording, self.html)
+            print(f"Page: {self.html}")
             return
         rollout = film(
             policy.module,
             self.out,
             world=world,
             view=self.view,
-            seconds=FILMED if self.seconds is None else self.seconds,
+            seconds=seconds,
             seed=self.seed or 0,
             rows=rows,
             width=self.width,
             height=self.height,
             fps=self.fps,
             speed=self.speed,
-            env=self.environment.description(policy.module, self.backend),
+            env=env,
         )
         print(f"Film: {self.out}")
         if self.rewards is not None:
             draw_reward_components(rollout, self.rewards)
             print(f"Rewards: {self.rewards}")
 
-    def _show_endless(self, policy: ResolvedPolicy, world: str, rows: int, page: Path) -> None:
-        from rover_rl.algos.video.recording import record_endless
-
-        seconds = FILMED if self.seconds is None else self.seconds
-        env = self.environment.description(policy.module, self.backend)
-        recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
-        _write_page(recording, page)
-        print(f"Page: {page}")
-
     @property
     def _out(self) -> Path:
-        """File to write."""
         return self.html or self.out
 
 
@@ -254,74 +239,6 @@ def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int)
     return driven
 
 
-def _how_it_ended(recording: Recording) -> str:
+def how_it_ended(recording: Recording) -> str:
     ending = "goal reached" if recording.ending == "goal" else recording.ending
     return f"{ending} after {recording.seconds:.1f} s"
-
-
-@dataclass(frozen=True)
-class Play:
-    """Watch a policy drive to a goal, or a drive of a log: films it, and opens the film.
-
-    The command film has more options.
-    """
-
-    policy: Annotated[tyro.conf.Positional[str], _POLICY] = "pretrained:anywhere"
-    world: str | None = None
-    """World to drive in. Default: the one that the policy was trained in, or moon.
-    After training in a range, it is one that was not in it."""
-    seconds: float = 12.0
-    """Time in which the policy must reach the goal, s. Of a log, the last seconds are shown."""
-    seed: int | None = None
-    """Seed of starts and goals. Default: the stored ones."""
-    show: bool = True
-    """Open the film in the default viewer, if there is a display."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
-
-    def __call__(self) -> int:
-        """Runs the command."""
-        print(f"Filming {self.policy}", flush=True)
-        with ThreadPoolExecutor(1) as background:
-            # The first film compiles the renderer, which takes some seconds, as do the imports.
-            background.submit(_compile_renderer)
-            import rover_rl.algos.video.film  # noqa: F401
-        path, drive = self._film_log() if self.policy.endswith(LOG) else self._film_policy()
-        print(f"Film: {path}: {_how_it_ended(drive)}")
-        has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        if self.show and (has_display or sys.platform in ("darwin", "win32")):
-            webbrowser.open(path.resolve().as_uri())
-        return 0
-
-    def _film_log(self) -> tuple[Path, Recording]:
-        from rover_rl.algos.video.film import Style, film_recording
-        from rover_rl.algos.video.recording import recording_of_log
-
-        path = Path(self.policy).with_suffix(".gif")
-        check_outputs(path, force=self.force, option="rover-rl film --out")
-        drive = recording_of_log(Path(self.policy), world=self.world)
-        film_recording(drive.last(self.seconds), path, Style(width=PLAY_WIDTH, height=PLAY_HEIGHT))
-        return path, drive
-
-    def _film_policy(self) -> tuple[Path, Recording]:
-        from rover_rl.algos.video.film import CANDIDATES, film_to_goal
-
-        policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
-        world = policy.worlds[0] if policy.worlds else "moon"
-        path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-").replace(
-            "*", "x"
-        )
-        check_outputs(path, force=self.force, option="rover-rl film --out")
-        size: dict[str, Any] = {"width": PLAY_WIDTH, "height": PLAY_HEIGHT}
-        drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
-        if drive.ending != "goal":
-            print(f"From none of {CANDIDATES} starts, a goal was reached within {self.seconds:g} s: this is the first")
-        return path, drive
-
-
-def _compile_renderer() -> None:
-    from rover_rl.native.warp import wp
-    from rover_rl.sims.rendering.kernels import light, pictures
-
-    for module in (pictures, light):
-        wp.load_module(module, device="cpu")

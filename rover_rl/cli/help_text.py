@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -17,15 +17,21 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+FLAT = tyro.conf.arg(name="")
+"""Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden."""
 _UNSET = ("None", "")
 """Defaults that say nothing."""
 
 
 class ReadableHelp(ConstructorRegistry):
-    """Reads options as tyro does, and changes what their help says."""
+    """Reads options as tyro does, and changes what their help says.
 
-    def __init__(self) -> None:
+    Of the dataclasses in ``shown``, only the fields of these names are options.
+    """
+
+    def __init__(self, shown: Mapping[Any, Collection[str]] | None = None) -> None:
         super().__init__()
+        self._shown = shown or {}
         self._asking = False
         self.primitive_rule(self._value)
         self.struct_rule(self._options)
@@ -40,14 +46,13 @@ class ReadableHelp(ConstructorRegistry):
         return replace(found, metavar=re.sub(r"^\{([^{},|]*)\}$", r"\1", metavar))
 
     def _options(self, info: StructTypeInfo) -> StructConstructorSpec | None:
-        """Describes the fields of a dataclass."""
         found = self._others(self.get_struct_spec, info)
         if not isinstance(found, StructConstructorSpec):
             return found
-        return replace(found, fields=tuple(map(_described, found.fields)))
+        shown = self._shown.get(info.type)
+        return replace(found, fields=tuple(_described(one) for one in found.fields if not shown or one.name in shown))
 
     def _others(self, ask: Callable[[Any], Any], info: Any) -> Any:
-        """Returns what the rules of tyro say."""
         if self._asking:
             return None
         self._asking = True

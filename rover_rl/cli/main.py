@@ -14,13 +14,14 @@ from typing import Any
 import tyro
 
 from rover_rl.cli.benchmark import Benchmark
+from rover_rl.cli.compare import Compare
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
-from rover_rl.cli.experiments import Compare
 from rover_rl.cli.export import Export
-from rover_rl.cli.film import Film, Play
+from rover_rl.cli.film import Film
 from rover_rl.cli.help_text import ReadableHelp
+from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
@@ -52,11 +53,11 @@ COMMANDS = {
     "drive": Drive,
     "export": Export,
 }
-"""Commands by name, without those whose options depend on the algorithm."""
+"""Commands by name, without train, whose options depend on the algorithm."""
 
 
 def commands(args: Sequence[str] = ()) -> dict[str, Any]:
-    """Returns all commands by name: dataclasses, or instances that hold defaults, which depend on ``args``."""
+    """Returns all commands by name: dataclasses, or an instance that holds defaults, which depend on ``args``."""
     return {"train": train_defaults(args), **COMMANDS}
 
 
@@ -77,7 +78,7 @@ def read_command(args: Sequence[str]) -> Any:
     command = known[name]
     default = {} if isinstance(command, type) else {"default": command}
     kind = command if isinstance(command, type) else type(command)
-    with ReadableHelp():
+    with ReadableHelp(getattr(kind, "shown", None)):
         return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
 
 

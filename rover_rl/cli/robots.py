@@ -37,7 +37,6 @@ class ShowRobot:
     """Simulator that a skid-steer robot spins in, for its effective track."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.robots import get_robot
         from rover_rl.robots.draw import draw_robot
 
@@ -82,7 +81,6 @@ class Robots:
     """Draw a robot. Default: list all."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         if self.action is not None:
             return self.action()
         from rover_rl.robots import FAMILIES, ROBOTS, get_robot, robot_names

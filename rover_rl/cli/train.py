@@ -26,6 +26,7 @@ from rover_rl.algos.config import (
 )
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
+from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.training_page import TrainingPage
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
@@ -38,9 +39,6 @@ FAILED = 2
 """Exit code after an error, such as an invalid option or a missing file."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
-
-FLAT = tyro.conf.arg(name="")
-"""Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,6 @@ class Train:
         return TrainingConfig(env, self.network, self.collection, self.algorithm, RunConfig(**vars(self.run)))
 
     def __call__(self) -> int:
-        """Runs the command."""
         config = self.config
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()

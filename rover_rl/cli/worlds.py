@@ -71,7 +71,6 @@ class ImportWorld:
     """Height of the walls of a map, m."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.worlds import World
 
         out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
@@ -112,7 +111,6 @@ class ShowWorld:
     """Seed of the start and the goal."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.robots import get_robot
         from rover_rl.sims.free_space.draw import draw_task
         from rover_rl.worlds import get_world
@@ -154,7 +152,6 @@ class Worlds:
     """Import a world from a file, or show it. Default: list and draw worlds."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         if self.action is not None:
             return self.action()
         from rover_rl.robots import get_robot

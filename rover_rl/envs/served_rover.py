@@ -19,17 +19,14 @@ from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.color_camera import ColorCamera
-from rover_rl.envs.sensors.forces import ContactSensor, WheelEffort
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
-from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
-from rover_rl.sims.elevation_map import ElevationMap
 from rover_rl.sims.movers.overlap import check_standing
 from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.served import Report
+from rover_rl.sims.sensor_report import ElevationMap, SensorReport
 
 MAP_CELL = 0.1
 """Side of a cell of an elevation map, m."""
@@ -43,12 +40,8 @@ class ServedRover:
 
     Args:
         config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras, 3D lidars, motor
-            torques and contact forces, and for height scans elevation maps without errors.
-
-    Attributes:
-        env: the environment.
-        control_dt: duration of a step, s.
+            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras and 3D
+            lidars, and for height scans elevation maps without errors.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -63,13 +56,9 @@ class ServedRover:
         self._lidars = [sensor for sensor in sensors if isinstance(sensor, Lidar3D)]
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
         self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
-        efforts = [sensor for sensor in sensors if isinstance(sensor, WheelEffort)]
-        contacts = [sensor for sensor in sensors if isinstance(sensor, ContactSensor)]
-        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars, *efforts, *contacts)
+        served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
-        self._wheels = self.env.robot.drive.wheels if efforts else ()
-        self._outline = footprint(self.env.robot) if contacts else None
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
 
@@ -79,12 +68,9 @@ class ServedRover:
         self._report(steps)
 
     def move_to(self, pose: tuple[float, float, float]) -> None:
-        """Does the same as :meth:`reset`, if the rover can stand there.
+        """Does the same as :meth:`reset`; raises ``ValueError`` if the rover cannot stand there, and leaves it.
 
-        What moves begins anew, too.
-
-        Raises:
-            ValueError: if it cannot: off the terrain, in an obstacle, or where something that moves begins. It stays.
+        It cannot off the terrain, in an obstacle, or where something that moves begins.
         """
         env = self.env
         check_standing(env.worlds[0], env.robot, pose)
@@ -97,7 +83,7 @@ class ServedRover:
             self.reset((x, y, yaw))
             raise
 
-    def step(self, command: tuple[float, float]) -> Report:
+    def step(self, command: tuple[float, float]) -> SensorReport:
         """Takes a step with a command, m/s and rad/s, and returns what arrives from the sensors after it."""
         observation = self.env.step_commands(torch.tensor([command]))
         report = self._report(observation["outcome", "steps"])
@@ -109,12 +95,10 @@ class ServedRover:
             for lidar, rays in zip(self._lidars, self._rays, strict=True)
         }
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
-        report = report._replace(images={"depth": depth, "colors": colors}, wheels=self._wheels, outline=self._outline)
-        report = report._replace(points=points, ground=ground)
+        report = report._replace(images={"depth": depth, "colors": colors}, points=points, ground=ground)
         return report if is_new else report._replace(ranges=None)
 
     def close(self) -> None:
-        """Releases the simulator."""
         self.env.close()
 
     def _map(self, scan: HeightScan, position: torch.Tensor) -> ElevationMap:
@@ -127,7 +111,7 @@ class ServedRover:
         points = torch.stack(torch.meshgrid(x + along, y + along, indexing="ij"), -1)
         return ElevationMap(self.env.worlds[0].height_at(points).float(), (x, y), MAP_CELL, scan.layer)
 
-    def _report(self, steps: torch.Tensor) -> Report:
+    def _report(self, steps: torch.Tensor) -> SensorReport:
         env, delays = self.env, self.env.delays
         assert delays is not None
         sensed, pose, stamp = env.sensed_state, env.sensed_pose, env.rover_state.stamp
@@ -141,13 +125,11 @@ class ServedRover:
             "angular_velocity": sensed.angular_velocity,
             "stamp": stamp,
         }
-        felt = {"wheel_torque": env.rover_state.wheel_torque, "contact_force": env.rover_state.contact_force}
-        told |= {name: value for name, value in felt.items() if value is not None}
         late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
         ranges = delays.late("told scan", env.sensed_scan, steps, delays.scan)
-        return Report(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
+        return SensorReport(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
 
 
 def _points(lidar: Lidar3D, rays: torch.Tensor, ranges: torch.Tensor) -> torch.Tensor:

@@ -96,42 +96,30 @@ def at_rate(settings: Any, rate: float) -> Any:
 class Connection:
     """Topics and timeout of the connection to a live rover, as in the original environment's arguments.
 
-    Simulators that generate their own sensor data ignore it.
-
-    Args:
-        scan_topic: Topic of the ``sensor_msgs/LaserScan``.
-        imu_topic: Topic of the ``sensor_msgs/Imu``.
-        cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
-        camera_topic: Topic of the depth image, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it ends
-            in ``/compressed`` or ``/compressedDepth``. It is received if a sensor asks for it.
-        color_topic: Topic of the color image, likewise.
-        timeout: Time to wait for the first scan, s.
-        elevation_topic: Topic of the ground, a ``grid_map_msgs/GridMap`` or ``sensor_msgs/PointCloud2``, which is
-            received if a sensor asks for it.
-        points_topic: Topic of the 3D lidar, a ``sensor_msgs/PointCloud2``, which is received if a sensor asks for it.
-        joint_topic: Topic of the motor torques, a ``sensor_msgs/JointState``, likewise.
-        contact_topic: Topic of the contacts, a ``ros_gz_interfaces/Contacts``. ``None``: contacts are not received, and
-            a sensor that asks for them is refused, since silence means that there is none.
-
-    Raises:
-        ValueError: if a topic is not allowed in ROS 2.
+    Simulators that generate their own sensor data ignore it. Raises ``ValueError`` if ROS 2 does not allow a topic.
     """
 
     scan_topic: str = "/scan"
+    """Topic of the lidar scan, a sensor_msgs/LaserScan."""
     imu_topic: str = "/imu/data"
+    """Topic of the IMU, a sensor_msgs/Imu."""
     cmd_vel_topic: str = "/cmd_vel"
+    """Topic of the velocity command, a geometry_msgs/Twist."""
     camera_topic: str = "/camera/image_raw"
+    """Topic of the depth image, a sensor_msgs/Image, for policies that read one. One that ends in /compressed or
+    /compressedDepth has a sensor_msgs/CompressedImage."""
     color_topic: str = "/camera/color/image_raw"
+    """Topic of the color image, likewise."""
     timeout: float = 30.0
+    """Time to wait for the rover's first scan, s."""
     elevation_topic: str = "/elevation_map"
+    """Topic of the ground, a grid_map_msgs/GridMap or sensor_msgs/PointCloud2, for policies that read heights."""
     points_topic: str = "/points"
-    joint_topic: str = "/joint_states"
-    contact_topic: str | None = None
+    """Topic of a 3D lidar, a sensor_msgs/PointCloud2, for policies that read one."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        topics = {name: topic for name, topic in vars(self).items() if name.endswith("_topic")}
-        check_topics(**{name: topic for name, topic in topics.items() if (name, topic) != ("contact_topic", None)})
+        check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})
 
     @property
     def image_topics(self) -> dict[str, str]:

@@ -83,32 +83,27 @@ class DdsTransport:
         self._thread.start()
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
-        """See :meth:`Transport.subscribe`."""
-        # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
-        qos = _qos(reliable, HISTORY_DEPTH)
-        self._add(_Reader(topic, self._data_reader(topic, kind, qos), lambda message, _: receive(message)))
+        self._listen(topic, kind, reliable, lambda message, _: receive(message))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
-        """See :meth:`Transport.overhear`."""
         participant, node = self._require_open(), self.node
 
         def hear(message: Any, sender: str) -> None:
             if not participant.sends(node, sender):
                 receive(message, sender)
 
-        self._add(_Reader(topic, self._data_reader(topic, kind, _qos(False, HISTORY_DEPTH)), hear))
+        self._listen(topic, kind, False, hear)
 
-    def _data_reader(self, topic: str, kind: Any, qos: Qos) -> DataReader[Any]:
-        return DataReader(self._require_open().entity, self._topic(topic, kind), qos)
-
-    def _add(self, reader: _Reader) -> None:
+    def _listen(self, topic: str, kind: Any, reliable: bool, receive: Callable[[Any, str], object]) -> None:
+        # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
+        qos = _qos(reliable, HISTORY_DEPTH)
+        reader = _Reader(topic, DataReader(self._require_open().entity, self._topic(topic, kind), qos), receive)
         with self._lock:
             self._readers.append(reader)
             self._wait_set.attach(reader.condition)
         self._announce()
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        """See :meth:`Transport.publisher`."""
         qos = _qos(reliable, 1 if reliable else HISTORY_DEPTH)
         writer = DataWriter(self._require_open().entity, self._topic(topic, kind), qos)
         self._writers[topic] = writer
@@ -121,30 +116,25 @@ class DdsTransport:
         return publish
 
     def subscribers(self, topic: str) -> int:
-        """See :meth:`Transport.subscribers`."""
         with self._lock:
             own = sum(reader.topic == topic for reader in self._readers)
         return max(0, self._writers[topic].get_publication_matched_status().current_count - own)
 
     def publishers(self, topic: str) -> int:
-        """See :meth:`Transport.publishers`."""
         with self._lock:
             readers = [reader for reader in self._readers if reader.topic == topic]
-        return max((reader.senders.count() for reader in readers), default=0)
+        return max((len(reader.senders.active()) for reader in readers), default=0)
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
-        """See :meth:`Transport.types`."""
         builtin = BuiltinTopicDcpsSubscription if receivers else BuiltinTopicDcpsPublication
         reader = BuiltinDataReader(self._require_open().entity, builtin)
         found = (sample for sample in reader.read(MAX_ENDPOINTS) if sample.topic_name == _dds_name(topic))
         return {sample.type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for sample in found}
 
     def name_of(self, sender: str, topic: str) -> str:
-        """See :meth:`Transport.name_of`."""
         return self._require_open().node_of(sender) or "a publisher of no known node"
 
     def close(self) -> None:
-        """See :meth:`Transport.close`."""
         if self._participant is None:
             return
         self._stop.set(True)
@@ -210,7 +200,6 @@ class _Reader:
         self._identifiers: dict[int, str] = {}
 
     def take(self) -> list[Any]:
-        """Returns new samples."""
         return [sample for sample in self.reader.take(HISTORY_DEPTH, self.condition) if sample.sample_info.valid_data]
 
     def deliver(self, sample: Any) -> None:
@@ -259,7 +248,7 @@ class _Participant:
         _write(self._writer, self._message(self._identifier(self.entity), [*self._nodes.values()]))
 
     def sends(self, name: str, publisher: str) -> bool:
-        """Returns whether a node of this name in this process has a publisher, of hexadecimal digits."""
+        """Whether a node of this name in this process has a publisher, of hexadecimal digits."""
         own = (gid for node in [*self._nodes.values()] if node.node_name == name for gid in node.writer_gid_seq)
         return any(gid.data.tobytes().hex().startswith(publisher) for gid in own)
 
@@ -298,7 +287,6 @@ _participants_lock = threading.Lock()
 
 
 def _participant(environment: Mapping[str, str]) -> _Participant:
-    """Returns the participant of the environment's domain, and creates it if there is none."""
     number = domain_id(environment)
     with _participants_lock:
         participant = _participants.get(number)
@@ -341,7 +329,7 @@ def discovery(environment: Mapping[str, str]) -> tuple[str, list[str]]:
 
 
 def _discovery_settings(discovery_range: str, peers: list[str]) -> str:
-    """Returns Cyclone DDS's settings of the discovery, those of ``rmw_cyclonedds``."""
+    # As in rmw_cyclonedds.
     if discovery_range == "OFF":  # the tag separates the process from all others
         return (
             "<General><AllowMulticast>false</AllowMulticast></General><Discovery>"
@@ -366,7 +354,6 @@ def _discovery_settings(discovery_range: str, peers: list[str]) -> str:
 
 
 def _qos(reliable: bool, depth: int, durability: Any = Policy.Durability.Volatile) -> Qos:
-    """Returns the quality of service of a reader or a writer that keeps ``depth`` messages."""
     return Qos(
         Policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else Policy.Reliability.BestEffort,
         durability,
@@ -392,7 +379,7 @@ class _SerializedSample(IdlStruct):
 
     @classmethod
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Any:
-        """Returns the message, or the error of a malformed one."""
+        # The error of a malformed message is passed on in its place.
         try:
             return decode(cls._kind, data)
         except ValueError as error:
@@ -424,14 +411,12 @@ def _sample_type(kind: type[Message]) -> type[_SerializedSample]:
 
 
 def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[IdlStruct]:
-    """Returns Cyclone's type of a message."""
     package, folder, name = ros_type.split("/")
     fields = {field: _idl(layout, definitions) for field, layout in definitions.fielddefs[ros_type][1]}
     return make_idl_struct(name, f"{package}.{folder}.dds_.{name}_", fields, bases=bases)
 
 
 def _idl(layout: Any, definitions: Typestore) -> Any:
-    """Returns Cyclone's type of a field from its definition."""
     node, content = layout
     if node == Nodetype.BASE:
         return _BASE_TYPES[content[0]]

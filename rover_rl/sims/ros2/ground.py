@@ -1,26 +1,37 @@
-"""Ground and points around a live rover, from elevation maps and point clouds."""
+"""Ground and points around a live rover, from elevation maps and point clouds.
+
+Elevation maps are ``grid_map_msgs/GridMap`` with the conventions of https://github.com/ANYbotics/grid_map
+(``GridMapMath.cpp``, ``GridMapMsgHelpers.hpp``): the pose is that of the middle of the map, and rows go toward -x and
+columns toward -y from the cell at the start indices, in a circular buffer. Heights are those in the frame of the map: z
+of the pose does not count. Point clouds are ``sensor_msgs/PointCloud2``.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.rotations import rotate
-from rover_rl.sims.elevation_map import ElevationMap
-from rover_rl.sims.ros2.elevation_maps import read_elevation_map
-from rover_rl.sims.ros2.messages import GridMap, PointCloud2
-from rover_rl.sims.ros2.point_clouds import read_points
+from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.poses import read_finite
 from rover_rl.sims.ros2.sensors import Sensors, read_frame, read_stamp
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
+from rover_rl.sims.sensor_report import ElevationMap
 from rover_rl.sims.settings import Connection
 
-GROUND_TYPES = {kind.ros_type: kind for kind in (GridMap, PointCloud2)}
+COLUMN_MAJOR, ROW_MAJOR = ["column_index", "row_index"], ["row_index", "column_index"]
+"""Labels of the dimensions of a layer. grid_map itself writes the first ones."""
+KINDS = {7: "f4", 8: "f8"}
+"""Type of a coordinate, by its number in ``sensor_msgs/PointField``."""
+GROUND_TYPES = {kind.ros_type: kind for kind in (ros.GridMap, ros.PointCloud2)}
 """Messages that the ground is read from, by type."""
 LOWER_PART = 4
 """The height of a cell of a point cloud is that above which three quarters of its points lie."""
@@ -53,24 +64,22 @@ class LivePoints:
         self._kinds: dict[str, Any] = {}
 
     def cloud(self, topic: str | None) -> Tensor | None:
-        """See :meth:`~rover_rl.sims.base.LiveRover.point_cloud`."""
-        found = self._latest(topic or self._points_topic, "lidar3d", PointCloud2, self._read_own)
+        found = self._latest(topic or self._points_topic, "lidar3d", ros.PointCloud2, self._read_own)
         return None if found is None else found.value
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        """See :meth:`~rover_rl.sims.base.LiveRover.ground_at`."""
         topic = topic or self._elevation_topic
         kind = self._kind_of(topic)
-        if kind is GridMap:
+        if kind is ros.GridMap:
             found = self._latest(topic, f"layer {layer}", kind, partial(self._read_map, layer))
         else:
             found = self._latest(topic, "ground", kind, read_points)
         if found is None:
             return torch.full(grid.shape[:2], torch.nan)
         position, orientation = self._place(found, mount)
-        if kind is GridMap:
+        if kind is ros.GridMap:
             return sample(found.value, position, orientation, grid)
         return lowest_quarter(position + rotate(orientation, found.value), grid, yaw, cell)
 
@@ -81,11 +90,7 @@ class LivePoints:
         return latest
 
     def _kind_of(self, topic: str) -> Any:
-        """Returns the class of the messages on a topic: elevation maps, if no publisher appears in time.
-
-        Raises:
-            ValueError: if the messages on the topic are others.
-        """
+        """Returns the class of the messages on a topic: elevation maps, if no publisher appears in time."""
         if topic not in self._kinds:
             deadline = time.monotonic() + self._timeout
             while not (types := self._transport.types(topic)) and time.monotonic() < deadline:
@@ -97,14 +102,12 @@ class LivePoints:
         return self._kinds[topic]
 
     def _read_map(self, layer: str, msg: Any) -> ElevationMap:
-        """Reads an elevation map. Raises ``ValueError`` if it cannot be placed in the world: see the class."""
         frame, known = read_frame(msg), {self._base, self._sensors.pose_frame}
         if frame not in known and "" not in known:
             raise ValueError(f"an elevation map must be in the frame of pose or robot, {sorted(known)}, got {frame!r}")
         return read_elevation_map(msg, layer)
 
     def _read_own(self, msg: Any) -> Tensor:
-        """Reads the points of a cloud in the frame of its lidar. Raises ``ValueError`` for another frame."""
         frame = read_frame(msg)
         if frame and frame in (self._base, self._sensors.pose_frame):
             raise ValueError(f"the points of a 3D lidar must be in the frame of the lidar, got {frame!r}")
@@ -145,7 +148,9 @@ def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Te
 
     Args:
         points: points ``[P, 3]``, m.
-        grid, yaw, cell: see :meth:`~rover_rl.sims.base.LiveRover.ground_at`.
+        grid: middles of the cells, ``[rows, columns, 2]``, m. Rows follow one another backward, columns to the right.
+        yaw: direction that is ahead, ``[]``, rad.
+        cell: side of a cell, m.
 
     Returns:
         Heights ``[rows, columns]``, m; NaN in cells without a point.
@@ -163,3 +168,100 @@ def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Te
     quarter = count.cumsum(0) - count + (count - 1).clamp(min=0) // LOWER_PART
     ordered = torch.cat((heights[by_cell], heights.new_full((1,), torch.nan)))
     return ordered[quarter.masked_fill(count == 0, len(heights))].unflatten(0, (rows, columns))
+
+
+def read_elevation_map(msg: Any, layer: str = "elevation") -> ElevationMap:
+    """Reads a layer of a ``grid_map_msgs/GridMap``.
+
+    Raises ``ValueError`` if the layer is missing or has another size than the map, a number of the geometry is out of
+    range, or the map is turned in its frame.
+    """
+    names, info = [*msg.layers], msg.info
+    if layer not in names or len(names) != len(msg.data):
+        raise ValueError(f"an elevation map must have the layer {layer!r}, got {names} with {len(msg.data)} arrays")
+    cell, center, turn = float(info.resolution), info.pose.position, info.pose.orientation
+    if not 0 < cell < math.inf:
+        raise ValueError(f"the resolution of an elevation map must be positive and finite, got {cell}")
+    x, y = read_finite("center of an elevation map", center.x, center.y).tolist()
+    if max(map(abs, (turn.x, turn.y, turn.z))) > 1e-3:
+        raise ValueError(f"an elevation map must not be turned in its frame, got the orientation {turn}")
+    heights = _read_layer(msg.data[names.index(layer)])
+    size = [length / cell for length in (info.length_x, info.length_y)]
+    if any(not abs(cells - count) < 0.5 for cells, count in zip(size, heights.shape, strict=True)):
+        raise ValueError(
+            f"an elevation map of {info.length_x} x {info.length_y} m with cells of {cell} m has {heights.shape} cells"
+        )
+    start = -int(msg.outer_start_index), -int(msg.inner_start_index)
+    unwrapped = torch.from_numpy(np.array(heights)).roll(start, (0, 1))
+    return ElevationMap(unwrapped.masked_fill(~unwrapped.isfinite(), torch.nan), (x, y), cell, layer)
+
+
+def _read_layer(array: Any) -> np.ndarray:
+    sizes, labels = [int(each.size) for each in array.layout.dim], [each.label for each in array.layout.dim]
+    data = np.asarray(array.data, dtype=np.float32)[int(array.layout.data_offset) :]
+    if labels not in (COLUMN_MAJOR, ROW_MAJOR) or min(sizes) < 1 or len(data) < math.prod(sizes):
+        raise ValueError(
+            f"a layer must have the dimensions {COLUMN_MAJOR}, got {labels} of {sizes} with {len(data)} values"
+        )
+    grid = data[: math.prod(sizes)].reshape(sizes)
+    return grid if labels == ROW_MAJOR else grid.T
+
+
+def elevation_map_message(ground: ElevationMap, stamp: Any, frame: str) -> Any:
+    """Builds the message of an elevation map with one layer."""
+    rows, columns = ground.heights.shape
+    layout = ros.MultiArrayLayout(
+        [
+            ros.MultiArrayDimension("column_index", columns, rows * columns),
+            ros.MultiArrayDimension("row_index", rows, rows),
+        ]
+    )
+    data = ground.heights.float().T.contiguous().flatten().numpy()
+    pose = ros.Pose(ros.Point(*ground.center))
+    info = ros.GridMapInfo(ground.cell, rows * ground.cell, columns * ground.cell, pose)
+    array = ros.Float32MultiArray(layout, data)
+    return ros.GridMap(ros.Header(stamp, frame), info, [ground.layer], [ground.layer], [array])
+
+
+def read_points(msg: Any) -> Tensor:
+    """Reads the points of a cloud with finite coordinates, float32 ``[P, 3]``, m.
+
+    Raises ``ValueError`` if the fields x, y and z are missing or no floats, or there is too little data.
+    """
+    fields = {each.name: (KINDS.get(int(each.datatype), ""), int(each.offset)) for each in msg.fields}
+    kinds, offsets = zip(*(fields.get(name, ("", 0)) for name in "xyz"), strict=True)
+    if not all(kinds):
+        raise ValueError(f"a point cloud must have x, y and z as float32 or float64, got the fields {sorted(fields)}")
+    rows, columns, step, row_step = int(msg.height), int(msg.width), int(msg.point_step), int(msg.row_step)
+    data = bytes(msg.data)
+    end = max(offset + int(kind[1]) for kind, offset in zip(kinds, offsets, strict=True))
+    # Drivers of unorganized clouds often leave out the length of the only row.
+    row_step = columns * step if rows == 1 else row_step
+    if step < end or row_step < columns * step or len(data) < rows * row_step:
+        raise ValueError(
+            f"a point cloud of {columns} x {rows} points of {step} bytes, whose coordinates end at {end}, has "
+            f"{len(data)} bytes, in rows of {row_step}"
+        )
+    order = ">" if msg.is_bigendian else "<"
+    formats = [order + kind for kind in kinds]
+    point = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": step})
+    cloud = np.ndarray((rows, columns), point, data, strides=(row_step, step)).reshape(-1)
+    points = torch.from_numpy(np.stack([cloud[name].astype(np.float32) for name in "xyz"], -1))
+    return points[points.isfinite().all(-1)]
+
+
+def point_cloud_message(points: Tensor, stamp: Any, frame: str) -> Any:
+    """Builds the message of an organized cloud ``[rows, columns, 3]``, m, with NaN for no return."""
+    rows, columns, _ = points.shape
+    data = points.float().contiguous().numpy().astype("<f4").tobytes()
+    return ros.PointCloud2(
+        ros.Header(stamp, frame),
+        height=rows,
+        width=columns,
+        fields=[ros.PointField(name, 4 * number, 7, 1) for number, name in enumerate("xyz")],
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * columns,
+        data=np.frombuffer(data, dtype=np.uint8),
+        is_dense=False,
+    )

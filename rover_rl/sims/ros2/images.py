@@ -1,8 +1,18 @@
-"""Images as ROS 2 messages: depths with the encodings of REP 118, and colors, ``sensor_msgs/Image``."""
+"""Images as ROS 2 messages: ``sensor_msgs/Image`` with the encodings of REP 118, and ``sensor_msgs/CompressedImage``.
+
+The end of a topic's name tells how images are compressed, as by the plugins of image_transport. ``compressed`` sends
+JPEG or PNG files: colors, or depths of 16 bits in mm. ``compressedDepth`` sends PNG files of 16 bits behind a header of
+12 bytes: the number of the format and two parameters, a and b. With the encoding ``16UC1``, the file has depths in mm,
+with ``32FC1`` numbers v for depths of a / (v - b), m, where 0 is no depth
+(https://github.com/ros-perception/image_transport_plugins, ``compressed_depth_image_transport/src/codec.cpp``).
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import struct
+from collections.abc import Callable
+from io import BytesIO
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -10,6 +20,12 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.sensor_report import ImageKind
+
+try:
+    from PIL import Image
+except ImportError:  # pragma: no cover
+    Image = None  # type: ignore[assignment]
 
 MILLIMETERS = 0.001
 """Unit of depths that are whole numbers, m."""
@@ -23,44 +39,77 @@ COLOR_ENCODINGS = {
     "mono8": (1, [0, 0, 0]),
 }
 """Number of bytes of a pixel, and those of red, green and blue, by the name of the encoding."""
+HEADER = struct.Struct("<iff")
+"""Header of ``compressedDepth``: number of the format, a and b."""
+PNG = b"\x89PNG"
+"""First bytes of a PNG file."""
+QUALITY = 95
+"""Quality of JPEG files, at most 100."""
 
 
-def read_depth(msg: Any) -> Tensor:
-    """Reads a depth image, float32 ``[rows, columns]``, m; 0 for pixels that are lost or too close.
+class ImageFormat(NamedTuple):
+    """How images go over a topic: class of the messages, and functions that read and write them.
 
-    ``inf`` is a pixel without a return (REP 117).
+    ``read`` raises ``ValueError`` for a message that it cannot read. ``write`` takes an image, its stamp and the name
+    of its frame. Depth images are ``[rows, columns]``, m: 0 for pixels that are lost or too close, ``inf`` without a
+    return (REP 117). Color images are red, green and blue from 0 to 1, ``[3, rows, columns]``.
+    """
+
+    message: Any
+    read: Callable[[Any], Tensor]
+    write: Callable[[Tensor, Any, str], Any]
+
+
+def image_format(kind: ImageKind, topic: str) -> ImageFormat:
+    """Returns the format of a topic: compressed if it ends in ``/compressed`` or ``/compressedDepth``.
 
     Raises:
-        ValueError: for another encoding, or too little data.
+        ValueError: for colors on ``/compressedDepth``.
+        ImportError: if images are compressed, and Pillow is not installed.
     """
+    transport = topic.rpartition("/")[2]
+    if transport not in ("compressed", "compressedDepth"):
+        raw = {"depth": (_read_depth, _depth_message), "colors": (_read_colors, _color_message)}
+        return ImageFormat(ros.Image, *raw[kind])
+    if Image is None:
+        raise ImportError('compressed images require the package Pillow: pip install "rover_rl[ros2]"')
+    if kind == "depth":
+        write = _header_depth_message if transport == "compressedDepth" else _compressed_depth_message
+        return ImageFormat(ros.CompressedImage, _read_compressed_depth, write)
+    if transport != "compressed":
+        raise ValueError(f"topics of colors end in /compressed if they are compressed, got {topic!r}")
+    return ImageFormat(ros.CompressedImage, _read_compressed_colors, _compressed_color_message)
+
+
+def resized(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """Returns the nearest pixels of an image ``[..., rows, columns]`` in another size. Pixels are not mixed."""
+    flat = image.reshape(1, -1, *image.shape[-2:])
+    return interpolate(flat, size, mode="nearest-exact").reshape(*image.shape[:-2], *size)
+
+
+def _read_depth(msg: Any) -> Tensor:
     if msg.encoding not in ENCODINGS:
         raise ValueError(f"the encoding of a depth image must be one of {[*ENCODINGS]}, got {msg.encoding!r}")
     kind, unit = ENCODINGS[msg.encoding]
     depth_type = np.dtype(kind).newbyteorder(">" if msg.is_bigendian else "<")
-    return depths_of(_lines(msg, depth_type.itemsize, "depth").view(depth_type), unit)
+    return _depths(_lines(msg, depth_type.itemsize, "depth").view(depth_type), unit)
 
 
-def depths_of(values: np.ndarray, unit: float = 1.0) -> Tensor:
-    """Returns depths in m of ``values`` in a unit (m), float32. NaN and what is negative is 0."""
+def _depths(values: np.ndarray, unit: float = 1.0) -> Tensor:
+    """Converts depths in a unit (m) to m. NaN and what is negative becomes 0."""
     depth = torch.from_numpy(values.astype(np.float32)) * unit
     return torch.nan_to_num(depth, nan=0.0, posinf=torch.inf, neginf=0.0).clamp_min(0.0)
 
 
-def read_colors(msg: Any) -> Tensor:
-    """Reads a color image, red, green and blue from 0 to 1, float32 ``[3, rows, columns]``. Gray has equal channels.
-
-    Raises:
-        ValueError: for another encoding, or too little data.
-    """
+def _read_colors(msg: Any) -> Tensor:
     if msg.encoding not in COLOR_ENCODINGS:
         raise ValueError(f"the encoding of a color image must be one of {[*COLOR_ENCODINGS]}, got {msg.encoding!r}")
     width, channels = COLOR_ENCODINGS[msg.encoding]
     lines = _lines(msg, width, "color")
-    return colors_of(lines.reshape(len(lines), -1, width)[..., channels])
+    return _colors(lines.reshape(len(lines), -1, width)[..., channels])
 
 
-def colors_of(pixels: np.ndarray) -> Tensor:
-    """Returns colors from 0 to 1, float32 ``[3, rows, columns]``, of ``pixels [rows, columns, 3]``, uint8."""
+def _colors(pixels: np.ndarray) -> Tensor:
     return torch.from_numpy(np.moveaxis(pixels, -1, 0).astype(np.float32)) / 255
 
 
@@ -73,32 +122,85 @@ def _lines(msg: Any, width: int, what: str) -> np.ndarray:
     return np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, : columns * width])
 
 
-def resized(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Returns the nearest pixels of an image ``[..., rows, columns]`` in another size. Pixels are not mixed."""
-    flat = image.reshape(1, -1, *image.shape[-2:])
-    return interpolate(flat, size, mode="nearest-exact").reshape(*image.shape[:-2], *size)
+def _read_compressed_colors(msg: Any) -> Tensor:
+    image = _opened(bytes(msg.data))
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"a color image must have 8 bits a channel, got {msg.format!r} with more")
+    pixels = np.array(image.convert("RGB"))
+    # Files that were made from RGB pixels have red and blue interchanged, as the plugin expects BGR.
+    return _colors(pixels[..., ::-1] if "compressed rgb" in msg.format else pixels)
 
 
-def depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
-    """Builds the message of a depth image ``[rows, columns]``, m."""
-    return _message(depth.float().contiguous().numpy().astype("<f4")[..., None], "32FC1", stamp, frame)
+def _read_compressed_depth(msg: Any) -> Tensor:
+    data, encoding = bytes(msg.data), msg.format.partition(";")[0].strip()
+    # Whether there is a header depends on the plugin, and not all publishers name it in the format.
+    start = 0 if data.startswith(PNG) else HEADER.size
+    if encoding not in ("16UC1", "mono16", "32FC1", "png") or not data[start:].startswith(PNG):
+        raise ValueError(f"a compressed depth image must be a PNG of 16UC1 or 32FC1, got {msg.format!r}")
+    image = _opened(data[start:])
+    if not image.mode.startswith("I"):
+        raise ValueError(f"a compressed depth image must have 16 bits a pixel, got {msg.format!r} with less")
+    values = np.array(image).astype(np.float64)
+    if encoding != "32FC1":
+        return _depths(values, MILLIMETERS)
+    if not start:
+        raise ValueError("a compressed depth image of 32FC1 must have the header of compressedDepth")
+    _, a, b = HEADER.unpack_from(data)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return _depths(np.where(values > 0, a / (values - b), 0.0))
 
 
-def color_message(colors: Tensor, stamp: Any, frame: str) -> Any:
-    """Builds the message of a color image ``[3, rows, columns]``, from 0 to 1."""
-    return _message(pixels_of(colors), "rgb8", stamp, frame)
+def _opened(data: bytes) -> Any:
+    """Decodes a JPEG or PNG file. Raises ``ValueError`` if it is none, or broken."""
+    try:
+        image = Image.open(BytesIO(data), formats=("JPEG", "PNG"))
+        image.load()
+    except (OSError, EOFError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError) as error:
+        raise ValueError(f"a compressed image must be a whole JPEG or PNG, got {len(data)} bytes") from error
+    if not min(image.size):
+        raise ValueError(f"a compressed image has {image.width} x {image.height} pixels")
+    return image
 
 
-def pixels_of(colors: Tensor) -> np.ndarray:
-    """Returns the pixels ``[rows, columns, 3]``, uint8, of colors from 0 to 1, ``[3, rows, columns]``."""
+def _depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
+    return _raw(depth.float().contiguous().numpy().astype("<f4")[..., None], "32FC1", stamp, frame)
+
+
+def _color_message(colors: Tensor, stamp: Any, frame: str) -> Any:
+    return _raw(_pixels(colors), "rgb8", stamp, frame)
+
+
+def _pixels(colors: Tensor) -> np.ndarray:
     return (255 * colors).round().clamp(0, 255).byte().permute(1, 2, 0).contiguous().numpy()
 
 
-def _message(pixels: np.ndarray, encoding: str, stamp: Any, frame: str) -> Any:
-    """Builds the message of ``pixels [rows, columns, channels]``."""
+def _raw(pixels: np.ndarray, encoding: str, stamp: Any, frame: str) -> Any:
     rows, columns, _ = pixels.shape
-    data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
-    header = ros.Header(stamp, frame)
+    data, header = np.frombuffer(pixels.tobytes(), dtype=np.uint8), ros.Header(stamp, frame)
     return ros.Image(
         header, height=rows, width=columns, encoding=encoding, is_bigendian=0, step=len(data) // rows, data=data
     )
+
+
+def _compressed_color_message(colors: Tensor, stamp: Any, frame: str) -> Any:
+    file = BytesIO()
+    Image.fromarray(_pixels(colors)).save(file, "JPEG", quality=QUALITY)
+    return _compressed("rgb8; jpeg compressed bgr8", file.getvalue(), stamp, frame)
+
+
+def _compressed_depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
+    return _compressed("16UC1; png compressed", _depth_png(depth), stamp, frame)
+
+
+def _header_depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
+    return _compressed("16UC1; compressedDepth png", HEADER.pack(0, 0.0, 0.0) + _depth_png(depth), stamp, frame)
+
+
+def _depth_png(depth: Tensor) -> bytes:
+    millimeters, file = (depth / MILLIMETERS).round().clamp(0, 65535).numpy().astype(np.uint16), BytesIO()
+    Image.fromarray(millimeters).save(file, "PNG")
+    return file.getvalue()
+
+
+def _compressed(form: str, data: bytes, stamp: Any, frame: str) -> Any:
+    return ros.CompressedImage(ros.Header(stamp, frame), format=form, data=np.frombuffer(data, dtype=np.uint8))

@@ -26,52 +26,14 @@ except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 requires the package rosbags: pip install "rover_rl[ros2]"') from error
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
-"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map and ros_gz, as in their branches."""
-DEFINITIONS = {
-    "grid_map_msgs/msg/GridMapInfo": """
-float64 resolution
-float64 length_x
-float64 length_y
-geometry_msgs/Pose pose
-""",
-    "grid_map_msgs/msg/GridMap": """
-std_msgs/Header header
-GridMapInfo info
-string[] layers
-string[] basic_layers
-std_msgs/Float32MultiArray[] data
-uint16 outer_start_index
-uint16 inner_start_index
-""",
-    "ros_gz_interfaces/msg/Entity": """
-uint64 id
-string name
-uint8 type
-""",
-    "ros_gz_interfaces/msg/JointWrench": """
-std_msgs/Header header
-std_msgs/String body_1_name
-std_msgs/UInt32 body_1_id
-std_msgs/String body_2_name
-std_msgs/UInt32 body_2_id
-geometry_msgs/Wrench body_1_wrench
-geometry_msgs/Wrench body_2_wrench
-""",
-    "ros_gz_interfaces/msg/Contact": """
-Entity collision1
-Entity collision2
-geometry_msgs/Vector3[] positions
-geometry_msgs/Vector3[] normals
-float64[] depths
-JointWrench[] wrenches
-""",
-    "ros_gz_interfaces/msg/Contacts": """
-std_msgs/Header header
-Contact[] contacts
-""",
+"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map, as in its branch."""
+_GRID_MAP = {
+    "GridMapInfo": "float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose\n",
+    "GridMap": "std_msgs/Header header\nGridMapInfo info\nstring[] layers\nstring[] basic_layers\n"
+    "std_msgs/Float32MultiArray[] data\nuint16 outer_start_index\nuint16 inner_start_index\n",
 }
-for _name, _definition in DEFINITIONS.items():
-    TYPES.register(get_types_from_msg(_definition, _name))
+for _name, _definition in _GRID_MAP.items():
+    TYPES.register(get_types_from_msg(_definition, f"grid_map_msgs/msg/{_name}"))
 
 
 class Message:
@@ -89,7 +51,6 @@ class Message:
 class _Time(Message):
     @classmethod
     def from_seconds(cls, seconds: float) -> Any:
-        """Converts seconds."""
         return cls(*divmod(round(seconds * 1e9), 1_000_000_000))  # type: ignore[call-arg]
 
 
@@ -115,6 +76,7 @@ def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
     return list if element == Nodetype.NAME or name[0] == "string" else partial(np.zeros, length, name[0])
 
 
+# Fields first.
 Time = message_class("builtin_interfaces/msg/Time", base=_Time)
 Header = message_class("std_msgs/msg/Header")
 Vector3 = message_class("geometry_msgs/msg/Vector3")
@@ -131,7 +93,6 @@ TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
 Odometry = message_class("nav_msgs/msg/Odometry")
 Imu = message_class("sensor_msgs/msg/Imu")
 LaserScan = message_class("sensor_msgs/msg/LaserScan")
-JointState = message_class("sensor_msgs/msg/JointState")
 Image = message_class("sensor_msgs/msg/Image")
 CompressedImage = message_class("sensor_msgs/msg/CompressedImage")
 Clock = message_class("rosgraph_msgs/msg/Clock")
@@ -142,13 +103,6 @@ MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
 Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
 GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
 GridMap = message_class("grid_map_msgs/msg/GridMap")
-String = message_class("std_msgs/msg/String")
-UInt32 = message_class("std_msgs/msg/UInt32")
-Wrench = message_class("geometry_msgs/msg/Wrench")
-Entity = message_class("ros_gz_interfaces/msg/Entity")
-JointWrench = message_class("ros_gz_interfaces/msg/JointWrench")
-Contact = message_class("ros_gz_interfaces/msg/Contact")
-Contacts = message_class("ros_gz_interfaces/msg/Contacts")
 
 
 def encode(message: Message) -> bytes:

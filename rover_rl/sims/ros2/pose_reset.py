@@ -16,13 +16,13 @@ from rover_rl.sims.ros2.transport import Transport
 
 GAZEBO_MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}
 """Gazebo's commands, of Fortress and Harmonic, with the message package of each."""
-_FAILURES = ("ERROR", "Unable", "timed out", "failed")
+FAILURES = ("ERROR", "Unable", "timed out", "failed")
 """Words in the output of a failed Gazebo service call, whose exit code is 0 as well."""
-_SUBSCRIBER_TIMEOUT = 5.0
+SUBSCRIBER_TIMEOUT = 5.0
 """Time to wait for a subscriber of the reset topic, s."""
-_DISCOVERY_TIMEOUT = 1.0
+DISCOVERY_TIMEOUT = 1.0
 """Time to wait for a subscriber in automatic selection, after the rover's sensors have been received, s."""
-_SERVICE_TIMEOUT_MS = 2000
+SERVICE_TIMEOUT_MS = 2000
 """Timeout of a Gazebo service call, ms."""
 
 _log = logging.getLogger(__name__)
@@ -76,12 +76,16 @@ class Placer:
         if self._way in GAZEBO_MESSAGES:
             place_in_gazebo(self._way, self._world, self._settings.model, target)
         elif self._way == "topic":
-            self._send(target)
+            if not self._has_subscriber(SUBSCRIBER_TIMEOUT):
+                topic = self._settings.reset_topic
+                raise PoseResetError(f"no node subscribes to {topic}, so the rover cannot be moved to the start")
+            pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
+            self._publish(PoseStamped(Header(frame_id="world"), pose))
         elif self._way == "manual":
             _ask_for(target)
 
     def _select(self) -> PoseReset:
-        if self._has_subscriber(_DISCOVERY_TIMEOUT):
+        if self._has_subscriber(DISCOVERY_TIMEOUT):
             return "topic"
         if shutil.which("ign"):
             return "ign"
@@ -95,21 +99,12 @@ class Placer:
         return "none"
 
     def _has_subscriber(self, timeout: float) -> bool:
-        """Waits at most ``timeout`` (s) for a node that subscribes to the topic; returns whether there is one."""
         deadline = time.monotonic() + timeout
         while not self._transport.subscribers(self._settings.reset_topic):
             if time.monotonic() > deadline:
                 return False
             time.sleep(0.01)
         return True
-
-    def _send(self, target: TargetPose) -> None:
-        """Publishes the pose to a node that moves the rover, such as ``rover-rl robot``, once it subscribes."""
-        if not self._has_subscriber(_SUBSCRIBER_TIMEOUT):
-            topic = self._settings.reset_topic
-            raise PoseResetError(f"no node subscribes to {topic}, so the rover cannot be moved to the start")
-        pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
-        self._publish(PoseStamped(Header(frame_id="world"), pose))
 
 
 def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) -> None:
@@ -130,14 +125,14 @@ def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) ->
     package = GAZEBO_MESSAGES[command]
     arguments = [command, "service", "-s", f"/world/{world}/set_pose"]
     arguments += ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
-    arguments += ["--timeout", str(_SERVICE_TIMEOUT_MS), "--req", request]
-    limit = 2 * _SERVICE_TIMEOUT_MS / 1000
+    arguments += ["--timeout", str(SERVICE_TIMEOUT_MS), "--req", request]
+    limit = 2 * SERVICE_TIMEOUT_MS / 1000
     try:
         answer = subprocess.run(arguments, capture_output=True, text=True, errors="replace", timeout=limit, check=False)
     except subprocess.TimeoutExpired as error:
         raise PoseResetError(f"{command} did not finish within {error.timeout:g} s") from error
     printed = answer.stdout + "\n" + answer.stderr
-    if "data: true" not in map(str.strip, answer.stdout.splitlines()) or any(word in printed for word in _FAILURES):
+    if "data: true" not in map(str.strip, answer.stdout.splitlines()) or any(word in printed for word in FAILURES):
         output = printed.strip() or "nothing"
         raise PoseResetError(f"{' '.join(arguments[:4])} did not move {model!r}; its output: {output}")
 
@@ -148,6 +143,4 @@ def _ask_for(target: TargetPose) -> None:
     try:
         input(f"Put the rover at {where}, and press Enter: ")
     except EOFError as error:
-        raise PoseResetError(
-            f"nobody answers the prompt to put the rover at {where}: standard input is closed"
-        ) from error
+        raise PoseResetError(f"nobody answers the prompt to put the rover at {where}: no standard input") from error

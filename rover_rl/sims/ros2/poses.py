@@ -47,11 +47,6 @@ def read_finite(name: str, *numbers: float) -> Tensor:
     return values
 
 
-def read_position(point: Any) -> Tensor:
-    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m."""
-    return read_finite("position", point.x, point.y, point.z)
-
-
 def read_orientation(q: Any) -> Tensor:
     """Reads and normalizes a ``geometry_msgs/Quaternion`` other than zero: float32 ``[4]`` as (x, y, z, w)."""
     quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
@@ -63,14 +58,16 @@ def read_orientation(q: Any) -> Tensor:
 
 def read_pose(pose: Any) -> MeasuredPose:
     """Reads a ``geometry_msgs/Pose``."""
-    return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
+    point = pose.position
+    return MeasuredPose(read_finite("position", point.x, point.y, point.z), read_orientation(pose.orientation))
 
 
 def read_pose_array(msg: Any) -> MeasuredPose:
     """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid."""
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
-    position = read_position(msg.poses[0].position)
+    point = msg.poses[0].position
+    position = read_finite("position", point.x, point.y, point.z)
     try:
         return MeasuredPose(position, read_orientation(msg.poses[0].orientation))
     except (ValueError, AttributeError):

@@ -57,7 +57,6 @@ class RclpyTransport:
         self._thread.start()
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
-        """See :meth:`Transport.subscribe`."""
         streams = self._streams[topic]
 
         def take(message: Any, info: Any) -> None:
@@ -67,7 +66,7 @@ class RclpyTransport:
         self._subscribe(topic, kind, take, _qos_profile(reliable))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
-        """See :meth:`Transport.overhear`. rclpy does not tell the publisher of a message, but its sequence number."""
+        # rclpy does not tell the publisher of a message, but its sequence number.
         sent = _sent[self._node.get_name(), topic]
 
         def take(message: Any, info: Any) -> None:
@@ -85,7 +84,6 @@ class RclpyTransport:
         self._node.create_subscription(_ros_class(kind), topic, collect, qos)
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        """See :meth:`Transport.publisher`."""
         publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable))
         self._publishers[topic] = publisher
         sent, numbers = _sent[self._node.get_name(), topic], count(1)
@@ -98,15 +96,12 @@ class RclpyTransport:
         return publish
 
     def subscribers(self, topic: str) -> int:
-        """See :meth:`Transport.subscribers`."""
         return max(0, self._publishers[topic].get_subscription_count() - self._subscriptions[topic])
 
     def publishers(self, topic: str) -> int:
-        """See :meth:`Transport.publishers`."""
-        return self._streams[topic].count()
+        return len(self._streams[topic].active())
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
-        """See :meth:`Transport.types`."""
         node = self._node
         found = node.get_subscriptions_info_by_topic if receivers else node.get_publishers_info_by_topic
         return {info.topic_type for info in found(topic)}
@@ -119,7 +114,6 @@ class RclpyTransport:
         return " or ".join(names) or "a publisher of no known node"
 
     def close(self) -> None:
-        """See :meth:`Transport.close`."""
         if self._closed:
             return
         self._closed = True
@@ -147,10 +141,7 @@ class _Streams(ActiveSenders):
     """Publishers of a topic, which the sequence numbers of their messages tell apart."""
 
     def heard(self, key: int | None) -> None:
-        """Takes note of the message with a sequence number, which goes on with that of the nearest lower number.
-
-        Without numbers, all messages are of one publisher.
-        """
+        """A message goes on with the publisher of the nearest lower number. Without numbers, there is one publisher."""
         before = [last for last in self.active() if key is not None and 0 < key - last <= MAX_LOST]
         if before:
             self._last_heard.pop(max(before))
@@ -158,7 +149,7 @@ class _Streams(ActiveSenders):
 
 
 def _counted(names: Counter[str], name: str) -> bool:
-    """Returns whether a name is still counted, and counts it no more."""
+    """Whether a name is still counted, which is no more after the call."""
     names[name] -= 1
     return names[name] >= 0
 
@@ -173,13 +164,12 @@ def _qos_profile(reliable: bool) -> QoSProfile:
 
 
 def _ros_class(kind: Any) -> Any:
-    """Returns ROS's class for a message class or message."""
     package, folder, name = kind.ros_type.split("/")
     return getattr(import_module(f"{package}.{folder}"), name)
 
 
 def _to_ros(value: Any) -> Any:
-    """Returns a message, in fields and lists too, as an instance of ROS's class; other values unchanged."""
+    """Turns a message, in fields and lists too, into an instance of ROS's class; leaves other values unchanged."""
     if is_dataclass(value):
         ros = _ros_class(value)()
         for field in fields(value):

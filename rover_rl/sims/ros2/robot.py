@@ -16,16 +16,13 @@ import numpy as np
 from torch import Tensor
 
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.contacts import contacts_message
-from rover_rl.sims.ros2.elevation_maps import elevation_map_message
-from rover_rl.sims.ros2.image_formats import image_format
-from rover_rl.sims.ros2.joints import joint_state_message
-from rover_rl.sims.ros2.point_clouds import point_cloud_message
+from rover_rl.sims.ros2.ground import elevation_map_message, point_cloud_message
+from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.served import Report, Served
+from rover_rl.sims.sensor_report import SensorReport, SimulatedRover
 from rover_rl.sims.settings import Connection
 
 FRAME = "world"
@@ -34,8 +31,6 @@ TYPES_PERIOD = 1.0
 """Time between two looks at the types of the messages that others send, s."""
 COMMAND_LIFETIME = 0.5
 """Simulation time without a command after which the rover stops, as real rovers do, s."""
-CONTACT_TOPIC = "/contacts"
-"""Topic of the contacts, if none is named."""
 RANGE_MIN = 0.15
 """Minimum range of the original's lidar, m."""
 NOT_MEASURED = -1.0
@@ -48,18 +43,16 @@ class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
 
     Args:
-        rover: the rover.
-        transport: transport to publish and subscribe on.
+        rover, transport: the rover, and what it is connected to.
         lidar_range: maximum range of the lidar, m.
-        settings: topics of odometry, pose and reset, and the direction of the lidar.
-        connection: topics of scan, IMU and command.
+        settings, connection: topics, and the direction of the lidar.
         start: initial pose: x, y (m) and yaw (rad).
         view: angle that the scans cover, half of it to either side of straight ahead, rad.
     """
 
     def __init__(
         self,
-        rover: Served,
+        rover: SimulatedRover,
         transport: Transport,
         lidar_range: float,
         settings: Ros2Settings = Ros2Settings(),  # noqa: B008  (it is frozen)
@@ -69,7 +62,6 @@ class RobotNode:
     ) -> None:
         self._rover = rover
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
-        self._model = settings.model
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
         self._command, self._command_age = (0.0, 0.0), 0.0
@@ -171,12 +163,12 @@ class RobotNode:
         self._types_checked = time.monotonic()
         for topic, kind in self._receives.items():
             if others := other_types(self._transport, topic, kind):
-                hint = "; with --stamped, it receives geometry_msgs/TwistStamped" if kind is ros.Twist else ""
+                hint = "; with --command twist_stamped, it receives TwistStamped" if kind is ros.Twist else ""
                 own = kind.ros_type.replace("/msg/", "/")
                 self._log.warning(topic, "%s: ignored %s: the robot receives %s%s", topic, others, own, hint)
 
-    def _publish_report(self, report: Report) -> None:
-        """Publishes what has arrived. The scan comes last, as subscribers wait for it."""
+    def _publish_report(self, report: SensorReport) -> None:
+        # The scan comes last, as subscribers wait for it.
         state, scan_time = report.state, ros.Time.from_seconds(report.scan_stamp)
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
@@ -190,12 +182,6 @@ class RobotNode:
             self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
         for topic, ground in report.ground.items():
             self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, FRAME))
-        if report.wheels and (torque := state.wheel_torque) is not None:
-            self._send(connection.joint_topic, joint_state_message(report.wheels, torque[0], stamp))
-        if report.outline and (force := state.contact_force) is not None:
-            place = state.position[0], state.orientation[0]
-            contacts = contacts_message(force[0], report.outline, *place, self._model, stamp)
-            self._send(connection.contact_topic or CONTACT_TOPIC, contacts)
         for message in (
             ros.Clock(ros.Time.from_seconds(report.time)),
             ros.PoseArray(ros.Header(stamp, FRAME), [pose]),
@@ -206,7 +192,6 @@ class RobotNode:
             self._publish[type(message)](message)
 
     def _send(self, topic: str, message: Any) -> None:
-        """Publishes a message on a topic of a sensor that not every rover has."""
         if topic not in self._publish_on:
             self._publish_on[topic] = self._transport.publisher(topic, type(message), reliable=True)
         self._publish_on[topic](message)
@@ -223,7 +208,7 @@ class RobotNode:
         return ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist)
 
     def _imu(self, state: RoverState, stamp: Any, orientation: Any) -> Any:
-        """Builds an IMU message without acceleration. The body turns more slowly than wheel odometry reports."""
+        # The body turns more slowly than wheel odometry reports.
         yaw = yaw_of(state.orientation[0])
         yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / state.dt.item(), yaw
         imu = ros.Imu(ros.Header(stamp, "imu_link"), orientation, angular_velocity=ros.Vector3(z=yaw_rate))

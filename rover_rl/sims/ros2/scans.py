@@ -38,7 +38,7 @@ class Scan(NamedTuple):
         return min(2 * math.pi, len(self.ranges) * self.angle_increment)
 
     def mounted(self, yaw: float, inverted: bool = False) -> Scan:
-        """Returns the scan counter-clockwise from straight ahead of the robot, on which the lidar is mounted.
+        """Returns the scan counter-clockwise from straight ahead of a robot on which the lidar is mounted.
 
         Its zero angle has the direction ``yaw`` (rad). If ``inverted``, it hangs upside down, by a roll of pi before
         the turn by ``yaw``.
@@ -66,8 +66,7 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     ``range_max`` (REP 117). Readings that the angles announce and ``ranges`` lacks also count as invalid. The limits
     apply only if ``range_max`` is greater than ``range_min``.
 
-    Raises:
-        ValueError: if the scan has no readings, unusable angles, or too many invalid readings.
+    Raises ``ValueError`` if the scan has no readings, unusable angles, or too many invalid readings.
     """
     ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
     if ranges.ndim != 1 or not len(ranges):
@@ -109,7 +108,6 @@ class ScanAlignment:
         self._beams, self._mount = beams, (yaw, inverted)
 
     def __call__(self, scan: Scan) -> AlignedScan:
-        """Converts a scan to the environment's layout."""
         scan = scan.mounted(*self._mount)
         layout = self._beams, len(scan.ranges), scan.angle_min, scan.angle_increment
         beam_of_reading, nearest = _beams_and_readings(*layout)
@@ -153,7 +151,6 @@ def cut(scan: Scan, points: int) -> Tensor | None:
 
 @lru_cache(maxsize=1)
 def _segment_of_reading(points: int, count: int, first: float, increment: float) -> Tensor | None:
-    """Returns the segment that each reading belongs to; ``None`` if a full turn has fewer readings than segments."""
     turn = max(1, round(2 * math.pi / increment))
     if turn < points:
         return None

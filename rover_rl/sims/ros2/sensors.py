@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import MAX_AGE
-from rover_rl.sims.ros2.image_formats import image_format
+from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.poses import (
     IDENTITY_ORIENTATION,
@@ -28,7 +28,7 @@ from rover_rl.sims.ros2.poses import (
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
-from rover_rl.sims.served import ImageKind
+from rover_rl.sims.sensor_report import ImageKind
 from rover_rl.sims.settings import Connection
 
 RATE_WINDOW = 20
@@ -73,31 +73,24 @@ class LatestMessages:
         self._changed = threading.Condition()
 
     def put(self, kind: str, value: Any) -> None:
-        """Stores ``value`` as the latest of its kind."""
         with self._changed:
             company = {other: message.value for other, message in self._latest.items()} if kind == "scan" else {}
             self._latest[kind] = ReceivedMessage(value, time.monotonic(), self.count(kind) + 1, company)
             self._changed.notify_all()
 
     def latest(self, kind: str) -> ReceivedMessage | None:
-        """Returns the latest message of a kind, or ``None`` before the first one."""
         return self._latest.get(kind)
 
     def value(self, kind: str, default: Any) -> Any:
-        """Returns the latest value of a kind, or ``default`` before the first one."""
         message = self.latest(kind)
         return message.value if message else default
 
     def count(self, kind: str) -> int:
-        """Returns the number of messages of a kind that have arrived."""
         message = self.latest(kind)
         return message.number if message else 0
 
     def wait(self, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
-        """Returns the latest message of a kind once its sequence number exceeds ``after``.
-
-        Returns ``None`` if there is none within ``timeout`` (s).
-        """
+        """Returns the latest message of a kind once its number exceeds ``after``; ``None`` after ``timeout`` (s)."""
         with self._changed:
             return self.latest(kind) if self._changed.wait_for(lambda: self.count(kind) > after, timeout) else None
 
@@ -111,7 +104,6 @@ class Sensors:
     Attributes:
         topics: topic of each kind of message: ``"scan"``, ``"imu"``, ``"odometry"``, and ``"pose"`` unless the pose
             comes from wheel odometry.
-        silent_topics: kinds of messages whose topics may be silent.
         messages: latest valid value of each kind.
         rejected_scans: number of scans that were ignored.
         pose_frame: name of the frame that poses are in; empty if it is not known.
@@ -121,7 +113,6 @@ class Sensors:
         self, transport: Transport, settings: Ros2Settings, connection: Connection, pose_estimator: PoseEstimator
     ) -> None:
         self.messages = LatestMessages()
-        self.silent_topics: set[str] = set()
         self.rejected_scans = 0
         self.pose_frame = ""
         self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
@@ -182,25 +173,20 @@ class Sensors:
         image: Tensor | None = self.latest_on(topic, of, message, read)
         return image
 
-    def latest_on(
-        self, topic: str, what: str, message: Any, read: Callable[[Any], Any], since: float | None = None
-    ) -> Any:
+    def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
         """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
 
-        The first call subscribes to the topic. ``what`` tells apart what is read from the same topic. With ``since``,
-        the topic may be silent, and only a message counts that has arrived since then, by :func:`time.monotonic`.
+        The first call subscribes to the topic. ``what`` tells apart what is read from the same topic.
         """
         kind = f"{what} {topic}"
         if kind not in self.topics:
             self._readers[kind], self.topics[kind], self._messages[kind] = {kind: read}, topic, message
-            if since is not None:
-                self.silent_topics.add(kind)
             self._transport.subscribe(topic, message, partial(self.receive, kind))
         latest = self.messages.latest(kind)
-        return None if latest is None or (since is not None and latest.time < since) else latest.value
+        return None if latest is None else latest.value
 
     def receive(self, kind: str, msg: Any) -> bool:
-        """Processes a message: see :meth:`Ros2Simulator.receive`."""
+        """Reads a message; ignores a malformed one with a warning. Returns whether it is usable."""
         if kind not in self._readers:
             raise ValueError(f"kind must be one of {sorted(self._readers)}, got {kind!r}")
         try:
@@ -252,11 +238,9 @@ class Sensors:
         return next(known, None) or self._pose_estimator.estimate(self.pose, self.imu_orientation)
 
     def pose_frame_in_world(self) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world of the frame that poses are in."""
         return self._pose_estimator.frame_in_world()
 
     def receive_clock(self, msg: Any) -> None:
-        """Stores the time of a simulation, of a ``rosgraph_msgs/Clock``."""
         self.messages.put("clock", msg.clock.sec + 1e-9 * msg.clock.nanosec)
 
     def state_age(self) -> float | None:
@@ -276,7 +260,6 @@ class Sensors:
         self._poses.clear()
 
     def describe_silence(self, kind: str) -> str:
-        """Describes why there is no recent value of a kind."""
         if kind in self._rejections:
             return f"its messages cannot be used: {self._rejections[kind]}"
         if (latest := self.messages.latest(kind)) is not None:
@@ -304,7 +287,7 @@ class Sensors:
 
 
 def read_stamp(msg: Any) -> float:
-    """Reads the stamp of a message, s; 0 if it has none."""
+    """Returns the stamp of a message, s; 0 if it has none."""
     stamp = getattr(getattr(msg, "header", None), "stamp", None)
     return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
 

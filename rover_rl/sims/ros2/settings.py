@@ -20,87 +20,76 @@ _LIMITS = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleratio
 
 @dataclass(frozen=True)
 class Ros2Settings:
-    """Settings of the connection to a live rover.
+    """Settings of the connection to a live rover. The default topics are those of the original environment.
 
-    The default topics are those of the original environment. The topics of scan, IMU and command are arguments of the
-    environment itself.
+    Raises ``ValueError`` if a choice is unknown, a number is out of range, or ROS 2 does not allow a name.
 
     Example:
         With a rover that runs:
 
         >>> env = RoverEnv(backend=Ros2Settings(pose="wheels", reset="manual", lidar_yaw=0.0))  # doctest: +SKIP
-
-    Args:
-        transport: ROS 2 client: ``"dds"`` (extra ``ros2``), or ROS 2's own ``"rclpy"``, from PyPI or a sourced ROS.
-        odometry_topic: topic of the wheels' ``nav_msgs/Odometry``: velocities, and the pose with ``pose="wheels"``.
-        pose: source of the pose: ``"pose_array"``, the first pose of a ``geometry_msgs/PoseArray`` with the heading of
-            the IMU, as in the original; ``"pose_stamped"``, ``"odometry"`` or ``"pose_with_covariance"``, pose and
-            heading of a localizer's ``geometry_msgs/PoseStamped``, ``nav_msgs/Odometry`` or
-            ``geometry_msgs/PoseWithCovarianceStamped``; ``"wheels"``, wheel odometry, aligned with the start pose of
-            the episode at each reset.
-        pose_topic: topic of the pose; unused with ``pose="wheels"``.
-        command: message type of the commands: ``"twist"`` or ``"twist_stamped"``; ``"none"`` sends nothing (dry run).
-        frame_id: frame of stamped commands.
-        give_way: what happens while another node sends commands, such as that of a joystick: if set, nothing is sent
-            until 0.5 s after its last one; else the rover is stopped, and an error names the node.
-        lidar_yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad. The original's lidar
-            faces backward; most others face forward: 0.
-        lidar_inverted: whether the lidar hangs upside down, rolled by pi before it is turned by ``lidar_yaw``.
-        max_invalid: maximum share of invalid readings (NaN, outside of the scan's own limits, or missing) in a usable
-            scan, from 0 to 1.
-        unseen_range: range of directions that no valid beam covers, m. It is neither free space nor a collision. With
-            ``inf``, they have no return, as in training with hidden beams. The rover never drives towards them.
-        max_speed: maximum forward speed, m/s; ``None``: the robot's.
-        max_yaw_rate: maximum yaw rate, rad/s; ``None``: the robot's.
-        max_acceleration: maximum change of the forward speed, m/s^2; ``None``: the robot's. Stop commands are exempt.
-        max_yaw_acceleration: maximum change of the yaw rate, rad/s^2; ``None``: the robot's.
-        min_reversal: smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning.
-        reset: method that moves the rover to the start of an episode: ``"ign"`` (Gazebo Fortress) or ``"gz"``
-            (Harmonic), Gazebo's command; ``"topic"``, a ``geometry_msgs/PoseStamped``; ``"manual"``, a prompt to a
-            person on the terminal; ``"none"``, nothing: episodes start where the rover is; ``"auto"``: ``"topic"`` if a
-            node subscribes to ``reset_topic``, else ``"ign"`` or ``"gz"`` if the command is installed, else ``"none"``.
-        model: name of the rover in Gazebo.
-        mover_names: what the names of movers in Gazebo contain, in upper or lower case, for contacts with them.
-        reset_topic: topic of ``reset="topic"``.
-        reset_timeout: time limit for the rover to come to rest at the start pose, s.
-        pose_tolerance: maximum distance from the start pose, m.
-        settle: duration of rest before an episode begins, s.
-        step_timeout: time without a usable scan after which the rover counts as lost, s. The rover is stopped earlier,
-            after 0.25 s.
-        node: name of the node.
-        control_dt: duration of a control step in training, s. A scan that comes sooner than three quarters of it after
-            the last one is skipped.
-
-    Raises:
-        ValueError: if a choice is unknown, a number is out of range, or ROS 2 does not allow a name.
     """
 
     transport: TransportName = "dds"
+    """ROS 2 client: dds needs no ROS installation (extra ros2), rclpy that of PyPI or of a sourced ROS."""
     odometry_topic: str = "/odometry/wheels"
+    """Topic of the wheel odometry, a nav_msgs/Odometry: velocities, and the pose with pose="wheels"."""
     pose: PoseSource = "pose_array"
+    """Source of the pose: pose_array, the first pose of a geometry_msgs/PoseArray with the heading of the IMU, as in
+    the original; pose_stamped, odometry or pose_with_covariance, pose and heading of a localizer's
+    geometry_msgs/PoseStamped, nav_msgs/Odometry or geometry_msgs/PoseWithCovarianceStamped; wheels, wheel odometry,
+    aligned with the start pose of the episode at each reset (docs/ros2.md)."""
     pose_topic: str = "/rover/pose_array"
+    """Topic of the pose; unused with pose="wheels"."""
     command: Command = "twist"
+    """Message type of the commands: twist or twist_stamped; none sends nothing (dry run)."""
     frame_id: str = "base_link"
+    """Frame of stamped commands, and of elevation maps and points that are in that of the robot."""
     give_way: bool = False
+    """While another node sends commands, such as that of a joystick, send none, and drive on 0.5 s after its last one.
+    Default: stop, and name the node."""
     lidar_yaw: float = math.pi
+    """Direction in which the lidar's zero angle points, counter-clockwise from straight ahead, rad. The default is
+    backward: the original rover's lidar is mounted turned by 180 degrees. Most others face forward: 0."""
     lidar_inverted: bool = False
+    """The lidar hangs upside down: it is rolled by pi before it is turned by lidar_yaw."""
     max_invalid: float = 0.1
+    """Largest share of invalid readings (NaN, outside of the scan's own limits, or missing) in a usable scan."""
     unseen_range: float = 1.0
+    """Range of directions that no valid beam covers, m. It is neither free space nor a collision. With inf, they have
+    no return, as in training with hidden beams. The rover never drives towards them."""
     max_speed: float | None = None
+    """Largest forward speed of a command, m/s. Default of the four limits: what the policy was trained with, else that
+    of the robot."""
     max_yaw_rate: float | None = None
+    """Largest yaw rate of a command, rad/s."""
     max_acceleration: float | None = None
+    """Largest change of the forward speed, m/s^2. Stops are sent immediately."""
     max_yaw_acceleration: float | None = None
+    """Largest change of the yaw rate, rad/s^2."""
     min_reversal: float = MIN_REVERSAL
+    """Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning."""
     reset: PoseReset = "auto"
+    """What moves the rover to the start of an episode: ign (Gazebo Fortress) or gz (Harmonic), Gazebo's command; topic,
+    a geometry_msgs/PoseStamped; manual, a prompt to a person on the terminal; none: episodes start where the rover is;
+    auto: topic if a node subscribes to reset_topic, else ign or gz if it is installed, else none."""
     model: str = "rover_zero4wd"
-    mover_names: tuple[str, ...] = ("actor", "mover", "person", "walker")
+    """Name of the rover in Gazebo."""
     reset_topic: str = "/rover/set_pose"
+    """Topic of poses to move the rover to, geometry_msgs/PoseStamped in the frame world."""
     reset_timeout: float = 5.0
+    """Time limit for the rover to come to rest at the start pose, s."""
     pose_tolerance: float = 0.3
+    """Largest distance from the start pose, m."""
     settle: float = 0.2
+    """Duration of rest before an episode begins, s."""
     step_timeout: float = 1.0
+    """Time without a usable scan after which the rover counts as lost, s. It is stopped earlier, after 0.25 s."""
     node: str = "rover_rl"
+    """Name of the node."""
     control_dt: float = CONTROL_DT
+    """Duration of a control step in training, s. A scan that comes sooner than three quarters of it after the last one
+    is skipped."""
 
     def __post_init__(self) -> None:
         check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})

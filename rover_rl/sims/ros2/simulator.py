@@ -6,8 +6,7 @@ import logging
 import math
 import time
 import weakref
-from collections.abc import Callable, Collection, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -18,18 +17,16 @@ from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.commands import Commands
-from rover_rl.sims.ros2.contacts import contact_force, read_contacts
 from rover_rl.sims.ros2.ground import LivePoints
 from rover_rl.sims.ros2.images import resized
-from rover_rl.sims.ros2.joints import read_efforts
-from rover_rl.sims.ros2.messages import Clock, Contacts, JointState
+from rover_rl.sims.ros2.messages import Clock
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from rover_rl.sims.ros2.poses import PoseEstimator
 from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cut
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
-from rover_rl.sims.rover_state import SIDES, Force, RoverState, beam_angles
+from rover_rl.sims.rover_state import RoverState, beam_angles
 from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
 
@@ -89,8 +86,8 @@ class Ros2Simulator(Simulator):
         ImportError: if a package that the transport requires is not installed.
     """
 
-    # The task knows of no contacts. Motor torques are those of its joint states, contact forces those of contact_topic.
-    features: frozenset[Feature] = frozenset({"contacts", "contact_force", "lidar", "wheel_torque"})
+    # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
+    features: frozenset[Feature] = frozenset({"contacts", "lidar"})
 
     def __init__(
         self,
@@ -106,9 +103,7 @@ class Ros2Simulator(Simulator):
         self.num_envs = 1
         self.control_dt = settings.control_dt
         self.device = torch.device("cpu")
-        self._world, self._wheels, self._connection = worlds[0], robot.drive.wheels, connection
-        self._reported: Collection[Force] = ()
-        self._step_start = -math.inf
+        self._world, self._connection = worlds[0], connection
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
         self._limiter = CommandLimiter(settings.min_reversal)
         self._publishers_checked = -math.inf
@@ -221,52 +216,8 @@ class Ros2Simulator(Simulator):
         self._dt = self.control_dt
         return self.state()
 
-    def measure(self, fields: Collection[Force]) -> None:
-        """Adds motor torques and contact forces to the states.
-
-        Raises:
-            ValueError: for contact forces without ``connection.contact_topic``.
-        """
-        self._reported = fields
-        topic = self._connection.contact_topic
-        if "contact_force" in fields:
-            if not topic:
-                raise ValueError(
-                    "contact forces of a live rover need their topic: "
-                    "set Connection(contact_topic=...), or --contact-topic"
-                )
-            if Contacts.ros_type not in self._transport.types(topic):
-                found = "nothing publishes %s on %s yet: until then, there is no contact"
-                _log.warning(found, Contacts.ros_type, topic)
-        self._reports()
-
-    def _reports(self) -> dict[str, Tensor]:
-        """Returns the motor torques and contact forces that were asked for."""
-        measure: dict[Force, Callable[[], Tensor]] = {
-            "wheel_torque": self._torque,
-            "contact_force": self._contact_force,
-        }
-        return {field: measure[field]()[None] for field in self._reported}
-
-    def _torque(self) -> Tensor:
-        """Returns the latest motor torques, ``[W]``, N m; zeros before the first ones."""
-        read = partial(read_efforts, wheels=self._wheels)
-        torque = self._sensors.latest_on(self._connection.joint_topic, "torques", JointState, read)
-        return torch.zeros(len(self._wheels)) if torque is None else torque
-
-    def _contact_force(self) -> Tensor:
-        """Returns the contact forces of the latest message of the last control step, ``[8]``, N; zeros without one.
-
-        Gazebo sends messages only during a contact.
-        """
-        settings, topic = self.settings, self._connection.contact_topic
-        assert topic is not None
-        read = partial(read_contacts, model=settings.model, mover_names=settings.mover_names)
-        felt = self._sensors.latest_on(topic, "contacts", Contacts, read, since=self._step_start)
-        return torch.zeros(2 * len(SIDES)) if felt is None else contact_force(felt, *self._world_pose())
-
     def scanner(self, beams: int) -> Ros2Scanner:
-        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`Simulator.scanner`."""
+        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
         self._set_beams(beams)
         return Ros2Scanner(self, beams)
 
@@ -288,7 +239,7 @@ class Ros2Simulator(Simulator):
         return self._aligned_scan.seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.LiveRover.segments`."""
+        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.ScanCarrier.segments`."""
         if self._scan is None:
             return None
         found = cut(self._scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted), points)
@@ -355,9 +306,7 @@ class Ros2Simulator(Simulator):
             angular_velocity=twist[:, 1:],
             dt=torch.full((1, 1), self._dt),
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
-            # Forces are measured on some rovers only. A policy of a task whose collision is the contact drives anyway.
             contact=torch.zeros(1, 1, dtype=torch.bool),
-            **self._reports(),
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
@@ -375,23 +324,23 @@ class Ros2Simulator(Simulator):
         return position[None], orientation[None]
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.LiveRover.depth_image`."""
+        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
         image = self._sensors.image("depth", topic)
         return torch.zeros(size) if image is None else resized(image, size)
 
     def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest color image: see :meth:`~rover_rl.sims.base.LiveRover.color_image`."""
+        """Returns the latest color image: see :meth:`~rover_rl.sims.base.ColorCarrier.color_image`."""
         image = self._sensors.image("colors", topic)
         return torch.zeros(3, *size) if image is None else resized(image, size)
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
-        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.LiveRover.point_cloud`."""
+        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""
         return self._points.cloud(topic)
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.LiveRover.ground_at`."""
+        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.PointCarrier.ground_at`."""
         return self._points.ground_at(grid, yaw, cell, topic, layer, mount)
 
     def follow_clock(self) -> None:
@@ -425,7 +374,6 @@ class Ros2Simulator(Simulator):
         self._sensors.wait_for_company(scan)
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
         self._require_changes(scan)
-        self._step_start = self._scan.time if self._scan else -math.inf
         self._scan, self._aligned_scan = scan, self._align(scan.value)
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
@@ -473,8 +421,6 @@ class Ros2Simulator(Simulator):
         """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
         deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
         for kind in self._sensors.topics:
-            if kind in self._sensors.silent_topics:
-                continue
             message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)

@@ -183,7 +183,7 @@ def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer
 
 def test_drive_without_a_robot_reports_an_error(log, domain):
     alone = {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
-    drive = Command(alone, "drive", *LONG, "--wait", "0.2", "--log", str(log))
+    drive = Command(alone, "drive", *LONG, "--timeout", "0.2", "--log", str(log))
     assert drive.wait(60) == 2, drive.output
     assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in drive.output
 
@@ -200,7 +200,7 @@ def test_drive_without_a_robot_reports_an_error(log, domain):
             "the goal 40 0 is outside of the bounds of maze: x from -30 to 30 m, y from -30 to 30 m; name the --world",
         ),
         ("drive scripted --goal 1 1 --clearance -1", "clearance must be at least 0 and at most 1e+30, got -1.0"),
-        ("drive scripted --goal 1 1 --wait nan", "wait must be at least 0 and at most 1e+06, got nan"),
+        ("drive scripted --goal 1 1 --timeout nan", "timeout must be at least 0 and at most 1e+06, got nan"),
         ("drive scripted --random -1", "random must be at least 0 and at most 1e+12, got -1"),
         ("drive scripted --goal 1 1 --seconds 0", "seconds must be positive and at most 1e+06, got 0"),
         ("drive scripted --goal 1 1 --lidar-yaw nan", "lidar_yaw must be a finite angle in rad, got nan"),
@@ -215,7 +215,7 @@ def test_drive_without_a_robot_reports_an_error(log, domain):
     ],
 )
 def test_invalid_options_are_rejected_before_connecting(arguments, message, capsys, tmp_path, monkeypatch):
-    for part in ("sims.ros2.watchdog.Watchdog", "envs.RoverEnv", "sims.ros2.transport.make_transport"):
+    for part in ("sims.ros2.commands.Watchdog", "envs.RoverEnv", "sims.ros2.transport.make_transport"):
         monkeypatch.setattr(f"rover_rl.{part}", None)
     monkeypatch.chdir(tmp_path)
     Path("goals.csv").write_text("1.0, 2.0\nx, y\n")

