@@ -23,7 +23,7 @@ from rover_rl.algos.driving import drives
 from rover_rl.algos.evaluation.metrics import Estimate, count_runs, ratio
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.policy.runner import Policy
+from rover_rl.algos.policy.runner import Policy, sensors_for
 from rover_rl.checks import MAX_COUNT
 from rover_rl.cli.policies import EnvOptions, resolve_policies
 from rover_rl.envs.config import EnvConfig
@@ -44,7 +44,7 @@ NOTHING = Estimate(math.nan, math.nan, math.nan)
 @single_threaded()
 def drive(policy: Policy | None, config: EnvConfig, seconds: float) -> dict[str, Estimate]:
     """Metrics of rovers that drive for some time. One that leaves the world starts again."""
-    env = RoverEnv(config)
+    env = RoverEnv(sensors_for(policy, config))
     steps = round(seconds / env.control_dt)
     touched, close, reached = torch.zeros(3, steps, env.num_envs, dtype=torch.bool)
     done = 0

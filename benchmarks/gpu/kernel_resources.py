@@ -37,7 +37,6 @@ MODULES = (
     "rover_rl.envs.seen_map.scan_kernels",
     "rover_rl.envs.seen_map.route_kernels",
     "rover_rl.envs.mover_tracker_kernels",
-    "rover_rl.envs.wall_tracker_kernels",
 )
 REGISTERS, WARPS, PARTITIONS = 16384, 8, 4
 """Registers of a partition of a multiprocessor, its warps with blocks of one warp, and the number of partitions

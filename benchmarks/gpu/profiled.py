@@ -38,7 +38,7 @@ def map_work(drive: Drive, device: torch.device, most: int | None = None) -> Cal
     """Returns a function that adds the current scan to the map of each rover, or of the first, and plans its route."""
     rovers = drive.env.base_env
     count = min(rovers.num_envs, most or rovers.num_envs)
-    seen = SeenMap(count, rovers.config.lidar, rovers.robot, device)
+    seen = SeenMap(rovers.fleet, rovers.config.lidar)
     return lambda: seen(drive.observation[:count])
 
 

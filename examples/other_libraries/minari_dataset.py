@@ -12,7 +12,14 @@ from rover_rl.algos.policy.runner import PolicyRunner
 EPISODES = 20
 DATASET = "rover_rl/gridplanner-inspect-v0"
 
-env = gymnasium.make(rover_rl.ENV_ID, world_n="inspect", length=600, end_on_goal=True, time_limit="truncated")
+env = gymnasium.make(
+    rover_rl.ENV_ID,
+    world_n="inspect",
+    sensors=["route(period=4)"],
+    length=600,
+    end_on_goal=True,
+    time_limit="truncated",
+)
 collector = minari.DataCollector(env)
 rover = env.unwrapped.base_env
 planner = PolicyRunner(make_baseline("gridplanner"), env=rover)

@@ -214,6 +214,7 @@ class Drive:
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
         """Describes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
+        from rover_rl.algos.policy.runner import sensors_for
 
         made_for = environment_for(policy.module, None if self.env is None else read_env(self.env))
         # Scans are added to maps where they were taken, by their stamps.
@@ -233,7 +234,7 @@ class Drive:
             end_on_goal=True,
             seed=self.seed,
         )
-        return environment_for(policy.module, described)
+        return sensors_for(policy.module, environment_for(policy.module, described))
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from rover_rl.algos.config_files import read_yaml
-from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, is_baseline, load_policy, make_baseline
 from rover_rl.envs.config import EnvConfig, GuardConfig, env_from_plain
 from rover_rl.registry import perhaps
 from rover_rl.robots.options import RobotOptions, with_options
@@ -30,14 +30,12 @@ SB3 = ".zip"
 """Suffix of policies that Stable-Baselines3 saved."""
 RANDOM = "random"
 """Name of the policy that acts at random."""
-_NAMES = f"pretrained:NAME, {', '.join(BASELINES)} or {RANDOM}"
+_NAMES = f"pretrained:NAME, {', '.join(BASELINES)}, module:attribute or {RANDOM}"
 ONE_POLICY = f"Folder of a run, checkpoint, ONNX file, .zip of Stable-Baselines3, {_NAMES}."
 """Help of an argument that names a policy."""
 SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Stable-Baselines3, {_NAMES}."
 """Help of an argument that names several policies."""
-LIVE_POLICY = (
-    f"Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or a baseline: {', '.join(BASELINES)}."
-)
+LIVE_POLICY = f"Policy: run folder, checkpoint, ONNX file, pretrained:NAME, module:attribute, {', '.join(BASELINES)}."
 """Help of an argument that names a policy for a live rover, which does not act at random."""
 NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {_NAMES}"
 """Error message if an argument that names several policies is missing."""
@@ -76,7 +74,7 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
     """
     if word == RANDOM:
         return ResolvedPolicy(word, None, worlds)
-    if word in BASELINES:
+    if is_baseline(word):
         return ResolvedPolicy(word, make_baseline(word, robot), worlds)
     if word.endswith(ONNX):
         from rover_rl.algos.deploy.export import OnnxPolicy

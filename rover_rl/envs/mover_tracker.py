@@ -1,20 +1,8 @@
-"""``MoverTracker``: positions, velocities and sizes of what moves, from the lidar scans of a batch of rovers.
-
-Readings of neighboring directions that are near each other belong to one cluster. Clusters of up to 1.6 m are compared
-from scan to scan: a Kalman filter with constant velocity follows each of up to 32 tracks, and a track and a cluster
-belong together if each is the nearest of the other. Two legs are one person.
-
-- An object hidden in part is as large as its track, and its center follows from the edge that is seen.
-- One that is hidden goes on at its velocity for up to 1.8 s, as long as its place is known within 0.35 m. One that
-  should be seen but is not ends after 0.3 s.
-- A track moves once its way is longer than its errors. Where one of its edges is mostly hidden, as that of a wall
-  behind people, beams must also pass where it was.
-
-It is a Warp kernel with a thread for each row. The tracks are one tensor, which a policy keeps as its memory.
-"""
+"""``MoverTracker``: positions, velocities and sizes of what moves, from the lidar scans of a batch of rovers."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -22,9 +10,12 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.scan_tracker import ScanTracker, along_heading
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.scans import along_heading, reading_angles, reading_directions
 from rover_rl.envs.sensors.lidar_mask import known_readings
 from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 
 TRACKS = 32
 """Number of tracks of a row."""
@@ -49,40 +40,102 @@ class Tracks(NamedTuple):
     moves: Tensor
     readings: Tensor
 
+    def in_base_frame(self, observation: TensorDictBase | Mapping[str, Tensor]) -> Tracks:
+        """Returns the tracks relative to each rover's position and heading. Velocities stay those over ground."""
+        position = along_heading(self.position - observation["pose"][:, None, :2], observation["imu"])
+        return self._replace(position=position, velocity=along_heading(self.velocity, observation["imu"]))
 
-class MoverTracker(ScanTracker[Tracks]):
-    """Follows what moves, from scan to scan: see the module ``mover_tracker``."""
 
-    tracks = TRACKS
+class MoverTracker:
+    """Follows what moves, from scan to scan.
 
-    def _follow(self, scans: Any, before: Tensor, after: Tensor) -> Tracks:
+    Readings of neighboring directions that are near each other belong to one cluster. Clusters of up to 1.6 m are
+    compared from scan to scan: a Kalman filter with constant velocity follows each of up to 32 tracks, and a track and
+    a cluster belong together if each is the nearest of the other. Two legs are one person.
+
+    - An object hidden in part is as large as its track, and its center follows from the edge that is seen.
+    - One that is hidden goes on at its velocity for up to 1.8 s, as long as its place is known within 0.35 m. One that
+      should be seen but is not ends after 0.3 s.
+    - A track moves once its way is longer than its errors. Where one of its edges is mostly hidden, as that of a wall
+      behind people, beams must also pass where it was.
+
+    It is a Warp kernel with a thread for each row. The tracks are one tensor, which a policy keeps as its memory.
+
+    Args:
+        robot: robot that carries the lidar, or the robots of the rows.
+        lidar: settings of the lidar.
+        interval: time from one scan to the next, s.
+    """
+
+    def __init__(self, robot: Robot | Fleet, lidar: LidarConfig, interval: float) -> None:
+        self._range, self._dt = lidar.max_range - 1e-3, interval
+        self._fleet = robot if isinstance(robot, Fleet) else None
+        robots = robot.robots if isinstance(robot, Fleet) else (robot,)
+        self._mounts = torch.tensor([each.lidar_position[:2] for each in robots])
+        self._directions = reading_directions(lidar)
+        # Of the first reading, and from one to the next, rad.
+        self._angles = float(reading_angles(lidar)[0]), 2 * math.pi / lidar.points
+
+    def __call__(
+        self,
+        state: Tensor,
+        observation: TensorDictBase | Mapping[str, Tensor],
+        rows: Tensor | None = None,
+        due: Tensor | None = None,
+    ) -> tuple[Tensor, Tracks]:
+        """Adds a scan.
+
+        Args:
+            state: tracks before, ``[N, TRACKS * STATE]``; zeros without any.
+            observation: observation, ``[N]`` each, with ``lidar``, ``pose`` and ``imu``, and with ``scan_pose`` if
+                scans can be late, and ``lidar_mask`` if beams can be hidden.
+            rows: numbers of the rows among those of different robots; ``None``: all of them.
+            due: which of the scans are added, bool ``[N]``; ``None``: all.
+
+        Returns:
+            The next state, and what moves: nothing in rows that are not due.
+        """
+        # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
         from rover_rl.native.warp import launch_options, wp
 
-        device, (count, points) = after.device, scans.ranges.shape
+        scans, (count, points), device = self._scans(observation, rows, due), observation["lidar"].shape, state.device
+        before, after = state.contiguous().view(count, TRACKS, STATE), torch.empty(count, TRACKS, STATE, device=device)
         moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
         readings = torch.zeros(count, points, dtype=torch.bool, device=device)
         clusters = torch.empty(count, points, CLUSTER, device=device)
         seen = torch.empty(count, 2, TRACKS, dtype=torch.int32, device=device)
         wp.launch(follow, count, [scans, before, clusters, seen, after, moves, readings], **launch_options(device))
         position, velocity, radius = after[..., 1:6].split((2, 2, 1), -1)
-        return Tracks(position, velocity, radius[..., 0], moves, readings)
+        return after.flatten(1), Tracks(position, velocity, radius[..., 0], moves, readings)
 
+    def remembered(self, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:
+        """Adds the scan of a policy that remembers ``tracks``, and returns its next state and what moves."""
+        state, is_init = tensordict.get("tracks", None), tensordict.get("is_init", None)
+        if state is None:
+            state = tensordict["lidar"].new_zeros(len(tensordict), TRACKS * STATE)
+        return self(state if is_init is None else state.masked_fill(is_init.reshape(-1, 1), 0.0), tensordict)
 
-def tracked(tracker: MoverTracker, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:
-    """Returns the next state of a policy that remembers ``tracks``, and what moves."""
-    lidar = known_readings(tensordict)
-    pose, imu = taken_at(tensordict) or (tensordict["pose"], tensordict["imu"])
-    state = tensordict.get("tracks", None)
-    if state is None:
-        state = lidar.new_zeros(len(lidar), TRACKS * STATE)
-    is_init = tensordict.get("is_init", None)
-    if is_init is not None:
-        state = state.masked_fill(is_init.reshape(-1, 1), 0.0)
-    return tracker(state, lidar, pose, imu)
+    def _scans(
+        self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None, due: Tensor | None
+    ) -> Any:
+        """Returns the scans as the kernel reads them."""
+        from rover_rl.envs.mover_tracker_kernels import Scans
+        from rover_rl.native.warp import wp
 
-
-def in_base_frame(tracks: Tracks, tensordict: TensorDictBase | Mapping[str, Tensor]) -> Tracks:
-    """Returns tracks relative to each rover's position and heading. Velocities stay those over ground."""
-    position = along_heading(tracks.position - tensordict["pose"][:, None, :2], tensordict)
-    return tracks._replace(position=position, velocity=along_heading(tracks.velocity, tensordict))
+        lidar, (pose, imu) = known_readings(observation), taken_at(observation)
+        device = lidar.device
+        self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
+        due = torch.ones(len(lidar), dtype=torch.bool, device=device) if due is None else due.contiguous()
+        if self._fleet is None:
+            robots = torch.zeros(len(lidar), dtype=torch.int64, device=device)
+        else:
+            robots = self._fleet.index if rows is None else self._fleet.index[rows]
+        scans = Scans()
+        scans.due, scans.robots = wp.from_torch(due), wp.from_torch(robots)
+        scans.ranges, scans.poses, scans.imus = (wp.from_torch(value.contiguous()) for value in (lidar, pose, imu))
+        scans.mounts, scans.beams = (wp.from_torch(value, dtype=wp.vec2) for value in (self._mounts, self._directions))
+        scans.angles, scans.most, scans.dt = wp.vec2(*self._angles), self._range, self._dt
+        scans.points = wp.from_torch(torch.empty(*lidar.shape, 2, device=device), dtype=wp.vec2)
+        scans.labels = wp.from_torch(torch.empty(lidar.shape, dtype=torch.int32, device=device))
+        return scans

@@ -438,9 +438,7 @@ class RoverEnv(EnvBase):
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        mount = self.robot, self.config.lidar, self.control_dt, self._tensor_device, self.fleet
-        rig = Rig(self.num_envs, *mount, self.randomization)
-        self._observer = Observer(self.sensors, rig)
+        self.observer = Observer(self.sensors, Rig(self.fleet, self.config.lidar, self.control_dt, self.randomization))
         self._action_clip = action.tensors(self._tensor_device)
 
     @with_torch_defaults
@@ -615,7 +613,7 @@ class RoverEnv(EnvBase):
         state.truth = Perception(rover, ranges, self._pooling)
         scan_step = None if self.delays is None else self.delays.scan_step
         noise = config.randomization
-        state.sensed = self._observer.sense(noise, state.truth, self._keys, steps, self._pooling, scan_step)
+        state.sensed = self.observer.sense(noise, state.truth, self._keys, steps, self._pooling, scan_step)
         state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
         state.reference = state.truth if config.outcome_from == "truth" else state.sensed
         if self._has_movers:
@@ -668,7 +666,7 @@ class RoverEnv(EnvBase):
             scan_pose=scan_pose,
             predicted=predicted,
         )
-        observation: dict[str, Any] = self._observer(inputs, self.delays)
+        observation: dict[str, Any] = self.observer(inputs, self.delays)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps

@@ -7,10 +7,8 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
 
 from rover_rl import LidarConfig, Randomization, RoverEnv
-from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.sensors.lidar_mask import LidarMask
 from rover_rl.envs.sensors.standard import hidden_beams
 
@@ -84,11 +82,6 @@ def test_the_mask_is_that_of_the_view_of_the_robot_and_its_mirror_image_is_mirro
     sensor = env.sensors["lidar_mask"]
     assert torch.equal(sensor.mirror(td["lidar_mask"]), expected.flip(-1))
     assert sensor.encode(td["lidar_mask"]).unique().tolist() == [-1.0, -0.5, 1.0]
-    # Where the environment has no such sensor, the runner tells a policy that reads it.
-    told = []
-    module = TensorDictModule(lambda mask: told.append(mask) or torch.zeros(1, 2), ["lidar_mask"], ["action"])
-    PolicyRunner(module, env=env)(td.exclude("lidar_mask"))
-    assert torch.equal(told[0], expected)
     assert LidarMask(points=16).features == 16
 
 

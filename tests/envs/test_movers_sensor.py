@@ -78,10 +78,10 @@ def test_the_mirror_image_is_that_of_mirrored_movers() -> None:
 
 def test_the_map_leaves_out_what_moves_and_routes_go_around_it() -> None:
     env, tensordict = parked(torch.zeros(1), 20, Route(period=PERIOD))
-    blind = SeenMap(1, env.config.lidar)
+    blind = SeenMap(env.fleet, env.config.lidar)
     blind(tensordict.exclude("movers"))
     assert (blind.levels()[0] == 0).any()
-    seeing = SeenMap(1, env.config.lidar)
+    seeing = SeenMap(env.fleet, env.config.lidar)
     seeing(tensordict)
     assert not (seeing.levels()[0] == 0).any()
     # It will cross the way ahead when the rover could be there.
@@ -98,6 +98,6 @@ def test_the_map_leaves_out_what_moves_in_a_late_scan() -> None:
     late = tensordict.copy().update({"movers": torch.cat((now.flatten(1), tensordict["movers"][:, TRACKED:]), -1)})
     late.update({"pose": tensordict["pose"] + way, "imu": torch.tensor([[0.0, 0.0, 0.5]])})
     late["scan_pose"] = torch.tensor([[-0.6 * cos, 0.6 * sin, 0.0, 0.0, 0.0, -0.5]])
-    seen = SeenMap(1, env.config.lidar)
+    seen = SeenMap(env.fleet, env.config.lidar)
     seen(late)
     assert not (seen.levels()[0] == 0).any()

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import torch
-from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv
-from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
@@ -47,24 +45,8 @@ def test_a_partial_reset_forgets_the_map_of_the_rows_that_it_resets_only() -> No
     after = env.reset(observation.clone().set("_reset", rows[:, None]))
     assert torch.equal(after["route"][1:], observation["route"][1:])
     # The first row's map holds the scan of its new start only.
-    fresh = SeenMap(4, env.base_env.config.lidar)
+    fresh = SeenMap(env.base_env.fleet, env.base_env.config.lidar)
     assert torch.equal(after["route"][0], fresh(after)[0])
-
-
-def test_the_route_is_that_of_a_policy_which_keeps_its_own_map() -> None:
-    seen = []
-
-    def policy(td: TensorDict) -> TensorDict:
-        seen.append(td["route"])
-        return td.set("action", torch.tensor([[0.3, 0.2]]).expand(len(td), 2))
-
-    policy.in_keys = ["route"]
-    env = RoverEnv(world_n="maze", num_envs=3, seed=1, backend="warp", sensors=["route"])
-    observation, runner = env.reset(), PolicyRunner(policy, action_repeat=1, env=env)
-    for step in range(8):
-        runner(observation.exclude("route"))
-        assert torch.equal(seen[step], observation["route"])
-        observation = env.step(observation.set("action", torch.tensor([[0.3, 0.2]]).expand(3, 2)))["next"]
 
 
 def test_the_route_is_held_between_its_readings() -> None:

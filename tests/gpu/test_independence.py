@@ -10,6 +10,8 @@ from tensordict import TensorDictBase
 
 from rover_rl import Randomization
 from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.robots import get_robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.warp import WarpSettings
 from tests.gpu.driven import ROUGH, drive, environment
 
@@ -53,7 +55,7 @@ def test_scans_do_not_depend_on_the_number_of_threads(gpu: torch.device) -> None
 def test_a_map_does_not_depend_on_the_size_of_the_batch(gpu: torch.device) -> None:
     env = environment(gpu, 96, lidar_points=128, length=200)
     lidar = env.base_env.config.lidar
-    many, few = SeenMap(96, lidar, device=gpu), SeenMap(5, lidar, device=gpu)
+    many, few = (SeenMap(Fleet.of(get_robot("rover_zero"), rows, gpu), lidar) for rows in (96, 5))
     for step in drive(env, 40)[::4]:
         observation = step.to(gpu)
         assert torch.equal(many(observation)[50:55], few(observation[50:55]))

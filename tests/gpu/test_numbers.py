@@ -12,6 +12,8 @@ from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.robots import get_robot
+from rover_rl.robots.fleet import Fleet
 from tests.gpu.driven import ROUGH, drive, environment
 
 ROVERS = 192
@@ -65,7 +67,9 @@ def test_rewards_and_events_agree(gpu: torch.device) -> None:
 @pytest.mark.parametrize("world", ["maze", "moon"])
 def test_routes_on_the_map_agree(gpu: torch.device, world: str) -> None:
     env = environment("cpu", 64, world_n=world, length=200, lidar_points=128)
-    maps = [SeenMap(64, env.base_env.config.lidar, device=device) for device in ("cpu", gpu)]
+    maps = [
+        SeenMap(Fleet.of(get_robot("rover_zero"), 64, device), env.base_env.config.lidar) for device in ("cpu", gpu)
+    ]
     for step in drive(env, 40)[::4]:
         renewed = step["outcome", "steps"].squeeze(-1) <= 4
         routes = [

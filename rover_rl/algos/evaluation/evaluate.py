@@ -26,7 +26,7 @@ from rover_rl.algos.evaluation.metrics import Encounters, MoverTrack, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.policy.runner import Policy, default_action_repeat
+from rover_rl.algos.policy.runner import Policy, default_action_repeat, sensors_for
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.config import RobotLike, require_match
@@ -95,13 +95,14 @@ def evaluate(
         rows = len(episodes)
     env_config = replace(env_config, num_envs=min(rows, len(episodes)), end_on_goal=True)
     policy = policy or RandomPolicy(episodes.seed)
+    described = sensors_for(policy, env_config, action_repeat)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
         agents = env_config.agents
         schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)), part.offset, agents > 1)
         worlds = [part.pool[index] for index in schedule.worlds[::agents]]
         place, seed = tuple(worlds) if len(set(worlds)) > 1 else worlds[0], part.seed + part.offset
-        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(schedule.worlds), seed=seed))
+        rovers = RoverEnv(replace(described, world=place, num_envs=len(schedule.worlds), seed=seed))
         rovers.length = max(1, round(seconds / rovers.control_dt))
         keys = first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents)
         schedule.at(rovers, keys, start=part.start, goal=part.goal)
@@ -169,7 +170,8 @@ def evaluate_endless(
     world_name = world if isinstance(world, str) else place.name
     limits: dict[str, Any] = {"num_envs": rows, "length": steps, "end_on_goal": False, "task": task}
     env_config = replace(env_config, world=world_name, seed=seed, **limits)
-    rovers = RoverEnv(replace(env_config, world=place, seed=seed + offset))
+    described = sensors_for(policy, env_config, action_repeat)
+    rovers = RoverEnv(replace(described, world=place, seed=seed + offset))
     schedule = _Schedule([0] * rows, rows, offset)
     trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)

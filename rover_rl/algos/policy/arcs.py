@@ -18,9 +18,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.algos.policy.scan import hit_points
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.envs.sensors.scan_pose import seen_from_now
 from rover_rl.robots.robot import FULL_VIEW
 from rover_rl.rotations import angle_of
 
@@ -45,6 +45,24 @@ LEAD, LONGEST_LEAD = 0.3, 0.3  # time (s) and longest way (m) in which a robot g
 POINTS = 64  # number of readings that arcs keep free of, each the nearest of its neighbors
 _BLOCKED = 1e6  # cost of an arc that is not free, m
 _TURN = 2 * math.pi
+
+
+def hit_points(
+    lidar: Tensor, lidar_offset: Tensor | float, middle: float = 0.5, scan_pose: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Returns x and y of the points that readings of a lidar hit, in the base frame, ``[..., points]`` each, m.
+
+    Args:
+        lidar: lidar readings, ``[..., points]``, m.
+        lidar_offset: distance of the lidar in front of the base, m.
+        middle: where in its segment a reading is taken to come from, a share of the segment.
+        scan_pose: where the scan was taken, ``[..., 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
+            ``None``: where the rover is.
+    """
+    points = lidar.shape[-1]
+    angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)
+    x, y = lidar * angles.cos() + lidar_offset, lidar * angles.sin()
+    return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)
 
 
 class Body(NamedTuple):

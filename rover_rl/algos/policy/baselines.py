@@ -16,8 +16,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.arcs import drive_to
-from rover_rl.algos.policy.scan import hit_points
+from rover_rl.algos.policy.arcs import drive_to, hit_points
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit

@@ -44,13 +44,15 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.scan import hit_points
+from rover_rl.algos.policy.arcs import hit_points
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
+from rover_rl.envs.mover_tracker import MoverTracker
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import covering_discs, footprint
 from rover_rl.robots.slip import YAW_GAIN as YAW_GAIN
 from rover_rl.robots.slip import estimated_yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
+from rover_rl.sims.settings import CONTROL_DT
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
 
@@ -81,7 +83,8 @@ LIDAR_MARGIN = 0.06  # margin above the collision range of the robot in which ex
 REVERSE_COST = 0.5
 STANDSTILL_COST = 2.0
 STANDSTILL = 0.2  # yaw rate below which a rover without speed stands still, rad/s
-_FAR = 1e3  # coordinate of readings that hit nothing, m
+_FAR = 1e3  # coordinate of readings that hit nothing, and of what does not move, m
+MOVER_MARGIN = 0.05  # added to the radius of what moves, m
 _ROWS = 16  # number of rows that are planned for at once on a CPU. Their distances fit into its cache.
 _ROWS_ACCELERATOR = 1024  # number of rows that are planned for at once on an accelerator. Limits the memory to 1 GB.
 
@@ -278,6 +281,47 @@ class DynamicWindowPolicy(TensorDictModuleBase):
             away = torch.hypot(x[:, None] - later[:, :, None, :, 0], y[:, None] - later[:, :, None, :, 1])
             nearest = torch.minimum(nearest, (away - radius[:, :, None, None]).amin(1))
         return nearest - self._radius
+
+
+class MovingDynamicWindowPolicy(DynamicWindowPolicy):
+    """Dynamic-window planner that follows what moves with a :class:`~rover_rl.envs.mover_tracker.MoverTracker`.
+
+    A trajectory is rejected if the body touches where a track will be at the time of a pose, at constant velocity.
+    Readings that belong to such a track are no obstacles at rest.
+
+    The policy reads ``lidar``, ``target``, ``velocities``, ``pose`` and ``imu``, and remembers tracks.
+
+    Args:
+        robot: name of a robot, or a robot.
+        lidar: lidar that the policy reads.
+        yaw_gain: yaw rate of the body relative to that of the wheel odometry.
+
+    Attributes:
+        trained_action_repeat: number of steps from one decision to the next.
+
+    Raises:
+        ValueError: for an unknown robot, or a ``yaw_gain`` that is not positive.
+    """
+
+    trained_action_repeat = 2
+
+    def __init__(
+        self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float | None = None
+    ) -> None:
+        super().__init__(robot, lidar, yaw_gain)
+        self.in_keys = ["lidar", "target", "velocities", "pose", "imu", "is_init", "tracks"]
+        self.out_keys = ["action", ("next", "tracks")]  # type: ignore[list-item]
+        self._tracker = MoverTracker(self._robot, lidar, self.trained_action_repeat * CONTROL_DT)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
+        state, tracks = self._tracker.remembered(tensordict)
+        moving = tracks.in_base_frame(tensordict)
+        lidar = torch.where(tracks.readings, self.made_for.lidar.max_range, tensordict["lidar"])
+        position = moving.position.masked_fill(~moving.moves[..., None], _FAR)
+        inputs = [lidar, tensordict["target"], tensordict["velocities"]]
+        action = self._act([*inputs, position, moving.velocity, moving.radius + MOVER_MARGIN])
+        return tensordict.set("action", action).set(("next", "tracks"), state)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

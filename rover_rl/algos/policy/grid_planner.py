@@ -1,8 +1,9 @@
 """``GridPlanner``: classical baseline that plans on a grid map of what the lidar has seen and follows the route.
 
 Example:
-    >>> env = make_env(world_n="maze", num_envs=4, lidar_points=128)
-    >>> runner = PolicyRunner(GridPlanner())
+    >>> policy = GridPlanner()
+    >>> env = make_env(sensors_for(policy, replace(policy.made_for, world="maze", num_envs=4)))
+    >>> runner = PolicyRunner(policy)
     >>> runner(env.reset()).shape
     torch.Size([4, 2])
 """
@@ -18,11 +19,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.arcs import drive_to
-from rover_rl.algos.policy.scan import hit_points
+from rover_rl.algos.policy.arcs import drive_to, hit_points
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.robots.slip import turn_gain
@@ -54,10 +54,10 @@ class GridPlanner(TensorDictModuleBase):
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds,
-    for a robot that does not turn in place ``velocities``, and where scans can be late ``scan_pose``. It plans every
-    ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``, one lidar
-    reading for each beam, and episodes that end when the body touches an obstacle.
+    The policy reads ``lidar``, ``imu`` and ``route``, for a robot that does not turn in place ``velocities``, and where
+    scans can be late ``scan_pose``. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment
+    that it drives in, with ``robot``, one lidar reading for each beam, and episodes that end when the body touches an
+    obstacle.
     """
 
     trained_action_repeat = 4
@@ -80,6 +80,17 @@ class GridPlanner(TensorDictModuleBase):
             return tensordict.set("action", follow(lidar, imu, route, Follower.of(self._robot), scan_pose))
         numbers, velocities = RobotNumbers.of_robot(self._robot, lidar), tensordict["velocities"]
         return tensordict.set("action", follow_in_arcs(lidar, imu, route, velocities, numbers, scan_pose))
+
+
+class MovingGridPlanner(GridPlanner):
+    """The :class:`GridPlanner` with routes around what moves.
+
+    It also reads :class:`~rover_rl.envs.sensors.movers.Movers`.
+    """
+
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
+        super().__init__(robot)
+        self.in_keys.append(MOVERS)
 
 
 def follow_in_arcs(

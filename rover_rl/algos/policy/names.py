@@ -5,10 +5,9 @@ The command line, its help and its error messages read this table: a new baselin
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
-from rover_rl.registry import perhaps
+from rover_rl.registry import Registry, is_path
 
 if TYPE_CHECKING:
     from rover_rl.algos.policy.checkpoint import Checkpoint
@@ -20,23 +19,22 @@ BASELINES = {
     "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
     "gridplanner": "rover_rl.algos.policy.grid_planner:GridPlanner",
-    "dwa-moving": "rover_rl.algos.policy.moving_dwa:MovingDynamicWindowPolicy",
-    "gridplanner-moving": "rover_rl.algos.policy.moving_grid_planner:MovingGridPlanner",
+    "dwa-moving": "rover_rl.algos.policy.dwa:MovingDynamicWindowPolicy",
+    "gridplanner-moving": "rover_rl.algos.policy.grid_planner:MovingGridPlanner",
     "orca": "rover_rl.algos.policy.orca:OrcaPolicy",
     "predictive": "rover_rl.algos.policy.predictive:PredictivePolicy",
     "expert": "rover_rl.algos.policy.expert:MapExpert",
-    "foresight": "rover_rl.algos.policy.foresight:ForesightPolicy",
 }
 """Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
+_REGISTRY = Registry("baseline", BASELINES)
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
-    """Creates a baseline policy, for a robot or the default one. Raises ``ValueError`` for an unknown name."""
-    if name not in BASELINES:
-        raise ValueError(f"unknown baseline {name!r}{perhaps(name, BASELINES)}; use one of {[*BASELINES]}")
-    module, _, attribute = BASELINES[name].partition(":")
-    policy_class = getattr(import_module(module), attribute)
-    return policy_class() if robot is None else policy_class(robot)
+    """Creates a baseline policy, or one of your own (``"module:attribute"``), for a robot or the default one.
+
+    Raises ``ValueError`` for an unknown name.
+    """
+    return _REGISTRY.call(name, _REGISTRY.find(name), *(() if robot is None else (robot,)))
 
 
 def load_policy(name: str) -> Checkpoint:
@@ -50,6 +48,11 @@ def load_policy(name: str) -> Checkpoint:
     return load_pretrained(name.removeprefix(PRETRAINED)) if name.startswith(PRETRAINED) else Checkpoint.load(name)
 
 
+def is_baseline(name: str) -> bool:
+    """Whether a name is that of a baseline, or the ``"module:attribute"`` of a policy of one's own."""
+    return name in BASELINES or (is_path(name) and not name.startswith(PRETRAINED))
+
+
 def make_policy(name: str) -> Policy:
     """Creates a baseline policy, or that of a trained one by name: see :func:`load_policy`."""
-    return make_baseline(name) if name in BASELINES else load_policy(name).make_actor()
+    return make_baseline(name) if is_baseline(name) else load_policy(name).make_actor()

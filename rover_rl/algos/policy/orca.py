@@ -22,7 +22,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.envs.config import EnvConfig, RobotLike
-from rover_rl.envs.mover_tracker import MoverTracker, Tracks, in_base_frame, tracked
+from rover_rl.envs.mover_tracker import MoverTracker, Tracks
 from rover_rl.robots import get_robot
 from rover_rl.rotations import wrap_angle
 from rover_rl.sims.settings import CONTROL_DT
@@ -64,9 +64,9 @@ class OrcaPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
-        state, tracks = tracked(self._tracker, tensordict)
+        state, tracks = self._tracker.remembered(tensordict)
         lidar, target, velocities = (tensordict[key] for key in ("lidar", "target", "velocities"))
-        velocity = self._velocity(lidar, target, velocities, in_base_frame(tracks, tensordict))
+        velocity = self._velocity(lidar, target, velocities, tracks.in_base_frame(tensordict))
         speed, angle = velocity.norm(dim=-1, keepdim=True), torch.atan2(velocity[:, 1:], velocity[:, :1])
         backward = angle.abs() > BACKWARD
         angle = torch.where(backward, wrap_angle(angle + math.pi), angle)

@@ -1,8 +1,9 @@
 """``PredictivePolicy``: planner in space and time, among what the lidar sees at rest and moving.
 
 Example:
-    >>> env = make_env(world_n="plaza", num_envs=2, backend="warp", seed=0, lidar_points=128)
-    >>> runner = PolicyRunner(PredictivePolicy(), env=env)
+    >>> policy = PredictivePolicy()
+    >>> env = make_env(sensors_for(policy, replace(policy.made_for, world="plaza", num_envs=2, backend="warp")))
+    >>> runner = PolicyRunner(policy, env=env)
     >>> runner(env.reset()).shape
     torch.Size([2, 2])
 """
@@ -19,18 +20,14 @@ from torch import Tensor
 
 from rover_rl.algos.policy.space_time import Plans, SpaceTimePlanner, fixed_struct, moving_struct, window
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
-from rover_rl.envs.scan_tracker import in_world
-from rover_rl.envs.seen_map.scans import SIZE, goal_positions
-from rover_rl.envs.seen_map.seen_map import SEEN_DISTANCES, SEEN_FRAME
+from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
 from rover_rl.envs.sensors.movers import movers_of
-from rover_rl.envs.sensors.suite import MOVERS, ROUTE, WALLS
-from rover_rl.envs.sensors.walls import walls_of
+from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
 from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import get_robot
 from rover_rl.robots.slip import estimated_yaw_gain
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
-THICK = 0.08  # half of the thickness of a wall that moves, m
 
 
 class PredictivePolicy(TensorDictModuleBase):
@@ -39,9 +36,7 @@ class PredictivePolicy(TensorDictModuleBase):
     Ten times a second, it plans on the map of what the lidar has seen with a
     :class:`~rover_rl.algos.policy.space_time.SpaceTimePlanner`. What moves is taken to keep its velocity.
 
-    The policy reads ``pose``, ``imu``, ``target`` and ``velocities``, and what a
-    :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds: ``movers``, ``walls``, and the distances to what has been
-    seen on the map, which ``route`` comes with.
+    The policy reads ``pose``, ``imu``, ``target``, ``velocities``, ``movers`` and ``seen_distances``.
 
     Args:
         robot: name of a robot, or a robot.
@@ -63,7 +58,7 @@ class PredictivePolicy(TensorDictModuleBase):
         model, lidar = get_robot(robot), LidarConfig()
         task = TaskConfig(collision_from="contact", collision_window=0)
         self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
-        self.in_keys = ["pose", "imu", "target", "velocities", MOVERS, WALLS, ROUTE, SEEN_DISTANCES, SEEN_FRAME]
+        self.in_keys = ["pose", "imu", "target", "velocities", MOVERS, SEEN_DISTANCES]
         self.out_keys = ["action"]
         gain = estimated_yaw_gain(model) if yaw_gain is None else yaw_gain
         speed = min(model.drive.max_speed, action_bounds(self.made_for.bounded_action).high[0])
@@ -76,9 +71,10 @@ class PredictivePolicy(TensorDictModuleBase):
         rows = torch.arange(count, device=device)
         plans = Plans.empty(count, device)
         plans = plans._replace(origin=window(pose[:, :2])[0], goal=goal_positions(pose, imu, target))
-        frame = torch.cat((tensordict[SEEN_FRAME], pose.new_full((count, 2), float(SIZE))), -1)
-        fixed = fixed_struct(rows, frame, tensordict[SEEN_DISTANCES].contiguous())
-        movers = torch.cat((_of_movers(tensordict[MOVERS]), _of_walls(tensordict[WALLS])), 1)
+        distances, frame = tensordict[SEEN_DISTANCES].split((SIZE**2, 3), -1)
+        frame = torch.cat((frame, pose.new_full((count, 2), float(SIZE))), -1)
+        fixed = fixed_struct(rows, frame, distances.contiguous())
+        movers = _of_movers(tensordict[MOVERS])
         # Those that exist first, as the kernels read no others.
         order = (movers[..., 8] == 0).to(torch.int8).sort(dim=-1, stable=True).indices
         movers = movers.gather(1, order[..., None].expand_as(movers))
@@ -98,18 +94,11 @@ def _of_movers(value: Tensor) -> Tensor:
     return torch.cat((movers[..., :4], front, movers[..., 4:]), -1)
 
 
-def _of_walls(value: Tensor) -> Tensor:
-    """Returns thick lines, as :func:`_of_movers` does discs."""
-    place, along, half, velocity = walls_of(value).split((2, 2, 1, 2), -1)
-    thick = THICK * (half > 0)
-    return torch.cat((place, velocity, along, half, torch.zeros_like(half), thick), -1)
-
-
 def _predicted(movers: Tensor, pose: Tensor, imu: Tensor, instants: list[float]) -> Any:
     """Returns where movers ``[N, M, 9]`` in the base frame will be, as the kernels read it.
 
     Args:
-        movers: what :func:`_of_movers` and :func:`_of_walls` return. Those that do not exist are last.
+        movers: what :func:`_of_movers` returns. Those that do not exist are last.
         pose, imu: pose and attitude of the rovers.
         instants: times from now, s.
     """

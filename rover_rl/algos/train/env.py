@@ -15,16 +15,12 @@ from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.algos.train.live import LiveRovers
 from rover_rl.algos.workers import usable_cores
-from rover_rl.envs.config import SCAN_POSE, EnvConfig, SensorLike
+from rover_rl.envs.config import EnvConfig, SensorLike
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.lidar_mask import LidarMask
-from rover_rl.envs.sensors.movers import Movers
 from rover_rl.envs.sensors.route import Route
-from rover_rl.envs.sensors.scan_pose import ScanPose
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, ROUTE, WALLS, own_sensors
-from rover_rl.envs.sensors.walls import MovingWalls
+from rover_rl.envs.sensors.suite import ROUTE, own_sensors, with_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -92,21 +88,13 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
 
 
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
-    sensors, read = own_sensors(config.env.sensors), config.network.observation
-    if ROUTE in read:
-        # Not part of the environment that a policy is made for, but of its runner: so are movers.
-        sensors[ROUTE] = Route(threads=_threads(config))
-    if MOVERS in read:
-        sensors[MOVERS] = Movers()
-    if WALLS in read:
-        sensors[WALLS] = MovingWalls()
+    read = config.network.observation
+    sensors = own_sensors(with_sensors(config.env, read).sensors)
+    if isinstance(route := sensors.get(ROUTE), Route):
+        sensors[ROUTE] = replace(route, threads=_threads(config))
     for key, sensor in sensors.items():
         if sensor.takes_long and key in read:
             sensors[key] = replace(sensor, period=config.collection.action_repeat)
-    if SCAN_POSE in read and SCAN_POSE not in sensors:
-        sensors[SCAN_POSE] = ScanPose()
-    if LIDAR_MASK in read and LIDAR_MASK not in sensors:
-        sensors[LIDAR_MASK] = LidarMask()
     return tuple(sensors.values())
 
 

@@ -22,6 +22,7 @@ from rover_rl.algos.evaluation.parallel import ROWS
 from rover_rl.algos.evaluation.stored import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import sensors_for
 from rover_rl.envs import EnvConfig, RoverEnv
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
@@ -150,7 +151,7 @@ def record_endless(
 ) -> Recording:
     """Drives in endless mode: a reached goal is followed by a new goal, an ended episode by a new start."""
     config = environment_for(policy, env)
-    config = replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed)
+    config = sensors_for(policy, replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed))
     reward_components(config.reward, config.contract_reward)
     rovers = RoverEnv(config)
     steps = max(1, round(seconds / rovers.control_dt))

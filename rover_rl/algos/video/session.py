@@ -17,13 +17,14 @@ from torchrl.envs import EnvBase
 
 from rover_rl.algos.driving import Drive
 from rover_rl.algos.policy.baselines import RandomPolicy
-from rover_rl.algos.policy.runner import Policy, PolicyRunner
+from rover_rl.algos.policy.runner import Policy, PolicyRunner, sensors_for
 from rover_rl.algos.video.recording import Episode, Moment, Tally
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.envs.make import RewardedEnv, make_env
 from rover_rl.envs.sensors.movers import movers_of
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.route import MapReader
+from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.envs.specs import action_bounds
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.paths import PathDistances
@@ -74,12 +75,14 @@ class Session:
     Attributes:
         row: rover that is followed.
         exploring: whether the policy draws its actions, as in training, rather than takes the best ones.
+        config: description of the environment, without the sensors that only the policy needs.
     """
 
     def __init__(self, env: EnvBase, policy: Policy | None) -> None:
-        self.row, self._policy, self.exploring = 0, policy, False
+        self.row, self.exploring = 0, False
         self._critic: Critic | None = None
         self._set_env(env)
+        self.config: EnvConfig = getattr(env, "config", self.rovers.config)
         self.set_policy(policy)
         self.reset()
 
@@ -94,23 +97,21 @@ class Session:
         return self._drive.observation
 
     @property
-    def config(self) -> EnvConfig:
-        """Description of the environment."""
-        config: EnvConfig = getattr(self.env, "config", self.rovers.config)
-        return config
-
-    @property
     def can_change(self) -> bool:
         """Whether the environment can be made anew with another world or simulator."""
         return isinstance(self.env, (RoverEnv, RewardedEnv))
 
     def change(self, **changes: Any) -> None:
         """Makes the environment anew with other settings of :class:`EnvConfig`, such as ``world`` and ``backend``."""
-        new = make_env(replace(self.config, **changes))
-        self.env.close()
-        self._set_env(new)
+        self._make(replace(self.config, **changes), self._policy)
         self.set_policy(self._policy, self._critic)
         self.reset()
+
+    def _make(self, config: EnvConfig, policy: Policy | None) -> None:
+        new = make_env(sensors_for(policy, config))
+        self.env.close()
+        self._set_env(new)
+        self.config = config
 
     def set_robot(self, robot: str, policy: Policy | None) -> None:
         """Lets another robot drive, with a policy for it. Raises ``ValueError`` if the policy is for another robot."""
@@ -120,22 +121,26 @@ class Session:
         self.change(robot=robot)
 
     def set_policy(self, policy: Policy | None, critic: Critic | None = None) -> None:
-        """Lets another policy drive. If it was made for another environment, makes the environment anew for it.
+        """Lets another policy drive. If it needs another environment, makes it anew.
 
         ``critic`` estimates values from observations. Raises ``ValueError`` if the environment cannot be made anew.
         """
-        self._critic = critic
+        config = self.config
         if made_for := getattr(policy, "made_for", None):
             try:
-                require_match(made_for, self.rovers.config)
+                require_match(made_for, config)
             except ValueError:
                 if not self.can_change:
                     raise
-                self._policy = policy
-                self.change(**{name: getattr(made_for, name) for name in _OF_POLICY})
-                return
-        self._policy = policy
+                config = replace(config, **{name: getattr(made_for, name) for name in _OF_POLICY})
+        reads_more = not {*sensors_for(policy, config).sensors} <= {*self.rovers.config.sensors}
+        anew = config is not self.config or (reads_more and self.can_change)
+        if anew:
+            self._make(config, policy)
+        self._policy, self._critic = policy, critic
         self._drive.runner = PolicyRunner(policy or RandomPolicy(), env=self.rovers)
+        if anew:
+            self.reset()
 
     def reset(self) -> None:
         """Starts a new episode of all rovers."""
@@ -193,8 +198,6 @@ class Session:
         }
         if self._critic is not None:
             seen = before[row : row + 1]
-            if self._drive.runner.seen_map is not None:
-                seen = seen.copy().set(ROUTE, self._drive.runner.seen_map[1][row : row + 1])
             values[VALUE] = self._critic(seen)
         components = after.get("reward_components", None)
         if components is not None:
@@ -239,11 +242,12 @@ class Session:
         Returns:
             Cells that are not free, ``[cells, 3]``: x, y (m), and the level of
             :meth:`~rover_rl.envs.seen_map.seen_map.SeenMap.levels`. And the points of the route from the rover on,
-            ``[3, 2]``, m. ``None`` if the runner keeps no map for the policy.
+            ``[3, 2]``, m. ``None`` if the policy has no map.
         """
-        if self._drive.runner.seen_map is None:
+        reader = next((one for one in self.rovers.observer.readers.values() if isinstance(one, MapReader)), None)
+        if reader is None:
             return None
-        seen, route = self._drive.runner.seen_map
+        seen, route = reader.seen, reader.route
         (levels, corner), row, rovers = seen.levels(), self.row, self.rovers
         cell = seen.cell[row].item()
         marked = (levels[row] < FREE).nonzero()
@@ -260,11 +264,11 @@ class Session:
 
         They are x and y (m), velocity along x and y (m/s), and radius (m), in the frame of the world.
         """
-        if self._drive.runner.tracked is None:
+        if (values := self.observation.get(MOVERS, None)) is None:
             return torch.zeros(0, 5)
         rover = self.rovers.rover_state[self.row : self.row + 1]
         yaw = quaternion_to_euler(rover.orientation)[0, 2]
-        movers = movers_of(self._drive.runner.tracked[self.row])
+        movers = movers_of(values[self.row])
         place, velocity, radius = movers[movers[:, -1] > 0].split((2, 2, 1), -1)
         turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos())).reshape(2, 2)
         return torch.cat((rover.position[:, :2] + place @ turn, velocity @ turn, radius), -1).cpu()

@@ -175,8 +175,9 @@ class ScanReader(nn.Module):
         size, reach = beams[..., :2].abs().amax(-1), torch.full_like(xy[:, :1], REACH)
         if taken is not None:
             # The rover has moved on since the scan, and the window with it.
-            reach = (HALF - 1 - (origin - center).abs().amax(-1, keepdim=True)).clamp(0, REACH)
-            beams = beams * (reach / size.maximum(reach).clamp(min=1e-6))[..., None]
+            late = ((at != pose) | (attitude != imu)).any(-1, keepdim=True)
+            reach = torch.where(late, HALF - 1 - (origin - center).abs().amax(-1, keepdim=True), reach).clamp(0, REACH)
+            beams = torch.where(late, reach / size.maximum(reach).clamp(min=1e-6), 1.0)[..., None] * beams
         returned = lidar < no_return
         if is_seen is not None:
             returned = returned & is_seen
@@ -326,6 +327,20 @@ def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
     """Returns x and y of the goals, ``[N, 2]``, m, from entries of the observation ``[N, n]``."""
     bearing = target[:, 1:] + imu[:, 2:]
     return pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+
+
+def along_heading(pairs: Tensor, imu: Tensor) -> Tensor:
+    """Returns world vectors ``[N, M, 2]`` along the axes of each rover's base frame."""
+    cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
+    x, y = pairs.unbind(-1)
+    return torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
+
+
+def in_world(pairs: Tensor, imu: Tensor) -> Tensor:
+    """Returns vectors of each rover's base frame ``[N, M, 2]`` along the axes of the world."""
+    cos, sin = imu[:, 2:].cos(), imu[:, 2:].sin()
+    x, y = pairs.unbind(-1)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y), -1)
 
 
 def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:

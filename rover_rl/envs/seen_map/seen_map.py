@@ -2,7 +2,7 @@
 
 Example:
     >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-    >>> seen = SeenMap(2, env.config.lidar)
+    >>> seen = SeenMap(env.fleet, env.config.lidar)
     >>> seen(env.reset()).shape
     torch.Size([2, 5])
 """
@@ -17,8 +17,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import SCAN_POSE, LidarConfig, RobotLike
-from rover_rl.envs.scan_tracker import in_world
+from rover_rl.envs.config import SCAN_POSE, LidarConfig
 from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
@@ -32,6 +31,7 @@ from rover_rl.envs.seen_map.scans import (
     ScanReader,
     goal_positions,
     in_units,
+    in_world,
     limits_of,
     map_unit,
     reading_directions,
@@ -42,14 +42,10 @@ from rover_rl.envs.seen_map.scans import (
 from rover_rl.envs.sensors.lidar_mask import WHOLE
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
-from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS, WALLS
-from rover_rl.envs.sensors.walls import belong_to_walls
-from rover_rl.robots import get_robot
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.footprint import footprint
 
-SEEN_DISTANCES, SEEN_FRAME = "seen_distances", "seen_frame"
-"""Names of what :meth:`SeenMap.distances` returns."""
 KNOWN = 0.2
 """Distance from the body within which the ground is known to be free, as the rover stands there, m."""
 MOVER_MARGIN = 0.1
@@ -85,19 +81,17 @@ class SeenMap:
 
     What moves marks no cells, if the observation has ``movers``: see :class:`~rover_rl.envs.sensors.movers.Movers`. A
     cell is closed for one plan if a mover at constant velocity is there within 0.75 s of the time at which the rover
-    could be, in the coming 4 s. Walls that move mark none, if it has ``walls``, and close none: see
-    :class:`~rover_rl.envs.sensors.walls.MovingWalls`.
+    could be, in the coming 4 s.
 
     The map needs a pose that does not jump, such as that of odometry. A scan that is older than the pose is added where
     it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
 
     Args:
-        rows: number N of rovers.
-        lidar: settings of the lidar; ``None``: the defaults.
-        robot: robot, or its name, for its width and the position of its lidar; or the robots of the rows.
-        device: device of the observations; ``None``: the CPU.
-        threads: number of CPU threads. Results do not depend on it.
+        fleet: robots of the N rows, for their width and the position of their lidars. Its device is that of the
+            observations.
+        lidar: settings of the lidar.
         interval: time from one scan that is added to the next, s.
+        threads: number of CPU threads. Results do not depend on it.
         keep_passed: whether to keep which cells beams have passed, which ``distances`` needs.
 
     Raises:
@@ -105,24 +99,16 @@ class SeenMap:
     """
 
     def __init__(
-        self,
-        rows: int,
-        lidar: LidarConfig | None = None,
-        robot: RobotLike | Fleet = "rover_zero",
-        device: torch.device | str | None = None,
-        threads: int = 1,
-        interval: float = 0.2,
-        keep_passed: bool = False,
+        self, fleet: Fleet, lidar: LidarConfig, interval: float = 0.2, threads: int = 1, keep_passed: bool = False
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
 
-        lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
+        rows, device, cells = len(fleet), fleet.index.device, SIZE * SIZE
         self._points, self._directions = lidar.points, reading_directions(lidar).to(device)
         # Half of a beam, in readings.
         self._offset = 0.5 * lidar.points / lidar.beams
-        self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
-        self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
+        self._fleet, self._reader = fleet, ScanReader(lidar, fleet.robots[0], interval).to(device)
         self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
         # Distance from movers that they keep, m, and their speed, in cells per second.
         self._sides = self._fleet.table(lambda robot: [footprint(robot).half_width + MOVER_MARGIN])
@@ -189,15 +175,15 @@ class SeenMap:
         unit = self._units[index] if several else self._unit
         ranges, place, goal = in_units(unit, lidar, pose, target)
         readings = self._readings[index] if several else None
-        taken, mask = taken_at(observation), observation.get(LIDAR_MASK, None)
-        then = None if taken is None else (taken[0] / unit, taken[1])
+        late, mask = observation.get(SCAN_POSE, None), observation.get(LIDAR_MASK, None)
+        then = None
+        if late is not None:
+            at, attitude = taken_at(observation)
+            then = at / unit, attitude
         scan, state = self._reader(self._state, ranges, place, imu, readings, then, mask)
-        (movers, walls), ways = (observation.get(key, None) for key in (MOVERS, WALLS)), list[Tensor]()
-        for found, belong_to in ((movers, belong_to_movers), (walls, belong_to_walls)):
-            if found is not None:
-                points = self._points_of(lidar, observation.get(SCAN_POSE, None))
-                scan = scan._replace(hits=scan.hits & ~belong_to(*points, found))
+        movers, ways = observation.get(MOVERS, None), list[Tensor]()
         if movers is not None:
+            scan = scan._replace(hits=scan.hits & ~belong_to_movers(*self._points_of(lidar, late), movers))
             ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal_positions(place, imu, goal), bounds, rows, ways)

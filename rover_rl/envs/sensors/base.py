@@ -19,7 +19,6 @@ from rover_rl.envs.delays import SensorDelays
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
-from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import LiveRover
 from rover_rl.sims.movers import MoverField
@@ -119,21 +118,15 @@ class Rig:
     """What a sensor with a memory is mounted on.
 
     Attributes:
-        rows: number N of rovers.
-        robot: robot of all of them, or the largest one.
-        lidar: settings of its lidar.
+        fleet: robots of the N rows. Its device is that of the readings.
+        lidar: settings of their lidars.
         control_dt: duration of a step, s.
-        device: device of the readings.
-        fleet: robot of each row. ``None``: ``robot``.
         randomization: what varies from episode to episode.
     """
 
-    rows: int
-    robot: Robot
+    fleet: Fleet
     lidar: LidarConfig
     control_dt: float
-    device: torch.device
-    fleet: Fleet | None = None
     randomization: Randomization = field(default_factory=Randomization)
 
 
@@ -330,14 +323,18 @@ def _signs(signs: tuple[float, ...], device: torch.device) -> Tensor:
 
 
 class Observer:
-    """Computes observations with sensors, by key, on a rig."""
+    """Computes observations with sensors, by key, on a rig.
+
+    Attributes:
+        readers: what reads the sensors, by key.
+    """
 
     def __init__(self, sensors: Mapping[str, Sensor], rig: Rig) -> None:
         self._sensors = sensors
-        self._readers = {key: sensor.reader(rig) for key, sensor in sensors.items()}
+        self.readers = {key: sensor.reader(rig) for key, sensor in sensors.items()}
         self._held: dict[str, Tensor] = {}
         self._is_checked = False
-        self._limits = {key: each.bounds.tensors(rig.device) for key, each in sensors.items() if each.clips}
+        self._limits = {key: each.bounds.tensors(rig.fleet.index.device) for key, each in sensors.items() if each.clips}
 
     def sense(
         self,
@@ -379,7 +376,7 @@ class Observer:
         return inputs.observation
 
     def _read(self, key: str, inputs: SensorInput) -> Tensor:
-        value = self._readers[key](inputs)
+        value = self.readers[key](inputs)
         shape = len(inputs.steps), len(self._sensors[key].bounds.low)
         if not self._is_checked and (value.shape != shape or value.dtype != torch.float32):
             got = f"{value.dtype} {(*value.shape,)}"

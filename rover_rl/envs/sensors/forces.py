@@ -15,7 +15,6 @@ from rover_rl.checks import MAX_NUMBER, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Rig, RigSensor, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
-from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.rover_state import SIDES
 
 MAX_WHEELS = 64
@@ -117,17 +116,16 @@ class WheelEffort(RigSensor):
         Raises:
             ValueError: if a robot has more wheels.
         """
-        fleet = Fleet.of(rig.robot if rig.fleet is None else rig.fleet, rig.rows, rig.device)
-        most = max(len(robot.drive.wheels) for robot in fleet.robots)
+        most = max(len(robot.drive.wheels) for robot in rig.fleet.robots)
         if most > self.wheels:
             raise ValueError(f"sensor {self.name!r} has wheels={self.wheels}, a robot has {most}: set wheels={most}")
         # The simulator has as many columns as the largest number of wheels. One of zeros follows.
-        columns = fleet.table(partial(_columns, count=self.wheels, empty=most), dtype=torch.int64)
+        columns = rig.fleet.table(partial(_columns, count=self.wheels, empty=most), dtype=torch.int64)
 
         def read(inputs: SensorInput) -> Tensor:
             torque = inputs.truth.rover.wheel_torque
             assert torque is not None
-            return pad(torque, (0, 1)).gather(-1, columns[fleet.index])
+            return pad(torque, (0, 1)).gather(-1, columns[rig.fleet.index])
 
         return read
 

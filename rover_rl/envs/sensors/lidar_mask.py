@@ -14,8 +14,6 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.standard import LidarPooling, hidden_beams
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
-from rover_rl.robots import Robot
-from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.rays import seen
 from rover_rl.sims.rover_state import beam_angles
 
@@ -49,53 +47,26 @@ class LidarMask(RigSensor):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the shares."""
         return Bounds((0.0,) * self.points, (1.0,) * self.points)
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader of the views of the rows."""
-        views, noise = LidarViews(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device), rig.randomization
+        lidar, fleet, noise = rig.lidar, rig.fleet, rig.randomization
+        angles = beam_angles(lidar.beams)
+        views = fleet.table(lambda robot: seen(angles, robot.lidar_view).tolist(), torch.bool)
+        pooling = LidarPooling(lidar.beams, lidar.points, lidar.max_range, fleet.index.device)
 
         def read(inputs: SensorInput) -> Tensor:
-            hidden, live = [], inputs.surroundings.live
+            covered, live = views[fleet.index], inputs.surroundings.live
             if noise.hides_beams:
-                hidden.append(hidden_beams(noise, inputs.keys, inputs.truth.ranges))
+                covered = covered & ~hidden_beams(noise, inputs.keys, inputs.truth.ranges)
             if live is not None:
-                hidden.append(~live.covered())
-            return views(*hidden)
+                covered = covered & live.covered()
+            return pooling.grouped(covered.float()).mean(-1)
 
         return read
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Reverses the order of the shares, as that of the readings."""
         return value.flip(-1)
-
-
-class LidarViews:
-    """Views of the lidars of a batch of rovers.
-
-    Args:
-        rows: number N of rovers.
-        lidar: settings of the lidar.
-        robot: robot that carries it, or the robots of the rows.
-        device: device of the shares.
-    """
-
-    def __init__(self, rows: int, lidar: LidarConfig, robot: Robot | Fleet, device: torch.device) -> None:
-        self._fleet, angles = Fleet.of(robot, rows, device), beam_angles(lidar.beams)
-        self._seen = self._fleet.table(lambda robot: seen(angles, robot.lidar_view).tolist(), torch.bool)
-        self._pooling = LidarPooling(lidar.beams, lidar.points, lidar.max_range, device)
-
-    def __call__(self, *hidden: Tensor) -> Tensor:
-        """Returns values of :class:`LidarMask`, ``[N, points]``.
-
-        Args:
-            hidden: beams that see nothing, although they are in view, bool ``[N, beams]`` each.
-        """
-        covered = self._seen[self._fleet.index]
-        for each in hidden:
-            covered = covered & ~each
-        return self._pooling.grouped(covered.float()).mean(-1)
 
 
 def known_readings(observation: Mapping[str, Tensor] | TensorDictBase) -> Tensor:

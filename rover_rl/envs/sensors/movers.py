@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks, in_base_frame
+from rover_rl.envs.config import SCAN_POSE
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
 from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput, mirrored_signs
-from rover_rl.envs.sensors.seen_tracks import SeenTracks, reader_of
-from rover_rl.envs.sensors.suite import MOVERS
+from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.envs.specs import Bounds
 
+READ = ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)
+"""Entries of an observation that the tracker reads, if they are there."""
 COUNT = 12
 """Number of movers in the entry."""
 NUMBERS = 5
@@ -33,24 +35,6 @@ NEAREST = 6
 """Number of movers that a network also reads one by one."""
 SLACK = 0.25
 """Distance from a mover up to which readings belong to it, m."""
-
-
-class SeenMovers(SeenTracks):
-    """What moves around the rovers of a batch, from scan to scan: see :class:`Movers`."""
-
-    tracker = MoverTracker
-    remembered = TRACKS * STATE
-    told = TRACKED + len(INSTANTS) * BEARINGS
-
-    def values(self, tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
-        """Returns the values of the sensor, ``[N, 156]``."""
-        tracks = in_base_frame(tracks, observation)
-        ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
-        gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
-        order = gap.sort(dim=-1, stable=True).indices[:, :COUNT]
-        every = torch.cat((tracks.position, tracks.velocity, tracks.radius[..., None]), -1) * tracks.moves[..., None]
-        movers = every.gather(1, order[..., None].expand(-1, -1, NUMBERS))
-        return torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +65,7 @@ class Movers(RigSensor):
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader with tracks of its own."""
-        return reader_of(SeenMovers, self, rig)
+        return _Reader(self, rig)
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes the logarithm of the ranges, and the first six movers."""
@@ -92,6 +76,45 @@ class Movers(RigSensor):
         movers = mirrored_signs((1.0, -1.0, 1.0, -1.0, 1.0) * COUNT, value[..., :TRACKED])
         scans = value[..., TRACKED:].unflatten(-1, (len(INSTANTS), BEARINGS)).flip(-1).roll(1, -1)
         return torch.cat((movers, scans.flatten(-2)), -1)
+
+
+class _Reader:
+    """Tracks of what moves around the rovers of a batch, from scan to scan."""
+
+    def __init__(self, sensor: Movers, rig: Rig) -> None:
+        self._period = sensor.period
+        self._tracker = MoverTracker(rig.fleet, rig.lidar, sensor.period * rig.control_dt)
+        rows, device = len(rig.fleet), rig.fleet.index.device
+        self._state = torch.zeros(rows, TRACKS * STATE, device=device)
+        self._values = torch.zeros(rows, len(sensor.bounds.low), device=device)
+
+    def __call__(self, inputs: SensorInput) -> Tensor:
+        due = inputs.due(self._period)
+        self._state = self._state.masked_fill((due & (inputs.steps == 0).squeeze(-1))[:, None], 0.0)
+        read = {key: inputs.observation[key] for key in READ if key in inputs.observation}
+        if due.device.type == "cpu":
+            # The few rows that begin an episode between two scans take little time.
+            index = due.nonzero().squeeze(-1)
+            read = {key: value[index] for key, value in read.items()}
+            state, tracks = self._tracker(self._state[index], read, index)
+            self._state = self._state.index_copy(0, index, state)
+            self._values = self._values.index_copy(0, index, _values(tracks, read))
+        else:
+            state, tracks = self._tracker(self._state, read, due=due)
+            self._state = torch.where(due[:, None], state, self._state)
+            self._values = torch.where(due[:, None], _values(tracks, read), self._values)
+        return self._values
+
+
+def _values(tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
+    """Returns the values of the sensor, ``[N, 156]``."""
+    tracks = tracks.in_base_frame(observation)
+    ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
+    gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
+    order = gap.sort(dim=-1, stable=True).indices[:, :COUNT]
+    every = torch.cat((tracks.position, tracks.velocity, tracks.radius[..., None]), -1) * tracks.moves[..., None]
+    movers = every.gather(1, order[..., None].expand(-1, -1, NUMBERS))
+    return torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
 
 
 def movers_of(value: Tensor) -> Tensor:

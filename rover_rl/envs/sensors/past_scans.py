@@ -15,7 +15,6 @@ from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import PAST_SCANS
 from rover_rl.envs.specs import Bounds
-from rover_rl.robots.fleet import Fleet
 
 CHANGE = 4.0
 """Factor of the changes that a network reads: 1 is what has come from 3 m to 2.1 m."""
@@ -26,7 +25,7 @@ class PastScans(RigSensor):
     """The lidar scan and earlier ones, as they would look from the pose now, ``[N, (1 + count) * points]``, m.
 
     What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved, whether
-    or not :class:`~rover_rl.envs.sensors.movers.Movers` or :class:`~rover_rl.envs.sensors.walls.MovingWalls` follow it.
+    or not :class:`~rover_rl.envs.sensors.movers.Movers` follows it.
     The latest scan is the first. At the start of an episode, all are the first scan. Networks read the latest one and
     the changes since the others with convolutions over the directions.
 
@@ -44,7 +43,7 @@ class PastScans(RigSensor):
         ValueError: if a setting is out of range.
 
     Example:
-        >>> env = RoverEnv(world_n="gates", num_envs=2, seed=0, sensors=[PastScans(count=3)])
+        >>> env = RoverEnv(world_n="plaza", num_envs=2, seed=0, sensors=[PastScans(count=3)])
         >>> env.rollout(5)["past_scans"].unflatten(-1, (4, 16)).shape
         torch.Size([2, 5, 4, 16])
     """
@@ -105,14 +104,14 @@ class _KeptScans:
 
     def __init__(self, sensor: PastScans, rig: Rig) -> None:
         self._sensor, self._no_return = sensor, rig.lidar.max_range - 1e-3
-        self._fleet = Fleet.of(rig.fleet or rig.robot, rig.rows, rig.device)
+        self._fleet, rows, device = rig.fleet, len(rig.fleet), rig.fleet.index.device
         self._mounts = self._fleet.table(lambda robot: robot.lidar_position[:2])
-        self._directions = reading_directions(rig.lidar).to(rig.device)
+        self._directions = reading_directions(rig.lidar).to(device)
         size = 1 + sensor.count * sensor.lag
-        self._ends = torch.zeros(rig.rows, size, rig.lidar.points, 2, device=rig.device)
+        self._ends = torch.zeros(rows, size, rig.lidar.points, 2, device=device)
         # Place of each row's last scan.
-        self._latest = torch.zeros(rig.rows, dtype=torch.int32, device=rig.device)
-        self._ranges = torch.zeros(rig.rows, 1 + sensor.count, sensor.points, device=rig.device)
+        self._latest = torch.zeros(rows, dtype=torch.int32, device=device)
+        self._ranges = torch.zeros(rows, 1 + sensor.count, sensor.points, device=device)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         """Adds the scans of the rows that are due, and returns the values of the sensor."""
@@ -127,7 +126,7 @@ class _KeptScans:
         pose, imu = entries["pose"], entries["imu"]
         options = launch_options(due.device)
         beams = entries["lidar"].contiguous(), self._no_return, self._directions
-        taken = self._frames(*(taken_at(entries) or (pose, imu)))
+        taken = self._frames(*taken_at(entries))
         wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
         ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
         now = self._frames(pose, imu)

@@ -14,7 +14,6 @@ from torch import Tensor
 from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
-from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.footprint import footprint
 from rover_rl.robots.skidding import yaw_gain
 
@@ -74,8 +73,7 @@ class RobotBody(RigSensor):
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader of the robots of the rows."""
-        fleet = Fleet.of(rig.robot if rig.fleet is None else rig.fleet, rig.rows, rig.device)
-        table = fleet.table(_body_of)
+        fleet, table = rig.fleet, rig.fleet.table(_body_of)
         return lambda inputs: table[fleet.index]
 
     def encode(self, value: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Route: the shortest way to the goal on the map of what the lidar has seen."""
+"""The way to the goal on the map of what the lidar has seen, and the distances on this map."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rover_rl.envs.seen_map.scans import SIZE
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
 from rover_rl.envs.sensors.standard import Target
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.suite import ROUTE, SEEN_DISTANCES
 from rover_rl.envs.specs import Bounds
+
+FARTHEST_CELL = 1e6
+"""Bound of the places of cells, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +29,6 @@ class Route(RigSensor):
     alone, so that a policy may read it wherever it drives.
 
     Args:
-        name: key of the entry.
         period: number of steps from one scan that is added to the map to the next. With
             :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`, that of a decision.
         threads: number of CPU threads. Results do not depend on it.
@@ -45,15 +48,7 @@ class Route(RigSensor):
     bounds = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader with maps of its own."""
-        interval = self.period * rig.control_dt
-        seen = SeenMap(rig.rows, rig.lidar, rig.fleet or rig.robot, rig.device, self.threads, interval)
-
-        def read(inputs: SensorInput) -> Tensor:
-            due = inputs.due(self.period)
-            return seen(inputs.observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
-
-        return read
+        return MapReader(self, rig, self.threads)
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes two corners like targets, and the length, for which no path counts as none left."""
@@ -61,3 +56,42 @@ class Route(RigSensor):
         left, target = length.clamp(min=0), Target()
         rest = (left / 10 - 1, left.log1p() - 1, (length < 0).to(length.dtype))
         return torch.cat((target.encode(first), target.encode(second), *rest), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenDistances(RigSensor):
+    """Distances to what the lidar has seen, and where they are, ``[N, SIZE * SIZE + 3]``, m.
+
+    See :meth:`SeenMap.distances <rover_rl.envs.seen_map.seen_map.SeenMap.distances>`. For planners, not for networks.
+
+    Args:
+        period: as for :class:`Route`.
+    """
+
+    name: str = SEEN_DISTANCES
+    clips = False
+    delayed = None
+    takes_long = True
+    bounds = Bounds((0.0,) * SIZE**2 + (-FARTHEST_CELL,) * 2 + (0.0,), (100.0,) * SIZE**2 + (FARTHEST_CELL,) * 3)
+
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        return MapReader(self, rig, keep_passed=True)
+
+
+class MapReader:
+    """Reads a :class:`Route` or :class:`SeenDistances`, and keeps the maps of a batch of rovers for it.
+
+    Attributes:
+        seen: the maps.
+        route: the last routes on them, ``[N, 5]``.
+    """
+
+    def __init__(self, sensor: Route | SeenDistances, rig: Rig, threads: int = 1, keep_passed: bool = False) -> None:
+        self._period, self._distances = sensor.period, keep_passed
+        self.seen = SeenMap(rig.fleet, rig.lidar, sensor.period * rig.control_dt, threads, keep_passed)
+        self.route = torch.zeros(len(rig.fleet), len(Route.bounds.low), device=rig.fleet.index.device)
+
+    def __call__(self, inputs: SensorInput) -> Tensor:
+        due, observation = inputs.due(self._period), inputs.observation
+        self.route = self.seen(observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
+        return torch.cat(self.seen.distances(observation, inputs.bounds), -1) if self._distances else self.route

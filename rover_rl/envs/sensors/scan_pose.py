@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE
@@ -40,20 +41,14 @@ class ScanPose(Sensor):
         return torch.cat((value[..., :2], value[..., 5:]), -1) * 5
 
 
-def scan_pose_now(imu: Tensor) -> Tensor:
-    """Returns the entry of scans that are as new as the pose, ``[N, 6]``, of the entry ``imu [N, 3]``."""
-    zeros = torch.zeros_like(imu)
-    return torch.cat((zeros, imu[:, :2], zeros[:, :1]), -1)
-
-
-def taken_at(observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor] | None:
+def taken_at(observation: TensorDictBase | Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Returns where the scan of an observation was taken: ``pose [N, 3]`` (m) and ``imu [N, 3]`` (rad) of its time.
 
-    ``None`` if the observation has no ``scan_pose``: then the scan is as new as the pose.
+    If the observation has no ``scan_pose``, the scan is as new as the pose.
     """
     relative = observation.get(SCAN_POSE, None)
     if relative is None:
-        return None
+        return observation["pose"], observation["imu"]
     return pose_of_scan(observation["pose"], observation["imu"], relative)
 
 
@@ -72,4 +67,5 @@ def pose_of_scan(pose: Tensor, imu: Tensor, relative: Tensor) -> tuple[Tensor, T
     yaw = imu[..., 2:]
     cos, sin = yaw.cos(), yaw.sin()
     position = pose + torch.cat((cos * ahead - sin * left, sin * ahead + cos * left, up), -1)
-    return position, torch.cat((pitch, roll, wrap_angle(yaw + turn)), -1)
+    # Wrapping rounds. A scan that is as new as the pose was taken right there.
+    return position, torch.cat((pitch, roll, torch.where(turn == 0, yaw, wrap_angle(yaw + turn))), -1)

@@ -10,17 +10,15 @@ from rover_rl.envs.config import SCAN_POSE
 from rover_rl.registry import Registry, split_settings
 
 if TYPE_CHECKING:
-    from rover_rl.envs.config import LidarConfig, SensorLike
+    from rover_rl.envs.config import EnvConfig, LidarConfig, SensorLike
     from rover_rl.envs.sensors.base import Sensor
 
 MOVERS = "movers"
 """Name of what moves, as the lidar scans tell, which an environment has if asked for."""
-WALLS = "walls"
-"""Name of long things that move, as the lidar scans tell, which an environment has if asked for."""
 PAST_SCANS = "past_scans"
 """Name of what the lidar saw before, which an environment has if asked for."""
-ROUTE = "route"
-"""Name of the route, which an environment has if asked for, and which policies may read in any environment."""
+ROUTE, SEEN_DISTANCES = "route", "seen_distances"
+"""Names of the route on the map of what has been seen, and of the distances on this map."""
 HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D = "heights", "depth", "colors", "segmentation", "lidar3d"
 """Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
 CONTACT, EFFORT = "contact", "effort"
@@ -38,9 +36,9 @@ BUILT_IN = {
     SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
     LIDAR_MASK: "rover_rl.envs.sensors.lidar_mask:LidarMask",
     MOVERS: "rover_rl.envs.sensors.movers:Movers",
-    WALLS: "rover_rl.envs.sensors.walls:MovingWalls",
     PAST_SCANS: "rover_rl.envs.sensors.past_scans:PastScans",
     ROUTE: "rover_rl.envs.sensors.route:Route",
+    SEEN_DISTANCES: "rover_rl.envs.sensors.route:SeenDistances",
     ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
     HEIGHTS: "rover_rl.envs.sensors.heights:HeightScan",
     DEPTH: "rover_rl.envs.sensors.ray_images:DepthCamera",
@@ -119,6 +117,17 @@ def environment_sensors(
     sensors, asked = policy_sensors(replace(lidar, period=1) if late_scans else lidar, own), {*own_sensors(own)}
     asked |= ({SCAN_POSE} if late_scans else set()) | ({LIDAR_MASK} if hides_beams else set())
     return {name: sensor for name, sensor in sensors.items() if name not in OPTIONAL or name in asked}
+
+
+def with_sensors(env: EnvConfig, entries: Sequence[str], period: int = 1) -> EnvConfig:
+    """Returns a description of an environment that has the ``entries`` of the package's sensors.
+
+    Those that take long are read once in a ``period`` of steps, if they are added.
+    """
+    there = {*environment_sensors(env.lidar, env.own_sensors, env.late_scans, env.randomization.hides_beams)}
+    added = [name for name in BUILT_IN if name in entries and name not in there]
+    settings = {name: f"(period={period})" if period > 1 and _REGISTRY.find(name).takes_long else "" for name in added}
+    return replace(env, sensors=(*env.sensors, *(name + settings[name] for name in added))) if added else env
 
 
 def require_entries(observation: Sequence[str], own: Sequence[SensorLike]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from rover_rl import RoverEnv
-from rover_rl.algos.policy.runner import Policy, PolicyRunner
+from rover_rl.algos.policy.runner import Policy, PolicyRunner, sensors_for
 from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Waypoints
@@ -33,7 +33,7 @@ def drive(policy: Policy, worlds: list[World], seconds: float = 30.0) -> list[st
     config = EnvConfig(
         world=tuple(worlds), num_envs=len(worlds), backend="warp", lidar=lidar, task=task, end_on_goal=True, seed=7
     )
-    env = RoverEnv(config)
+    env = RoverEnv(sensors_for(policy, config))
     runner = PolicyRunner(policy, env=env)
     count = len(worlds)
     tensordict = env.reset(start=torch.tensor([START]).repeat(count, 1), goal=torch.tensor([GOAL]).repeat(count, 1))

@@ -12,8 +12,8 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.dwa import DynamicWindowPolicy
 from rover_rl.algos.policy.expert import MapExpert
 from rover_rl.algos.policy.grid_planner import GridPlanner
-from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs.config import HeadingGains
+from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
+from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, World
@@ -26,7 +26,8 @@ OPEN = World("open", Terrain.flat((20, 20)))
 def first_action(policy, robot):
     """Returns the speed and the heading offset for a goal that lies behind, in the open."""
     points = policy.made_for.lidar.points if hasattr(policy, "made_for") else 32
-    env = RoverEnv(world_n=OPEN, robot=robot, lidar_points=points, lidar_beams=128, seed=0, backend="warp")
+    config = EnvConfig(world=OPEN, robot=robot, lidar=LidarConfig(points=points, beams=128), seed=0, backend="warp")
+    env = RoverEnv(sensors_for(policy, config))
     goal = 5 * torch.tensor([[math.cos(BEHIND), math.sin(BEHIND)]])
     observation = env.reset(start=torch.zeros(1, 3), goal=goal)
     return PolicyRunner(policy, env=env)(observation)[0].tolist()

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
+from rover_rl.algos.policy.arcs import hit_points
 from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow, way_point
-from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.algos.policy.scan import hit_points
-from rover_rl.envs.config import TaskConfig
+from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
+from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.robots import get_robot
 from tests.fleet import racer
 
@@ -83,10 +83,10 @@ def test_a_late_scan_counts_where_it_was_taken() -> None:
 @pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(racer, marks=pytest.mark.slow)])
 def test_it_reaches_goals_in_mazes_without_a_contact(make) -> None:
     robot, task = make(), TaskConfig(collision_from="contact", collision_window=0)
-    env = RoverEnv(
-        world_n="maze:9000-9015", robot=robot, num_envs=16, seed=0, backend="warp", end_on_goal=True, task=task
-    )
-    runner, observation = PolicyRunner(GridPlanner(robot), env=env), env.reset()
+    policy, world = GridPlanner(robot), "maze:9000-9015"
+    config = EnvConfig(world=world, robot=robot, num_envs=16, seed=0, backend="warp", end_on_goal=True, task=task)
+    env = RoverEnv(sensors_for(policy, config))
+    runner, observation = PolicyRunner(policy, env=env), env.reset()
     ended, reached = (torch.zeros(16, dtype=torch.bool) for _ in range(2))
     with torch.no_grad():
         for _ in range(800):
@@ -99,7 +99,7 @@ def test_it_reaches_goals_in_mazes_without_a_contact(make) -> None:
 
 
 def test_it_plans_at_the_times_at_which_a_decision_is_due() -> None:
-    env = RoverEnv(world_n="maze", num_envs=16, seed=0, backend="warp")
+    env = RoverEnv(sensors_for(GridPlanner(), EnvConfig(world="maze", num_envs=16, seed=0, backend="warp")))
     runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
     assert runner.action_repeat == 4
     actions = []
@@ -110,20 +110,6 @@ def test_it_plans_at_the_times_at_which_a_decision_is_due() -> None:
     changed = {step for step, (last, action) in enumerate(pairwise(actions), 1) if (last != action).any()}
     assert changed
     assert changed <= {4, 8}
-
-
-def test_a_new_episode_clears_its_rows_map_only() -> None:
-    env = RoverEnv(world_n="maze", num_envs=2, seed=0, backend="warp")
-    runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
-    before = runner(observation)
-    # The first row faces a closed room around it, which it then forgets.
-    blind = observation.clone()
-    blind["lidar"][0] = 0.6
-    every = torch.ones(2, dtype=torch.bool)
-    runner(blind, due=every)
-    runner.reset(torch.tensor([True, False]))
-    after = runner(observation, due=every)
-    assert torch.equal(after, before)
 
 
 def test_the_place_on_a_route_is_that_far_along_it():

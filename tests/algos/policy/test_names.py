@@ -8,7 +8,7 @@ import pytest
 
 from rover_rl import EnvConfig, RoverEnv
 from rover_rl.algos.policy.names import BASELINES, make_baseline
-from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
 from rover_rl.cli import main
 from rover_rl.cli.policies import LIVE_POLICY, NO_POLICY, ONE_POLICY, SEVERAL_POLICIES, resolve_policy
 
@@ -20,8 +20,8 @@ def test_a_baseline_is_found_by_its_name_and_drives(name: str) -> None:
     policy = resolve_policy(name, ("maze",), "rover_zero").module
     assert type(policy) is type(make_baseline(name))
     assert policy is not None
-    lidar = getattr(policy, "made_for", EnvConfig()).lidar
-    env = RoverEnv(world_n="maze", num_envs=2, lidar_points=lidar.points, backend="warp")
+    config = EnvConfig(world="maze", num_envs=2, lidar=getattr(policy, "made_for", EnvConfig()).lidar, backend="warp")
+    env = RoverEnv(sensors_for(policy, config))
     assert PolicyRunner(policy, env=env)(env.reset()).shape == (2, 2)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from rover_rl.algos.policy.grid_planner import GridPlanner
+from rover_rl.algos.policy.grid_planner import GridPlanner, MovingGridPlanner
 from rover_rl.algos.policy.networks import make_actor
-from rover_rl.algos.policy.runner import PolicyRunner, default_action_repeat
+from rover_rl.algos.policy.runner import PolicyRunner, default_action_repeat, sensors_for
+from rover_rl.envs.config import EnvConfig
 from tests.algos.policy.memories import BOTH, CountingPolicy, observations, recurrent_checkpoint
 
 
@@ -73,6 +75,16 @@ def test_a_policy_decides_at_the_same_times_whatever_the_control_rate() -> None:
     assert [default_action_repeat(GridPlanner(), dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
     actor = recurrent_checkpoint("gru").make_actor()
     assert [default_action_repeat(actor, dt=dt) for dt in (0.1, 0.025)] == [2, 8]
+
+
+def test_the_environment_is_made_with_the_sensors_that_a_policy_reads() -> None:
+    config = EnvConfig(sensors=("heights",), control_rate=10)
+    assert sensors_for(MovingGridPlanner(), config).sensors == ("heights", "movers(period=2)", "route(period=2)")
+    assert sensors_for(MovingGridPlanner(), config, 1).sensors == ("heights", "movers", "route")
+    assert sensors_for(make_actor(hidden=(8,)), config) is config
+    assert sensors_for(None, config) is config
+    with pytest.raises(ValueError, match=r"reads \['route'\]: make the environment with sensors_for"):
+        PolicyRunner(GridPlanner())(observations(2)[0])
 
 
 def test_policies_without_memory_pass_through() -> None:

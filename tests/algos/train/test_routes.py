@@ -14,10 +14,11 @@ from rover_rl.algos.config import TrainingConfig, training_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.grid_planner import GridPlanner
 from rover_rl.algos.policy.networks import mirrored
-from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
 from rover_rl.algos.train import train
 from rover_rl.algos.train.env import make_training_env
 from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.envs.config import EnvConfig
 
 SENSES = ("lidar", "imu", "target", "velocities", "route")
 
@@ -37,7 +38,8 @@ def test_a_policy_with_routes_trains_and_drives_as_it_was_saved(tmp_path: Path, 
     assert "route" in first.in_keys
     actions = []
     for actor in (first, second):
-        env = RoverEnv(world_n="maze:10000", num_envs=2, seed=0, backend="warp", action=actor.made_for.action)
+        described = EnvConfig(world="maze:10000", num_envs=2, seed=0, backend="warp", action=actor.made_for.action)
+        env = RoverEnv(sensors_for(actor, described))
         runner, observation = PolicyRunner(actor, env=env), env.reset()
         assert runner.action_repeat == 4
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -20,6 +20,7 @@ from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_angles
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.fleet import Fleet
 
 LIDAR = LidarConfig(points=128, beams=128)
 CENTERED = replace(get_robot("rover_zero"), lidar=(0.0, 0.0, 0.3))
@@ -66,8 +67,12 @@ def observed(
     return TensorDict(entries, batch_size=[1])
 
 
+def fleet(rows: int, robot: str | Robot = CENTERED) -> Fleet:
+    return Fleet.of(get_robot(robot), rows)
+
+
 def one_map(robot: str | Robot = CENTERED) -> SeenMap:
-    return SeenMap(1, LIDAR, robot)
+    return SeenMap(fleet(1, robot), LIDAR)
 
 
 def is_occupied(seen: SeenMap, x: float, y: float) -> bool:
@@ -117,7 +122,7 @@ def test_distances_are_to_obstacles_and_to_what_a_lidar_that_sees_ahead_has_neve
     front, wall = replace(CENTERED, lidar_view=math.pi), ((2.0, -3.0, 2.0, 3.0),)
     bounds = torch.tensor([[-9.0, -9.0, 9.0, 1.0]])
     for robot, behind in ((CENTERED, 0.75), (front, 0.0)):
-        seen = SeenMap(1, LIDAR, robot, keep_passed=True)
+        seen = SeenMap(fleet(1, robot), LIDAR, keep_passed=True)
 
         def distance(observation: TensorDict, x: float, y: float, seen: SeenMap = seen) -> float:
             seen(observation)
@@ -163,7 +168,7 @@ def test_a_route_leads_out_of_a_dead_end_that_has_been_seen() -> None:
 
 def test_what_is_behind_the_rover_is_remembered() -> None:
     short = LidarConfig(points=128, beams=128, max_range=3.5)
-    seen, fresh = SeenMap(1, short, CENTERED), SeenMap(1, short, CENTERED)
+    seen, fresh = SeenMap(fleet(1), short), SeenMap(fleet(1), short)
     inside, outside = (observed((x, 0.0), (4.0, 0.0), U_SHAPE) for x in (0.0, -3.0))
     outside["lidar"] = outside["lidar"].clamp(max=3.5)
     seen(inside)
@@ -227,7 +232,7 @@ def test_on_rough_ground_routes_avoid_far_ends_of_beams_unless_the_detour_is_lon
 
 @pytest.mark.parametrize("interval", [0.2, 1.0])
 def test_a_place_on_the_route_is_closed_if_the_rover_does_not_get_on_for_8_seconds(interval: float) -> None:
-    seen = SeenMap(1, LIDAR, CENTERED, interval=interval)
+    seen = SeenMap(fleet(1), LIDAR, interval=interval)
     scans = round(8.0 / interval)
     for k in range(scans):
         # Back and forth, as in front of a gap that is too narrow, wherever the rover turns.
@@ -273,7 +278,7 @@ def test_ground_is_as_high_as_the_rover_stands() -> None:
 
 
 def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
-    seen = SeenMap(1, LIDAR, CENTERED, interval=1.0)
+    seen = SeenMap(fleet(1), LIDAR, interval=1.0)
     for k in range(30):
         seen(observed((0.1 * k, 0.0), (8.0, 0.0)))
         assert (seen.levels()[0] == 4).all()
@@ -384,7 +389,7 @@ def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
 def test_rows_are_independent(threads: int) -> None:
     places = [((0.0, 0.0), U_SHAPE), ((1.0, 1.0), ((2.0, -3.0, 2.0, 1.0),)), ((-3.0, 0.5), ())]
     scans = [observed(place, (4.0, 0.0), walls, yaw=0.3) for place, walls in places]
-    together = SeenMap(3, LIDAR, CENTERED, threads=threads)
+    together = SeenMap(fleet(3), LIDAR, threads=threads)
     for _ in range(3):
         batch = together(torch.cat(scans))
     for row, scan in enumerate(scans):
@@ -397,7 +402,7 @@ def test_rows_are_independent(threads: int) -> None:
 def test_rows_that_are_not_added_keep_their_maps() -> None:
     scans = torch.cat([observed((0.0, 0.0), (4.0, 0.0), U_SHAPE)] * 2)
     empty = torch.cat([observed((0.0, 0.0), (4.0, 0.0))] * 2)
-    seen = SeenMap(2, LIDAR, CENTERED)
+    seen = SeenMap(fleet(2), LIDAR)
     first = seen(scans)
     second = seen(empty, torch.tensor([False, True]))
     assert torch.equal(second[0], first[0])
