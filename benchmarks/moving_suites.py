@@ -36,9 +36,9 @@ from rover_rl.algos.benchmarks.suite import (
     write_results,
 )
 from rover_rl.algos.driving import CONTACT
-from rover_rl.algos.evaluation.body_contacts import is_touching
-from rover_rl.algos.evaluation.metrics import Estimate, Trajectory
+from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
 from rover_rl.cli.policies import EnvOptions, resolve_policies
 from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot

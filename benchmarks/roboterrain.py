@@ -20,8 +20,9 @@ import tyro
 from rich.console import Console
 
 from rover_rl.algos.driving import drives
-from rover_rl.algos.evaluation.metrics import Estimate, count_runs, ratio
+from rover_rl.algos.evaluation.metrics import Estimate, ratio
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables
+from rover_rl.algos.evaluation.trajectory import count_runs
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, sensors_for
 from rover_rl.checks import MAX_COUNT

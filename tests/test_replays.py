@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from rover_rl.algos.evaluation.stored import StoredEvaluation
+from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.video.recording import Recording
 from rover_rl.cli.replays import DRIVES, SECONDS, write_worst
 from rover_rl.envs import EnvConfig

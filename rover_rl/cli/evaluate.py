@@ -21,8 +21,8 @@ from rover_rl.sims.backends import name_of
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
-    from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
-    from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
+    from rover_rl.algos.evaluation.parallel import Request
+    from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import EnvConfig
 
@@ -87,7 +87,6 @@ class Evaluate:
         from rover_rl.algos.evaluation.evaluate import check_options
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
-        from rover_rl.algos.evaluation.results import Evaluation
 
         if self.html is not None:
             check_page(self.html)
@@ -123,7 +122,7 @@ class Evaluate:
         pictures: dict[Path, list[Evaluation]] = {}
         for file, result in zip(files, results, strict=True):
             if file is not None:
-                pictures.setdefault(file, []).append(result)  # type: ignore[arg-type]
+                pictures.setdefault(file, []).append(result)
         pictures |= of_logs
         results += [drive for drives in logs.values() for drive in drives]
         trained = {policy.name: policy.config for policy in policies if policy.config}
@@ -139,7 +138,7 @@ class Evaluate:
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv (episodes), evaluation-summary.csv{by_world}")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         if self.html is not None:
-            shown = [result for result in results if isinstance(result, Evaluation) and result.backend != "ros2"]
+            shown = [result for result in results if not result.endless and result.backend != "ros2"]
             count = write_worst(shown, policies, out / "evaluation.json", self.html)
             print(f"Replay of {count} drives: {self.html}")
         return 0
@@ -190,12 +189,13 @@ class Evaluate:
 
     def _requests(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
-    ) -> tuple[list[GoalRequest | EndlessRequest], list[str]]:
+    ) -> tuple[list[Request], list[str]]:
         """Returns what to evaluate in each world and backend, and with which imperfections."""
+        from rover_rl.algos.evaluation.episodes import endless_episodes
         from rover_rl.algos.evaluation.mover_traces import TRACE
-        from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
+        from rover_rl.algos.evaluation.parallel import Request
 
-        requests: list[GoalRequest | EndlessRequest] = []
+        requests: list[Request] = []
         names: list[str] = []
         for world, episodes in sets.items():
             runs: list[tuple[ResolvedPolicy, str, dict[str, Any]]] = []
@@ -205,17 +205,16 @@ class Evaluate:
                     runs.append((policy, name, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
             for policy, name, settings in runs:
                 options = {**settings, "seconds": self.seconds, "track_movers": TRACE}
-                requests.append(GoalRequest(policy.module, episodes, options))
+                requests.append(Request(policy.module, episodes, options))
                 names.append(name)
             for policy, name, settings in runs if self.endless else ():
-                requests.append(EndlessRequest(policy.module, world, {**settings, "jam": self.jam}))
+                episodes = endless_episodes(world, robot=settings["env"].robot)
+                requests.append(Request(policy.module, episodes, {**settings, "jam": self.jam}))
                 names.append(name)
         # The name of an environment with exact sensors is needed only beside others.
         return requests, [name or EXACT if self.imperfect else "" for name in names]
 
-    def _evaluate(
-        self, requests: list[GoalRequest | EndlessRequest], imperfections: list[str]
-    ) -> list[Evaluation | EndlessEvaluation]:
+    def _evaluate(self, requests: list[Request], imperfections: list[str]) -> list[Evaluation]:
         """Evaluates the policies."""
         from rover_rl.algos.evaluation.parallel import evaluate_all
 
@@ -224,15 +223,13 @@ class Evaluate:
 
 
 def _pictures(
-    requests: list[GoalRequest | EndlessRequest], imperfections: list[str], out: Path, several_backends: bool
+    requests: list[Request], imperfections: list[str], out: Path, several_backends: bool
 ) -> list[Path | None]:
     """Returns the picture that each evaluation to a goal is drawn in: one per world, backend and imperfection."""
-    from rover_rl.algos.evaluation.parallel import GoalRequest
-
-    several_worlds = len({request.episodes.name for request in requests if isinstance(request, GoalRequest)}) > 1
+    several_worlds = len({request.episodes.name for request in requests if not request.episodes.endless}) > 1
     pictures: list[Path | None] = []
     for request, imperfection in zip(requests, imperfections, strict=True):
-        if not isinstance(request, GoalRequest):
+        if request.episodes.endless:
             pictures.append(None)
             continue
         backend = request.options["env"].backend

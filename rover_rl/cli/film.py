@@ -14,7 +14,7 @@ from rover_rl.cli.replays import check_page
 from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
-    from rover_rl.algos.evaluation.stored import StoredEvaluation
+    from rover_rl.algos.evaluation.results import StoredEvaluation
     from rover_rl.algos.video.film import Style
     from rover_rl.algos.video.recording import Recording
 
@@ -152,7 +152,7 @@ class Film:
 
     def _stored(self, policy: ResolvedPolicy) -> StoredEvaluation | None:
         """Returns the evaluation of the policy, ``None`` if there is none and the episodes of a world are filmed."""
-        from rover_rl.algos.evaluation.stored import FILE, read_evaluation
+        from rover_rl.algos.evaluation.results import FILE, read_evaluation
 
         path = self.evaluation or policy.folder
         if path is not None and (self.evaluation or (path / FILE).is_file()):

@@ -12,8 +12,7 @@ from rover_rl.files import check_writable
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 if TYPE_CHECKING:
-    from rover_rl.algos.evaluation.results import Evaluation
-    from rover_rl.algos.evaluation.stored import StoredEvaluation
+    from rover_rl.algos.evaluation.results import Evaluation, StoredEvaluation
     from rover_rl.algos.video.recording import Recording
 
 DRIVES, DRIVES_EACH = 12, 6
@@ -40,7 +39,7 @@ def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPo
         file: ``evaluation.json`` that holds the evaluations.
         page: HTML file to write.
     """
-    from rover_rl.algos.evaluation.stored import read_evaluation
+    from rover_rl.algos.evaluation.results import read_evaluation
     from rover_rl.algos.video.recording import record_stored
     from rover_rl.view.replay import write_replay
 

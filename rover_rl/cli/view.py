@@ -67,7 +67,7 @@ class View:
         from rover_rl.view.replay import ReplayPage
 
         check_address(self.host, self.port)
-        from rover_rl.algos.evaluation.stored import read_evaluation
+        from rover_rl.algos.evaluation.results import read_evaluation
 
         if self.policy.endswith(LOG):
             drives = dict(drives_of_log(Path(self.policy), self.world))

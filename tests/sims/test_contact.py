@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from rover_rl.algos.evaluation.metrics import Trajectory, find_body_contacts
+from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.worlds import Terrain, World, box, cylinder
 from tests.sims.driven import ROVER, drive, placed

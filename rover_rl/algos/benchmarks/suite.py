@@ -23,15 +23,15 @@ from rich.markup import escape
 from torch import Tensor
 
 from rover_rl.algos.driving import CONTACT, TIME_LIMIT
-from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy
-from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, proportion, ratio
+from rover_rl.algos.evaluation.metrics import Estimate, proportion, ratio
 from rover_rl.algos.evaluation.mover_traces import TRACE
-from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.evaluation.plots import draw_panels
 from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, plain_estimates
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
+from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.specs import action_bounds
@@ -290,8 +290,8 @@ def run_suite(
     requests = []
     for name, (policy, env) in policies.items():
         options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env), "track_movers": TRACE}
-        requests.append(GoalRequest(policy, suite.episodes(get_robot(env.robot)), options))
-    return [Result(suite, suite.ended(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
+        requests.append(Request(policy, suite.episodes(get_robot(env.robot)), options))
+    return [Result(suite, suite.ended(driven)) for driven in evaluate_all(requests, workers)]
 
 
 def print_results(results: Sequence[Result], console: Console | None = None) -> None:

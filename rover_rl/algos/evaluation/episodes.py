@@ -13,6 +13,7 @@ Example:
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -66,6 +67,8 @@ class EpisodeSet:
             see :func:`~rover_rl.sims.free_space.paths.shortest_paths`.
         offset: index of the first episode in the set that this is a part of.
         world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
+        endless: whether a reached goal is followed by a new one. Starts, goals and lengths are nan then: the
+            environment draws them.
     """
 
     name: str
@@ -76,6 +79,7 @@ class EpisodeSet:
     shortest: Tensor
     offset: int = 0
     world_index: Tensor = None  # type: ignore[assignment]  # Never None after __post_init__.
+    endless: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pool", WorldPool.of(self.pool))
@@ -182,6 +186,21 @@ def draw_episodes(
     index = torch.arange(len(pool)).repeat_interleave(count)
     name = world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
     return EpisodeSet(name, pool, seed, start, goal, shortest, world_index=index)
+
+
+def endless_episodes(
+    world: str | World, count: int = 32, seed: int = DEFAULT_SEED, *, robot: RobotLike = "rover_zero"
+) -> EpisodeSet:
+    """Episodes of up to 2,000 steps, with a new goal whenever one is reached, as in the original environment.
+
+    Episode ``i`` is that of an environment seeded ``seed + i``.
+    """
+    check_at_least(1, MAX_COUNT, count=count)
+    world = fitting_worlds(world, *get_robots(robot))
+    name = world if isinstance(world, str) else get_world(world).name
+    unknown = torch.full((count, 3), math.nan)
+    pool = WorldPool(world if isinstance(world, str) else get_world(world))
+    return EpisodeSet(name, pool, seed, unknown, unknown[:, :2], unknown[:, 0], endless=True)
 
 
 def portable(world: str | World) -> str | World:

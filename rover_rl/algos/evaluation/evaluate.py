@@ -9,21 +9,20 @@ Example:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
 
 from rover_rl.algos.driving import Schedule, Step, drives
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
-from rover_rl.algos.evaluation.episodes import draw_episodes as draw_episodes
-from rover_rl.algos.evaluation.metrics import Encounters, MoverTrack, Trajectory
-from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.trajectory import Encounters, MoverTrack, Trajectory
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, default_action_repeat, sensors_for
@@ -35,10 +34,9 @@ from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
+from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.settings import CONTROL_DT
-from rover_rl.worlds import World, get_world
+from rover_rl.sims.timing import CONTROL_DT
 
 Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
 """Function that watches an evaluation: see :func:`evaluate`."""
@@ -56,8 +54,9 @@ def evaluate(
     env: EnvConfig | None = None,
     watch: Watcher | None = None,
     track_movers: bool | float = False,
+    jam: bool = True,
 ) -> Evaluation:
-    """Evaluates a policy on episodes with one goal each and a time limit.
+    """Evaluates a policy on episodes with a time limit, with one goal each or endless.
 
     If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
     any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows:
@@ -65,7 +64,7 @@ def evaluate(
 
     With ``env.agents``, the rovers of that many consecutive episodes drive at once in the same world; draw such
     episodes with ``draw_episodes(..., agents=...)``. A rover whose episode has ended stays where it is until those of
-    the others have. All episodes are driven at once then, whatever ``rows`` is.
+    the others have. All episodes are driven at once then, whatever ``rows`` is; endless ones always are.
 
     Args:
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
@@ -80,37 +79,48 @@ def evaluate(
             index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
         track_movers: whether the trajectories keep where the movers are, or for how long before the end of an episode,
             s. A mover takes 28 bytes per step and solid.
+        jam: whether a collision of more than 15 steps ends an endless episode, as in the contract. In the original it
+            never does: its counter is never incremented.
 
     Raises:
         ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
             in groups of ``env.agents`` in the same world.
     """
-    env_config = environment_for(policy, env)
-    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
-    seconds = usual_seconds(env_config, episodes) if seconds is None else seconds
+    config = environment_for(policy, env)
+    action_repeat = default_action_repeat(policy, action_repeat, config.control_dt)
+    seconds = usual_seconds(config, episodes) if seconds is None else seconds
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    if env_config.agents > 1:
-        _check_groups(episodes, env_config.agents)
-        rows = len(episodes)
-    env_config = replace(env_config, num_envs=min(rows, len(episodes)), end_on_goal=True)
-    policy = policy or RandomPolicy(episodes.seed)
-    described = sensors_for(policy, env_config, action_repeat)
+    endless, agents, length = episodes.endless, config.agents, max(1, round(seconds / config.control_dt))
+    if agents > 1 and not endless:
+        _check_groups(episodes, agents)
+    rows = len(episodes) if agents > 1 or endless else min(rows, len(episodes))
+    config = replace(config, num_envs=rows, end_on_goal=not endless)
+    if endless:
+        task = config.task if jam else replace(config.task, collision_window=length)
+        config = replace(config, length=length, task=task)
+
+    described = sensors_for(policy, config, action_repeat)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
-        agents = env_config.agents
-        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)), part.offset, agents > 1)
+        schedule = _Schedule(part, min(rows, len(part)), in_order=agents > 1)
         worlds = [part.pool[index] for index in schedule.worlds[::agents]]
         place, seed = tuple(worlds) if len(set(worlds)) > 1 else worlds[0], part.seed + part.offset
         rovers = RoverEnv(replace(described, world=place, num_envs=len(schedule.worlds), seed=seed))
-        rovers.length = max(1, round(seconds / rovers.control_dt))
-        keys = first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents)
-        schedule.at(rovers, keys, start=part.start, goal=part.goal)
-        return _drive(rovers, policy, action_repeat, name, schedule, watch, track_movers)
+        rovers.length = length
+        schedule.enter(rovers, first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents))
+        recorder = _Recorder(part, rovers, watch, track_movers)
+        steps = drives(rovers, policy or RandomPolicy(part.seed), schedule, action_repeat=repeat, min_rows=_MIN_ROWS)
+        with closing(rovers), ProgressDisplay(name) as display, single_threaded():
+            for step in steps:
+                recorder.add(rovers, step, schedule.number)
+                display.update(recorder.progress)
+        return recorder.trajectories
 
+    repeat = action_repeat
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
-    env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
-    return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], env_config)
+    config = replace(config, world=episodes.name, seed=episodes.seed)
+    return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], config, jam=jam)
 
 
 def _check_groups(episodes: EpisodeSet, agents: int) -> None:
@@ -123,6 +133,7 @@ def _check_groups(episodes: EpisodeSet, agents: int) -> None:
 
 
 def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
+    """Divides episodes into parts of consecutive ones that are in ``rows`` worlds at most."""
     begins, worlds = [0], set[int]()
     for episode, world in enumerate(episodes.world_index.tolist()):
         if len(worlds | {world}) > rows:
@@ -132,67 +143,25 @@ def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
     return [episodes.part(begin, end) for begin, end in pairwise([*begins, len(episodes)])]
 
 
-def evaluate_endless(
-    policy: Policy | None,
-    world: str | World,
-    *,
-    name: str | None = None,
-    rows: int = 32,
-    seed: int = DEFAULT_SEED,
-    offset: int = 0,
-    jam: bool = True,
-    steps: int = EnvConfig.length,
-    action_repeat: int | None = None,
-    env: EnvConfig | None = None,
-) -> EndlessEvaluation:
-    """Evaluates a policy in endless mode: episodes of up to 2,000 steps, with a new goal whenever one is reached.
-
-    For the arguments that are not listed, see :func:`evaluate`.
-
-    Args:
-        rows: number of rovers, each of which drives one episode.
-        seed: seed of the episodes; episode ``i`` is that of an environment seeded ``seed + i``.
-        offset: index of the first episode.
-        jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
-            does: its counter is never incremented.
-        steps: number of steps after which an episode ends.
-
-    Raises:
-        ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
-    """
-    env_config = environment_for(policy, env)
-    action_repeat = default_action_repeat(policy, action_repeat, env_config.control_dt)
-    check_options(rows=rows, steps=steps, action_repeat=action_repeat)
-    name = name or ("random" if policy is None else "policy")
-    world = fitting_worlds(world, *get_robots(env_config.robot))
-    place = get_world(world)
-    task = env_config.task if jam else replace(env_config.task, collision_window=steps)
-    world_name = world if isinstance(world, str) else place.name
-    limits: dict[str, Any] = {"num_envs": rows, "length": steps, "end_on_goal": False, "task": task}
-    env_config = replace(env_config, world=world_name, seed=seed, **limits)
-    described = sensors_for(policy, env_config, action_repeat)
-    rovers = RoverEnv(replace(described, world=place, seed=seed + offset))
-    schedule = _Schedule([0] * rows, rows, offset)
-    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule)
-    return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
-
-
 def usual_seconds(env: EnvConfig, episodes: EpisodeSet) -> float:
     """Returns the usual time limit of the episodes of a set, s.
 
     It is 60 s, longer by the scale of the worlds that the robot needs, or 4 s for each meter of the longest of the
-    shortest paths if that is more; both are longer by as much as the robot is slower than 1 m/s.
+    shortest paths if that is more; both are longer by as much as the robot is slower than 1 m/s. Endless episodes have
+    the 2,000 steps of the contract.
     """
+    if episodes.endless:
+        return EnvConfig.length * env.control_dt
     longest = float(episodes.shortest.nan_to_num(0.0, posinf=0.0).max())
     robots = get_robots(env.robot)
     times = (max(60 * passage_scale(one), 4 * longest) / min(1.0, one.drive.max_speed) for one in robots)
     return min(round(max(times)), MAX_SECONDS)
 
 
-def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:
-    """Checks numbers that are given to :func:`evaluate` or :func:`evaluate_endless`."""
+def check_options(*, seconds: float = 60.0, rows: int = 1, action_repeat: int = 1) -> None:
+    """Checks numbers that are given to :func:`evaluate`."""
     check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
-    check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
+    check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
 
 
 def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
@@ -213,65 +182,39 @@ def default_backend(robot: RobotLike) -> str:
     return "warp" if names_several(robot) else "bullet"
 
 
-@single_threaded()
-def _drive(
-    env: RoverEnv,
-    policy: Policy,
-    action_repeat: int,
-    name: str,
-    schedule: _Schedule,
-    watch: Watcher | None = None,
-    track_movers: bool | float = False,
-) -> list[Trajectory]:
-    recorder = _Recorder(schedule.count, env, watch, track_movers)
-    steps = drives(env, policy, schedule, action_repeat=action_repeat, min_rows=_MIN_ROWS)
-    with closing(env), ProgressDisplay(name) as display:
-        for step in steps:
-            recorder.add(env, step, schedule.number)
-            display.update(recorder.progress)
-    return recorder.trajectories
-
-
 class _Schedule(Schedule):
     """Distribution of episodes over rovers, each of which stays in one world and takes the next one there.
 
-    Worlds take turns. With ``in_order``, all episodes have a rover, in their order. ``number`` is that of the episode
-    that each rover drives, and ``offset`` that of the first one.
+    Worlds take turns. With ``in_order``, all episodes have a rover, in their order. ``number`` is the index of the
+    episode that each rover drives.
     """
 
-    driving: Tensor
-
-    def __init__(self, worlds: Sequence[int], rows: int, offset: int, in_order: bool = False) -> None:
-        self.count, self._offset = len(worlds), offset
+    def __init__(self, episodes: EpisodeSet, rows: int, in_order: bool) -> None:
+        self._episodes, worlds = episodes, episodes.world_index.tolist()
         waiting: dict[int, deque[int]] = {}
         for episode, world in enumerate(worlds):
             waiting.setdefault(world, deque()).append(episode)
         turns = sorted((turn, episode) for queue in waiting.values() for turn, episode in enumerate(queue))
-        first = [*range(self.count)] if in_order else [episode for _, episode in turns[:rows]]
+        first = [*range(len(worlds))] if in_order else [episode for _, episode in turns[:rows]]
         self.worlds = [worlds[episode] for episode in first]
         for world in self.worlds:
             waiting[world].popleft()
         self._waiting, self.number = waiting, torch.tensor(first)
         self.driving = torch.ones(len(first), dtype=torch.bool)
-        self._places: dict[str, Tensor] = {}
-        self._env: RoverEnv | None = None
 
-    def at(self, env: RoverEnv, keys: Tensor, **places: Tensor) -> None:
-        """Places the rovers of an environment.
-
-        Movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives
-        an episode.
-        """
-        self._env, self._keys, self._places = env, keys, places
+    def enter(self, env: RoverEnv, keys: Tensor) -> None:
+        """Makes movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, not on the rover."""
+        self._env, self._keys = env, keys
 
     @property
     def episode(self) -> Tensor:  # type: ignore[override]
-        return self._offset + self.number
+        return self._episodes.offset + self.number
 
     def places(self) -> dict[str, Tensor]:
-        if self._env is not None:
-            self._env.movers.keys = self._env.robots.keys = self._keys[self.number]
-        return {key: values[self.number] for key, values in self._places.items()}
+        if self._episodes.endless:
+            return {}
+        self._env.movers.keys = self._env.robots.keys = self._keys[self.number]
+        return {"start": self._episodes.start[self.number], "goal": self._episodes.goal[self.number]}
 
     def restart(self, ended: Tensor) -> Tensor:
         restarting = ended.clone()
@@ -286,10 +229,8 @@ class _Schedule(Schedule):
 class _Recorder:
     """Records episodes step by step, in one tensor for all of them."""
 
-    def __init__(
-        self, count: int, env: RoverEnv, watch: Watcher | None = None, track_movers: bool | float = False
-    ) -> None:
-        self._dt, self._watch = env.control_dt, watch
+    def __init__(self, episodes: EpisodeSet, env: RoverEnv, watch: Watcher | None, track_movers: bool | float) -> None:
+        count, self._dt, self._watch = len(episodes), env.control_dt, watch
         self._has_movers = "mover_contact" in env.observation_spec["outcome"]
         # Position (3), angles (3), collision, goal; with movers also contact, gap, distance of centers.
         self._records = torch.zeros(count, env.length + 1, 11 if self._has_movers else 8)
@@ -359,7 +300,6 @@ class _Tracker:
 
     @property
     def track(self) -> MoverTrack:
-        """Where the movers were."""
         kind, half, mover = self._kept
         position, orientation = torch.stack([*self._places]).split((3, 4), -1)
         return MoverTrack(kind, half, mover, position, orientation)

@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 
-from rover_rl.algos.evaluation.metrics import Trajectory
+from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.sims.movers.draw import EDGES, WAY, seen_from_above
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.scenery import MOVER

@@ -25,10 +25,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.algos.driving import CONTACT, ENDINGS, TIME_LIMIT
-from rover_rl.algos.evaluation.evaluate import Evaluation
-from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.algos.evaluation.mover_traces import draw_mover_traces, mover_handle
-from rover_rl.algos.evaluation.results import worst_worlds
+from rover_rl.algos.evaluation.results import Evaluation, worst_worlds
+from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
 from rover_rl.sims.settings import CONTROL_DT

@@ -12,9 +12,8 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 
-from rover_rl.algos.evaluation.imperfections import print_imperfections
-from rover_rl.algos.evaluation.metrics import ENDING, METRICS, Estimate
-from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation, worst_worlds
+from rover_rl.algos.evaluation.metrics import ENDING, METRICS, Estimate, ratio
+from rover_rl.algos.evaluation.results import Evaluation, worst_worlds
 from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, formatted, print_tables, write_rows
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.registry import perhaps
@@ -26,7 +25,7 @@ _Row: TypeAlias = tuple[str, dict[str, str]]
 
 
 def print_table(
-    evaluations: Sequence[Evaluation | EndlessEvaluation],
+    evaluations: Sequence[Evaluation],
     console: Console | None = None,
     groups: Mapping[str, str] | None = None,
     columns: Sequence[str] = (),
@@ -58,9 +57,9 @@ def print_table(
         print_tables(title, [name for name, _ in rows], cells, console)
         shown |= dict.fromkeys(keys)
         grouped |= bool(means)
-        print_imperfections(title, together, console)
+        _print_imperfections(title, together, console)
     for evaluation in evaluations:
-        if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
+        if evaluation.episodes.several_worlds:
             console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
     if comparable := _comparable(evaluations):
         _print_disagreements([one for group in comparable for one in find_disagreements(group)], console)
@@ -82,12 +81,12 @@ def check_columns(names: Sequence[str]) -> list[str]:
     return [key for key in METRICS if key in chosen]
 
 
-def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
+def _is_shown(key: str, evaluations: Sequence[Evaluation]) -> bool:
     values = [evaluation.metrics[key].value for evaluation in evaluations if key in evaluation.metrics]
     return any(value > 0 for value in values) or not (key.startswith(ENDING) or all(map(math.isnan, values)))
 
 
-def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[_Row]:
+def _rows(evaluations: Sequence[Evaluation]) -> list[_Row]:
     several = _several_backends(evaluations)
     order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
     return [
@@ -96,7 +95,7 @@ def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[_Row]:
     ]
 
 
-def _labeled(name: str, one: Evaluation | EndlessEvaluation, several_backends: bool, note: str = "") -> str:
+def _labeled(name: str, one: Evaluation, several_backends: bool, note: str = "") -> str:
     notes = [note, one.backend if several_backends else "", one.imperfection]
     return "\n".join(filter(None, (name, ", ".join(filter(None, notes)))))
 
@@ -106,8 +105,8 @@ def _cell(key: str, estimate: Estimate) -> str:
     return cell(shown, METRICS[key].unit)
 
 
-def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> list[_Row]:
-    found: dict[tuple[str, str, str], list[Evaluation | EndlessEvaluation]] = {}
+def _group_rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[_Row]:
+    found: dict[tuple[str, str, str], list[Evaluation]] = {}
     for one in evaluations:
         if one.name in groups:
             found.setdefault((groups[one.name], one.backend, one.imperfection), []).append(one)
@@ -125,7 +124,7 @@ def _mean_cell(key: str, values: Sequence[float]) -> str:
     return "-" if math.isnan(mean) else f"{formatted(mean, unit)}\n± {formatted(deviation, unit)}"
 
 
-def _several_backends(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
+def _several_backends(evaluations: Sequence[Evaluation]) -> bool:
     places = {(evaluation.name, evaluation.backend) for evaluation in evaluations}
     return len(places) > len({name for name, _ in places})
 
@@ -139,7 +138,7 @@ def _worst_worlds(evaluation: Evaluation) -> str:
     return f"Lowest success rates of {policy}: {escape(named)}" if named else f"{policy}: all episodes reach their goal"
 
 
-def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation | EndlessEvaluation], grouped: bool) -> str:
+def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation], grouped: bool) -> str:
     said = [f"{METRICS[key].heading}: {METRICS[key].meaning}" for key in shown if METRICS[key].meaning]
     endings = [METRICS[key].heading for key in shown if key.startswith(ENDING)]
     said += [f"{', '.join(endings)}: episodes that end so"] if endings else []
@@ -148,7 +147,7 @@ def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation | EndlessEval
     return "; ".join(said) + (f". Below a value: {', '.join(below)}." if below else ".")
 
 
-def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
+def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
     """Writes evaluations as a JSON file with everything, such as ``evaluation.json``, and as CSV files beside it.
 
     ``evaluation.csv`` has a row for each episode, ``evaluation-summary.csv`` a row for each evaluation with all
@@ -167,7 +166,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
             row["disagreements"] = " ".join(str(each.episode) for each in disagreements)
         results.append(result)
         summaries.append(row | estimate_row(one.metrics))
-        if isinstance(one, Evaluation) and one.episodes.several_worlds:
+        if one.episodes.several_worlds:
             head = {"policy": one.name, "backend": one.backend, "worlds": one.world_name}
             by_world += [head | world for world in one.by_world]
     write_json(path, results)
@@ -205,10 +204,10 @@ def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
     ]
 
 
-def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[list[Evaluation]]:
+def _comparable(evaluations: Sequence[Evaluation]) -> list[list[Evaluation]]:
     groups: dict[tuple[object, ...], list[dict[str, Evaluation]]] = {}
     for one in evaluations:
-        if isinstance(one, Evaluation):
+        if not one.endless:
             places = (one.episodes.start, one.episodes.goal, one.episodes.world_index)
             same = (
                 one.name,
@@ -244,3 +243,32 @@ def _print_disagreements(disagreements: Sequence[Disagreement], console: Console
     print_tables(title, [f"{one.policy}\n{one.world}" for one in shown], columns, console)
     if len(disagreements) > LISTED:
         console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
+
+
+def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console: Console) -> None:
+    """Prints the success rate of each policy under each imperfection, and its change against the first one."""
+    driven = [one for one in evaluations if not one.endless]
+    names = [*dict.fromkeys(one.imperfection for one in driven)]
+    if len(names) < 2:
+        return
+    rows: dict[tuple[str, str], dict[str, Evaluation]] = {}
+    for one in driven:
+        rows.setdefault((one.name, one.backend), {})[one.imperfection] = one
+    several = len({backend for _, backend in rows}) > 1
+    policies = [f"{name}, {backend}" if several else name for name, backend in rows]
+    columns = []
+    for name in names:
+        cells: list[str] = []
+        for row in rows.values():
+            one, exact = row.get(name), row.get(names[0])
+            compared = one is not None and exact is not None and one is not exact
+            cells.append("-" if one is None else cell(one.metrics["success_rate"], "%"))
+            cells.append(cell(change(one, exact), "%") if compared else "-")  # type: ignore[arg-type]
+        columns.append(Column(name, "%", cells))
+    heading = f"{title}. Success, and its change against {names[0]}"
+    print_tables(heading, [line for policy in policies for line in (policy, "change")], columns, console)
+
+
+def change(one: Evaluation, other: Evaluation) -> Estimate:
+    """Computes how much larger the success rate of ``one`` is, on the same episodes, with its bootstrap interval."""
+    return ratio((one.reached.double() - other.reached.double()).tolist())

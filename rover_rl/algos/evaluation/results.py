@@ -1,107 +1,57 @@
-"""Results of evaluations."""
+"""Results of evaluations: a table of episodes, of which metrics, files and figures are columns."""
 
 from __future__ import annotations
 
+import json
 import math
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import (
-    Estimate,
-    Trajectory,
-    count_runs,
-    encounter_figures,
-    endless_metrics,
-    find_body_contacts,
-    goal_metrics,
-)
+from rover_rl.algos.evaluation.metrics import Estimate, Row, compute_metrics, episode_row
 from rover_rl.algos.evaluation.tables import finite_row
-from rover_rl.envs.config import EnvConfig, plain_env
+from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
+from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
 from rover_rl.envs.row_robots import RowRobots
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.free_space.fitting import RobotGroups
-from rover_rl.worlds import World
+from rover_rl.worlds.pool import WorldPool
 
+FILE = "evaluation.json"  # name of the file in the folder of a run
 WORST = 6  # number of worlds with the lowest success rates that are named and drawn
-
-
-class _Results(ABC):
-    """What the results of both modes have in common."""
-
-    name: str
-    trajectories: list[Trajectory]
-    env: EnvConfig
-    action_repeat: int
-    imperfection: str
-
-    @property
-    def backend(self) -> str:
-        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
-        return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
-
-    @property
-    @abstractmethod
-    def _places(self) -> World | list[World]:
-        """World of all episodes, or of each."""
-
-    @property
-    @abstractmethod
-    def _first_seed(self) -> int:
-        """Seed of the first episode."""
-
-    @cached_property
-    def robots(self) -> list[Robot]:
-        """Robot of each episode."""
-        keys = episode_keys(row_keys(self._first_seed, len(self.trajectories), torch.device("cpu")), 1)
-        # All of them fit in the worlds of an evaluation.
-        robots = RobotGroups(get_robots(self.env.robot)).robots
-        return [*RowRobots(robots, keys, torch.tensor([[0, len(robots)]] * len(keys))).fleet]
-
-    @cached_property
-    def wall_contacts(self) -> list[Tensor]:
-        """Whether the body touches an obstacle at rest at the start and after each step: bool ``[T + 1]`` each."""
-        return find_body_contacts(self.trajectories, self._places, self.robots)
-
-    @cached_property
-    def contacts(self) -> list[Tensor]:
-        """Whether the body touches an obstacle or a mover at the start and after each step: bool ``[T + 1]`` each."""
-        return [t.touching(walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
-
-    @property
-    def _ends(self) -> list[dict[str, Any]]:
-        return [_end(t, walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
-
-    def _summary(self, mode: str, world: str, seed: int) -> dict[str, Any]:
-        return {
-            "policy": self.name,
-            "backend": self.backend,
-            "world": world,
-            "mode": mode,
-            "seed": seed,
-            "action_repeat": self.action_repeat,
-            "count": len(self.trajectories),
-            "goals": sum(int(t.goal.sum()) for t in self.trajectories),
-            "collisions": sum(count_runs(t.collision) for t in self.trajectories),
-            **({"imperfection": self.imperfection} if self.imperfection else {}),
-        }
+EPISODES_PER_PART = 32
+"""Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
+results of randomized environments do not, either."""
+_PLACE = ("start", "goal")
+_COLUMNS = (
+    *("shortest", "length", "goals", "ending", "seconds", "contacts", "collisions", "wall_contacts"),
+    *("mover_contacts", "run_into", "least_mover_distance", "risk_seconds", "intrusion_seconds", "frozen_seconds"),
+)
+"""Columns of an episode in files, those with numbers that are rounded last."""
+_ROUNDED = {"seconds", "least_mover_distance", "risk_seconds", "intrusion_seconds", "frozen_seconds"}
 
 
 @dataclass(frozen=True)
-class Evaluation(_Results):
-    """Results of a policy on episodes with one goal each.
+class Evaluation:
+    """Results of a policy on episodes: with one goal each, or endless, where a reached goal is followed by a new one.
 
-    ``seconds`` is the time limit of an episode, s. Each action was held for ``action_repeat`` steps. ``imperfection``
-    is the name of that of the sensors, empty if none was asked for.
+    Attributes:
+        name: name of the policy.
+        episodes: starts and goals, in the order of the trajectories.
+        action_repeat: number of steps that each action was held for.
+        seconds: time limit of an episode, s.
+        env: environment.
+        imperfection: name of that of the sensors; empty if none was asked for.
+        jam: whether a long collision ended an endless episode.
     """
 
     name: str
@@ -111,16 +61,57 @@ class Evaluation(_Results):
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
     imperfection: str = ""
+    jam: bool = True
+
+    @property
+    def endless(self) -> bool:
+        """Whether a reached goal is followed by a new one."""
+        return self.episodes.endless
+
+    @property
+    def backend(self) -> str:
+        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
+        return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
+
+    @property
+    def world_name(self) -> str:
+        """Name of the world or of the range of worlds, as the user gave it."""
+        return self.episodes.name
+
+    @cached_property
+    def robots(self) -> list[Robot]:
+        """Robot of each episode."""
+        first = self.episodes.seed + self.episodes.offset
+        keys = episode_keys(row_keys(first, len(self.trajectories), torch.device("cpu")), 1)
+        # All of them fit in the worlds of an evaluation.
+        robots = RobotGroups(get_robots(self.env.robot)).robots
+        return [*RowRobots(robots, keys, torch.tensor([[0, len(robots)]] * len(keys))).fleet]
+
+    @cached_property
+    def wall_contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle at rest at the start and after each step: bool ``[T + 1]`` each."""
+        return find_body_contacts(self.trajectories, self.episodes.worlds, self.robots)
+
+    @property
+    def contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle or a mover at the start and after each step: bool ``[T + 1]`` each."""
+        return [t.touching(walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
+
+    @cached_property
+    def table(self) -> list[Row]:
+        """A row for each episode: see :func:`~rover_rl.algos.evaluation.metrics.episode_row`."""
+        pairs = zip(self.trajectories, self.wall_contacts, self.episodes.shortest.tolist(), strict=True)
+        return [episode_row(*each) for each in pairs]
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
+        return compute_metrics(self.table, self.endless)
 
     @property
     def endings(self) -> list[str]:
         """Ending of each episode: ``"goal"``, ``"time limit"`` or an early ending."""
         return [trajectory.ending for trajectory in self.trajectories]
-
-    @property
-    def steps(self) -> Tensor:
-        """Number of steps of each episode, int64 ``[count]``."""
-        return torch.tensor([*map(len, self.trajectories)])
 
     @property
     def paths(self) -> list[Tensor]:
@@ -133,22 +124,14 @@ class Evaluation(_Results):
         return torch.tensor([ending == "goal" for ending in self.endings])
 
     @property
-    def _places(self) -> list[World]:
-        return self.episodes.worlds
+    def success_rate(self) -> float:
+        """Fraction of episodes that reached their goal."""
+        return self.reached.double().mean().item()
 
     @property
-    def _first_seed(self) -> int:
-        return self.episodes.seed + self.episodes.offset
-
-    @cached_property
-    def metrics(self) -> dict[str, Estimate]:
-        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return goal_metrics(self.trajectories, self.episodes.shortest, self.wall_contacts)
-
-    @property
-    def world_name(self) -> str:
-        """Name of the world or of the range of worlds, as the user gave it."""
-        return self.episodes.name
+    def goals_per_2000_steps(self) -> float:
+        """Number of goals reached per 2,000 steps, the length of a full episode."""
+        return int(self.reached.sum()) * EnvConfig.length / sum(map(len, self.trajectories))
 
     @cached_property
     def by_world(self) -> list[dict[str, Any]]:
@@ -164,19 +147,17 @@ class Evaluation(_Results):
         return [self._in_world(index, members[index]) for index in sorted(members)]
 
     def _in_world(self, index: int, episodes: Sequence[int]) -> dict[str, Any]:
-        reached = [episode for episode in episodes if self.trajectories[episode].ending == "goal"]
-        clean = [episode for episode in reached if not self.contacts[episode].any()]
-        seconds = [self.trajectories[episode].seconds for episode in reached]
-        met = [one for episode in episodes if (one := self.trajectories[episode].encounters) is not None]
-        touched = {"mover_contact_share": sum(bool(one.contact.any()) for one in met) / len(met)} if met else {}
+        rows = [self.table[episode] for episode in episodes]
+        seconds = [row["seconds"] for row in rows if row["success"]]
+        met = [row["mover_contacts"] > 0 for row in rows if "mover_contacts" in row]
         return {
             "world": index,
             "name": self.episodes.world_name(episodes[0]),
-            "count": len(episodes),
-            "success_rate": len(reached) / len(episodes),
-            "contact_free_success_rate": len(clean) / len(episodes),
+            "count": len(rows),
+            "success_rate": len(seconds) / len(rows),
+            "contact_free_success_rate": sum(row["clean"] for row in rows) / len(rows),
             "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
-            **touched,
+            **({"mover_contact_share": sum(met) / len(met)} if met else {}),
         }
 
     def select(self, indices: Sequence[int]) -> Evaluation:
@@ -185,116 +166,68 @@ class Evaluation(_Results):
         return replace(self, episodes=self.episodes.select(indices), trajectories=trajectories)
 
     @property
-    def success_rate(self) -> float:
-        """Fraction of episodes that reached their goal."""
-        return self.reached.double().mean().item()
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the success rate."""
-        estimate = self.metrics["success_rate"]
-        return estimate.low, estimate.high
-
-    @property
-    def goals_per_2000_steps(self) -> float:
-        """Number of goals reached per 2,000 steps, the length of a full episode."""
-        return int(self.reached.sum()) * EnvConfig.length / int(self.steps.sum())
-
-    @property
     def title(self) -> str:
         """Title of a table with these results."""
-        episodes, limit = self.episodes, f"one goal within {self.seconds:g} s"
+        episodes, count = self.episodes, len(self.episodes)
+        several = f"{count} episode{'' if count == 1 else 's'}"
+        if self.endless:
+            jam, steps = "" if self.jam else ", without the jam ending", round(self.seconds / self.env.control_dt)
+            return f"{several} in {episodes.name}: endless goals, {steps:,} steps each{jam}"
+        limit = f"one goal within {self.seconds:g} s"
         if not episodes.several_worlds:
-            return f"{_count(len(episodes))} in {episodes.name}: {limit}"
+            return f"{several} in {episodes.name}: {limit}"
         counts = {world["count"] for world in self.by_world}
-        each = f"{_count(counts.pop())} in each" if len(counts) == 1 else _count(len(episodes))
-        return f"{each} of {len(self.by_world)} worlds, {episodes.name}: {limit}"
+        each = "episode" if counts == {1} else "episodes"
+        several = f"{counts.pop()} {each} in each" if len(counts) == 1 else several
+        return f"{several} of {len(self.by_world)} worlds, {episodes.name}: {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
-        return {**self._summary("one goal", self.world_name, self.episodes.seed), "time_limit": self.seconds}
-
-    @property
-    def _episodes(self) -> list[dict[str, Any]]:
-        columns = (getattr(self.episodes, key).tolist() for key in ("start", "goal", "shortest"))
-        return [
-            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **end}
-            for start, goal, shortest, t, end in zip(*columns, self.trajectories, self._ends, strict=True)
-        ]
+        return {
+            "policy": self.name,
+            "backend": self.backend,
+            "world": self.world_name,
+            "mode": "endless" if self.endless else "one goal",
+            "seed": self.episodes.seed,
+            "action_repeat": self.action_repeat,
+            "count": len(self.trajectories),
+            "goals": sum(row["goals"] for row in self.table),
+            "collisions": sum(row["collisions"] for row in self.table),
+            **({"imperfection": self.imperfection} if self.imperfection else {}),
+            "time_limit": self.seconds,
+            **({"jam": self.jam} if self.endless else {}),
+        }
 
     def episode_rows(self) -> list[dict[str, Any]]:
         """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
-        rows = []
+        summary, rows = self.summary(), []
+        keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
+        head = {key: summary[key] for key in keys if key in summary}
         for number, episode in enumerate(self._episodes):
-            start = dict(zip(("start_x", "start_y", "start_yaw"), episode.pop("start"), strict=True))
-            goal = dict(zip(("goal_x", "goal_y"), episode.pop("goal"), strict=True))
-            row = _row(self, number, self.episodes.world_name(number))
-            rows.append({**row, **start, **goal, **episode, "success": episode["ending"] == "goal"})
+            start, goal = map(episode.pop, _PLACE)
+            place = dict(zip(("start_x", "start_y", "start_yaw", "goal_x", "goal_y"), (*start, *goal), strict=True))
+            world = {"world": self.episodes.world_name(number), "episode": number}
+            rows.append({**head, **world, **place, **episode, "success": episode["ending"] == "goal"})
         return rows
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
+        found = {**self.summary(), "env": plain_env_or_none(self.env)}
+        found |= {"metrics": plain_estimates(self.metrics), "endings": dict(Counter(self.endings))}
         if not self.episodes.several_worlds:
-            return {**_plain(self), "episodes": self._episodes}
+            return {**found, "episodes": self._episodes}
         indices = self.episodes.world_index.tolist()
         episodes = [{"world": index, **row} for index, row in zip(indices, self._episodes, strict=True)]
-        return {**_plain(self), "worlds": self.by_world, "episodes": episodes}
-
-
-@dataclass(frozen=True)
-class EndlessEvaluation(_Results):
-    """Results of a policy in endless mode, in which each reached goal is followed by a new one, as in the original.
-
-    ``length`` is the number of steps after which an episode ended, and ``jam`` whether a long collision ended one.
-    """
-
-    name: str
-    world_name: str
-    world: World
-    seed: int
-    action_repeat: int
-    jam: bool
-    length: int
-    trajectories: list[Trajectory]
-    env: EnvConfig = field(default_factory=EnvConfig)
-    imperfection: str = ""
-
-    @property
-    def _places(self) -> World:
-        return self.world
-
-    @property
-    def _first_seed(self) -> int:
-        return self.seed
-
-    @cached_property
-    def metrics(self) -> dict[str, Estimate]:
-        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return endless_metrics(self.trajectories, self.wall_contacts)
-
-    @property
-    def title(self) -> str:
-        """Title of a table with these results."""
-        jam = "" if self.jam else ", without the jam ending"
-        episodes = _count(len(self.trajectories))
-        return f"{episodes} in {self.world_name}: endless goals, {self.length:,} steps each{jam}"
-
-    def summary(self) -> dict[str, Any]:
-        """Returns policy, backend, world and counts as plain data."""
-        limit = self.length * self.trajectories[0].dt
-        return {**self._summary("endless", self.world_name, self.seed), "time_limit": limit, "jam": self.jam}
+        return {**found, "worlds": self.by_world, "episodes": episodes}
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
-        return [{"goals": int(t.goal.sum()), **end} for t, end in zip(self.trajectories, self._ends, strict=True)]
+        places = zip(*(getattr(self.episodes, key).tolist() for key in _PLACE), self.table, strict=True)
+        return [{"start": start, "goal": goal, **_plain_row(row)} for start, goal, row in places]
 
-    def episode_rows(self) -> list[dict[str, Any]]:
-        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
-        return [{**_row(self, number, self.world_name), **row} for number, row in enumerate(self._episodes)]
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns all results except the trajectories as plain data."""
-        return {**_plain(self), "episodes": self._episodes}
+def _plain_row(row: Row) -> dict[str, Any]:
+    return {key: round(row[key], 3) if key in _ROUNDED else row[key] for key in _COLUMNS if key in row}
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
@@ -311,22 +244,6 @@ def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[
     return [evaluations[0].by_world[index]["world"] for index in order[:count]]
 
 
-def _plain(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
-    return {
-        **evaluation.summary(),
-        "env": plain_env_or_none(evaluation.env),
-        "metrics": plain_estimates(evaluation.metrics),
-        "endings": dict(Counter(trajectory.ending for trajectory in evaluation.trajectories)),
-    }
-
-
-def _row(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
-    summary = evaluation.summary()
-    keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
-    shared = {key: summary[key] for key in keys if key in summary}
-    return {**shared, "world": world, "episode": episode}
-
-
 def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
     """Returns the settings as plain data, ``None`` if they contain objects that have no plain form."""
     try:
@@ -340,18 +257,91 @@ def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, fl
     return {key: finite_row(vars(estimate)) for key, estimate in estimates.items()}
 
 
-def _end(trajectory: Trajectory, walls: Tensor) -> dict[str, Any]:
-    end = {
-        "ending": trajectory.ending,
-        "seconds": round(trajectory.seconds, 3),
-        "contacts": count_runs(trajectory.touching(walls)),
-        "collisions": count_runs(trajectory.collision),
-    }
-    if trajectory.encounters is None:
-        return end
-    figures = encounter_figures(trajectory)._asdict()
-    return {**end, "wall_contacts": count_runs(walls), **{key: round(value, 3) for key, value in figures.items()}}
+@dataclass(frozen=True)
+class StoredEvaluation:
+    """An evaluation with one goal per episode, as ``evaluation.json`` holds it.
+
+    ``seconds`` is the time limit of an episode, s, and ``durations`` are those of the episodes, s. Each action was held
+    for ``action_repeat`` steps.
+    """
+
+    policy: str
+    episodes: EpisodeSet
+    action_repeat: int
+    seconds: float
+    env: EnvConfig
+    endings: list[str]
+    durations: list[float]
+
+    @property
+    def failures(self) -> list[int]:
+        """Indices of the episodes that did not reach their goal."""
+        return [index for index, ending in enumerate(self.endings) if ending != "goal"]
+
+    def telling(self, worst: int, good: int) -> list[int]:
+        """Returns the indices of some episodes that are worth seeing.
+
+        They are the ``worst`` ones, failures or else those that took longest, and ``good`` ones that took as long as
+        most.
+        """
+        failed, all_ones = set(self.failures), range(len(self.endings))
+        # Failures first, in their order, then the others by their duration.
+        order = sorted(all_ones, key=lambda one: (one not in failed, 0.0 if one in failed else -self.durations[one]))
+        usual = [one for one in order[worst:] if one not in failed]
+        middle = max(0, (len(usual) - good) // 2)
+        return order[:worst] + usual[middle : middle + good]
+
+    def to_drive(self, episode: int) -> EpisodeSet:
+        """Returns the episodes to drive for the same drive as in the evaluation: the episode alone if possible.
+
+        The random numbers of a randomized environment depend on the episodes that were driven with it. Raises
+        ``ValueError`` if there is no such episode.
+        """
+        if not 0 <= episode < len(self.episodes):
+            raise ValueError(f"episode must be between 0 and {len(self.episodes) - 1}, got {episode}")
+        exact = self.env.randomization == Randomization() and self.env.pose.source in ("truth", "odometry")
+        size = 1 if exact else EPISODES_PER_PART
+        begin = episode // size * size
+        return self.episodes.part(begin, begin + size).with_used_worlds()
 
 
-def _count(episodes: int) -> str:
-    return f"{episodes} episode{'' if episodes == 1 else 's'}"
+def read_evaluation(path: Path, policy: str, world: str | None = None, backend: str | None = None) -> StoredEvaluation:
+    """Reads the first evaluation of a policy from a file, or from ``evaluation.json`` in a folder.
+
+    Args:
+        world: name of the world, or range of worlds; ``None``: any.
+        backend: name of the simulator; ``None``: any.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file holds no such evaluation.
+    """
+    path = path / FILE if path.is_dir() else path
+    try:
+        entries = json.loads(path.read_text())
+        driven = [entry for entry in entries if entry["mode"] == "one goal" and entry["backend"] != "ros2"]
+        wanted = {"policy": policy, "world": world, "backend": backend}
+        given = {key: value for key, value in wanted.items() if value is not None}
+        found = [entry for entry in driven if all(entry[key] == value for key, value in given.items())]
+        if found:
+            return _stored(found[0])
+        held = sorted({", ".join(entry[key] for key in given) for entry in driven})
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is no evaluation of rover-rl evaluate") from error
+    raise ValueError(f"{path} has no evaluation of {', '.join(given.values())}; it has {'; '.join(held) or 'none'}")
+
+
+def _stored(entry: Mapping[str, Any]) -> StoredEvaluation:
+    rows, pool = entry["episodes"], WorldPool(entry["world"])
+    places = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
+    worlds = torch.tensor([row.get("world", 0) for row in rows])
+    env = EnvConfig(backend=entry["backend"]) if entry["env"] is None else env_from_plain(entry["env"], FILE)
+    return StoredEvaluation(
+        entry["policy"],
+        EpisodeSet(entry["world"], pool, entry["seed"], *places, world_index=worlds),
+        entry["action_repeat"],
+        entry["time_limit"],
+        replace(env, world=entry["world"]),
+        [row["ending"] for row in rows],
+        [row["seconds"] for row in rows],
+    )

@@ -19,7 +19,7 @@ from rover_rl.algos.driving import Step, drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
-from rover_rl.algos.evaluation.stored import StoredEvaluation
+from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import sensors_for

@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 
 from rover_rl import World
-from rover_rl.algos.evaluation.metrics import Trajectory
+from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.worlds import Terrain
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))

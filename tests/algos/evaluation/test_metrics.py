@@ -12,15 +12,8 @@ from hypothesis import strategies as st
 
 from rover_rl import World
 from rover_rl.algos.evaluation import metrics
-from rover_rl.algos.evaluation.metrics import (
-    METRICS,
-    Estimate,
-    Trajectory,
-    count_runs,
-    find_body_contacts,
-    proportion,
-    ratio,
-)
+from rover_rl.algos.evaluation.metrics import METRICS, Estimate, proportion, ratio
+from rover_rl.algos.evaluation.trajectory import Trajectory, count_runs, find_body_contacts
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, box
 from tests.algos.evaluation.drives import FIELD, line

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.metrics import MoverTrack, Trajectory
 from rover_rl.algos.evaluation.mover_traces import draw_mover_traces
 from rover_rl.algos.evaluation.plots import draw_paths
+from rover_rl.algos.evaluation.trajectory import MoverTrack, Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints

@@ -14,14 +14,13 @@ from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.metrics import (
-    Encounters,
-    Trajectory,
     contact_free_success_rate,
     encounter_figures,
     endless_metrics,
     goal_metrics,
 )
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.evaluation.trajectory import Encounters, Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain

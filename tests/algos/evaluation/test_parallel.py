@@ -27,7 +27,7 @@ from rover_rl.algos.evaluation.evaluate import (
     evaluate_endless,
     usual_seconds,
 )
-from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, Request, evaluate_all
+from rover_rl.algos.evaluation.parallel import EndlessRequest, Request, evaluate_all
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.envs import EnvConfig
@@ -68,7 +68,7 @@ def test_results_in_two_processes_are_those_of_one_evaluation_after_another(chec
     expected: list[Evaluation | EndlessEvaluation] = []
     for name, policy in policies(checkpoint).items():
         requests += [
-            GoalRequest(policy, EPISODES, {"name": name, "seconds": SECONDS}),
+            Request(policy, EPISODES, {"name": name, "seconds": SECONDS}),
             EndlessRequest(policy, WORLD, {"name": name, "steps": STEPS}, rows=10, seed=3),
         ]
         expected += [
@@ -87,20 +87,20 @@ def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_proc
     env = EnvConfig(randomization=Randomization.typical())
     requests: list[Request] = []
     for policy in policies(checkpoint).values():
-        requests.append(GoalRequest(policy, EPISODES, {"seconds": SECONDS, "env": env}))
+        requests.append(Request(policy, EPISODES, {"seconds": SECONDS, "env": env}))
         requests.append(EndlessRequest(policy, WORLD, {"steps": STEPS, "env": env}, rows=10))
     one, two = (evaluate_all(requests, workers) for workers in (1, 2))
     for ours, theirs in zip(one, two, strict=True):
         assert_equal(ours, theirs)
     # Parts of an evaluation are randomized differently.
-    (plain,) = evaluate_all([GoalRequest(ScriptedPolicy(), EPISODES, {"seconds": SECONDS})], 1)
+    (plain,) = evaluate_all([Request(ScriptedPolicy(), EPISODES, {"seconds": SECONDS})], 1)
     assert not torch.equal(one[0].trajectories[0].position, plain.trajectories[0].position)
 
 
 @pytest.mark.slow
 def test_results_are_in_the_order_of_the_requests() -> None:
     names = [f"policy {number}" for number in range(5)]
-    requests = [GoalRequest(None, EPISODES.first(4), {"name": name, "seconds": 0.1}) for name in names]
+    requests = [Request(None, EPISODES.first(4), {"name": name, "seconds": 0.1}) for name in names]
     assert [result.name for result in evaluate_all(requests, workers=2)] == names
     assert evaluate_all([]) == []
 
@@ -127,15 +127,15 @@ def test_the_time_limit_follows_the_longest_path_of_the_set() -> None:
     slow = replace(warp, robot=replace(zero, drive=replace(zero.drive, max_speed=0.5)))
     assert usual_seconds(slow, episodes) == round(8 * float(episodes.shortest.max()))
     for given, expected in ((None, limit), (7.0, 7.0)):
-        parts = GoalRequest(None, episodes, {"env": warp, "seconds": given}).parts()
+        parts = Request(None, episodes, {"env": warp, "seconds": given}).parts()
         assert [part.options["seconds"] for part in parts] == [expected] * 2
 
 
 def test_only_small_evaluations_stay_in_this_process() -> None:
     few, many = EPISODES.first(parallel.SMALL - 1), EPISODES.first(parallel.SMALL)
-    evaluate_all([GoalRequest(in_this_process, few, {"seconds": 0.1})], workers=2)
-    evaluate_all([GoalRequest(in_this_process, EPISODES, {"seconds": 0.1})], workers=1)
-    evaluate_all([GoalRequest(in_another_process, many, {"seconds": 0.1})] * 2, workers=2)
+    evaluate_all([Request(in_this_process, few, {"seconds": 0.1})], workers=2)
+    evaluate_all([Request(in_this_process, EPISODES, {"seconds": 0.1})], workers=1)
+    evaluate_all([Request(in_another_process, many, {"seconds": 0.1})] * 2, workers=2)
 
 
 def failing(td: TensorDictBase) -> TensorDictBase:
@@ -184,7 +184,7 @@ def test_the_error_tells_what_happened_in_a_process_and_ends_the_others(
 
 def test_an_error_of_a_policy_is_raised_as_it_is() -> None:
     with pytest.raises(ZeroDivisionError, match="^in the policy$"):
-        evaluate_all([GoalRequest(failing, EPISODES, {"seconds": 0.1})], workers=2)
+        evaluate_all([Request(failing, EPISODES, {"seconds": 0.1})], workers=2)
 
 
 def tensors(world: World, count: int) -> list[Any]:
@@ -199,7 +199,7 @@ def test_more_tensors_cross_than_there_are_file_descriptors() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
     try:
         episodes = draw_episodes(worlds, 1, min_path=1.0, workers=2)
-        (results,) = evaluate_all([GoalRequest(None, episodes, {"seconds": 0.05})], workers=2)
+        (results,) = evaluate_all([Request(None, episodes, {"seconds": 0.05})], workers=2)
         one, two = over_cores(partial(tensors, count=limit), worlds[:2], "working", workers=2)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -220,7 +220,7 @@ def test_worlds_cross_once_and_slices_without_the_rest() -> None:
 def test_invalid_requests_raise(checkpoint: Checkpoint) -> None:
     points = {"env": EnvConfig(lidar=LidarConfig(points=16))}
     invalid: list[tuple[Request, str]] = [
-        (GoalRequest(None, EPISODES, {"seconds": 0.01}), "seconds must be at least 0.05"),
+        (Request(None, EPISODES, {"seconds": 0.01}), "seconds must be at least 0.05"),
         (EndlessRequest(checkpoint.make_actor(), WORLD, points), "made for lidar points 32, and the environment has"),
         (EndlessRequest(None, WORLD, rows=0), "rows must be at least 1"),
         (EndlessRequest(None, "mars"), "unknown world 'mars'"),
@@ -229,7 +229,7 @@ def test_invalid_requests_raise(checkpoint: Checkpoint) -> None:
         with pytest.raises(ValueError, match=message):
             evaluate_all([request], 1)
     with pytest.raises(ValueError, match="workers must be at least 1"):
-        evaluate_all([GoalRequest(None, EPISODES.first(1))], workers=0)
+        evaluate_all([Request(None, EPISODES.first(1))], workers=0)
 
 
 def doubled(number: int) -> int:

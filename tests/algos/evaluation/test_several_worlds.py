@@ -13,11 +13,12 @@ from matplotlib.image import imread
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, choose_episodes, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.metrics import Trajectory, contact_free_success_rate, find_body_contacts
-from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.algos.evaluation.metrics import contact_free_success_rate
+from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.evaluation.results import worst_worlds
+from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
@@ -113,7 +114,7 @@ def test_results_do_not_depend_on_the_number_of_processes() -> None:
     env = EnvConfig(backend="warp", randomization=Randomization.typical())
     worlds = WorldPool("maze:10000-10001", FIELD, WALL)
     episodes = draw_episodes(worlds, 9, seed=2, min_path=1.0)
-    requests = [GoalRequest(policy, episodes, {"seconds": 0.5, "env": env}) for policy in (ScriptedPolicy(), None)]
+    requests = [Request(policy, episodes, {"seconds": 0.5, "env": env}) for policy in (ScriptedPolicy(), None)]
     for ours, theirs in zip(evaluate_all(requests, 1), evaluate_all(requests, 2), strict=True):
         assert len(ours.trajectories) == 36
         assert_same(ours.trajectories, theirs.trajectories)

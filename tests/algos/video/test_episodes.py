@@ -17,8 +17,7 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.report import write_evaluation
-from rover_rl.algos.evaluation.results import Evaluation
-from rover_rl.algos.evaluation.stored import read_evaluation
+from rover_rl.algos.evaluation.results import Evaluation, read_evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.video.film import film_to_goal
 from rover_rl.algos.video.recording import record_episodes, recording_of_log

@@ -17,7 +17,7 @@ from rover_rl import EnvConfig, Randomization, RoverEnv, Terrain, World, box
 from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.driving import RESTARTED, TIME_LIMIT
-from rover_rl.algos.evaluation.metrics import count_reversals
+from rover_rl.algos.evaluation.trajectory import count_reversals
 from rover_rl.algos.policy.names import make_baseline
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims.ros2 import RobotLostError

@@ -1,0 +1,251 @@
+"""Records of episodes, and the contacts of the body in them, computed from poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from rover_rl.robots import Robot
+from rover_rl.robots.footprint import footprint
+from rover_rl.rotations import euler_to_matrix, wrap_angle
+from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.worlds import World
+from rover_rl.worlds.obstacles import Obstacle, groups_of
+
+TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
+_OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
+_CHUNK = 4096  # Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB.
+
+
+class Encounters(NamedTuple):
+    """What happens between the rover and movers in an episode of T steps, at the start and after each step.
+
+    Attributes:
+        contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
+        gap: horizontal distance from the disc of the robot's radius around the rover to the surface of the nearest
+            mover, 0 if they overlap, float32 ``[T + 1]``, m.
+        center_distance: horizontal distance from the origin of the rover to that of the nearest mover, float32
+            ``[T + 1]``, m.
+    """
+
+    contact: Tensor
+    gap: Tensor
+    center_distance: Tensor
+
+
+class MoverTrack(NamedTuple):
+    """Where the P solids of the movers are in an episode of T steps, at the start and after each step.
+
+    A track of the last seconds of an episode begins later.
+
+    Attributes:
+        kind: index in ``rover_rl.worlds.movers.shapes.KINDS``, int32 ``[P]``.
+        half: half of the length, width and height, float32 ``[P, 3]``, m.
+        mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
+        position: centers, float32 ``[T + 1, P, 3]``, m.
+        orientation: orientations, unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
+    """
+
+    kind: Tensor
+    half: Tensor
+    mover: Tensor
+    position: Tensor
+    orientation: Tensor
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Record of one episode of T steps.
+
+    Attributes:
+        position: positions at the start and after each step, float32 ``[T + 1, 3]``, m.
+        angles: roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
+        collision: whether each step ends in a collision, as the task defines it, bool ``[T]``.
+        goal: whether each step reaches a goal, bool ``[T]``.
+        ending: ``"goal"``, or another one of :mod:`rover_rl.algos.driving`.
+        reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
+        dt: duration of a step, s.
+        encounters: what happens between the rover and movers; ``None`` if the world has none.
+        movers: where the movers are; ``None`` if the world has none, or if this was not asked for.
+    """
+
+    position: Tensor
+    angles: Tensor
+    collision: Tensor
+    goal: Tensor
+    ending: str
+    reversals: float = math.nan
+    dt: float = CONTROL_DT
+    encounters: Encounters | None = None
+    movers: MoverTrack | None = None
+
+    def __len__(self) -> int:
+        return len(self.collision)
+
+    def touching(self, walls: Tensor) -> Tensor:
+        """Returns contacts with anything, bool ``[T + 1]``: those of :func:`find_body_contacts`, and with movers."""
+        return walls if self.encounters is None else walls | self.encounters.contact
+
+    def until(self, steps: int, ending: str) -> Trajectory:
+        """Returns the first ``steps`` steps as an episode with the given ending."""
+        states: dict[str, Any] = {key: getattr(self, key)[: steps + 1] for key in ("position", "angles")}
+        events = {key: getattr(self, key)[:steps] for key in ("collision", "goal")}
+        if self.encounters is not None:
+            states["encounters"] = Encounters(*(values[: steps + 1] for values in self.encounters))
+        if self.movers is not None:
+            kept = max(0, len(self.movers.position) - (len(self) - steps))
+            places = {key: getattr(self.movers, key)[:kept] for key in ("position", "orientation")}
+            states["movers"] = self.movers._replace(**places)
+        return replace(self, **states, **events, ending=ending)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the episode, s."""
+        return len(self) * self.dt
+
+    @property
+    def path(self) -> Tensor:
+        """Positions seen from above, ``[T + 1, 2]``, m."""
+        return self.position[:, :2]
+
+    @property
+    def length(self) -> float:
+        """Length of the path seen from above, m."""
+        return self.path.double().diff(dim=0).norm(dim=1).sum().item()
+
+    @cached_property
+    def speed(self) -> Tensor:
+        """Mean speed of the body (not of the wheels) over ground in each step, ``[T]``, m/s."""
+        return self.position.diff(dim=0).norm(dim=1) / self.dt
+
+    @property
+    def signed_speed(self) -> Tensor:
+        """:attr:`speed`, negative in steps in which the rover moves backward, ``[T]``, m/s."""
+        yaw = self.angles[:-1, 2]
+        forward = (self.path.diff(dim=0) * torch.stack((yaw.cos(), yaw.sin()), -1)).sum(-1)
+        return torch.copysign(self.speed, forward)
+
+    @property
+    def tilt(self) -> Tensor:
+        """Angle between the vertical axes of the rover and the world after each step, ``[T]``, rad."""
+        roll, pitch, _ = self.angles[1:].unbind(-1)
+        return torch.arccos((roll.cos() * pitch.cos()).clamp(-1, 1))
+
+    @property
+    def turns(self) -> float:
+        """Number of full turns: the sum of all absolute changes of heading, divided by 2 pi."""
+        return wrap_angle(self.angles[:, 2].double().diff()).abs().sum().item() / (2 * math.pi)
+
+
+def count_runs(flags: Tensor) -> int:
+    """Counts the runs of consecutive true values in ``flags``, bool ``[T]``."""
+    flags = flags.to(torch.int8)
+    return int(flags[:1].sum() + (flags.diff() > 0).sum())
+
+
+def count_reversals(yaw_rates: Sequence[float]) -> int:
+    """Counts the changes of sign in successive yaw rates (rad/s), ignoring zeros.
+
+    Example:
+        >>> count_reversals([0.5, 0.0, -0.5, -0.1, 0.2])
+        2
+    """
+    turning = [yaw_rate for yaw_rate in yaw_rates if yaw_rate]
+    return sum(a * b < 0 for a, b in pairwise(turning))
+
+
+def find_body_contacts(
+    trajectories: Sequence[Trajectory], worlds: Sequence[World], robots: Sequence[Robot]
+) -> list[Tensor]:
+    """Finds the poses at which the rover's body touches an obstacle at rest: bool ``[T + 1]`` for each episode.
+
+    See :func:`is_touching`. A contact need not be a lidar collision: at the sides and at the rear, the outline may be
+    farther from the lidar.
+    """
+    together: dict[tuple[World, Robot], list[int]] = {}
+    for episode, pair in enumerate(zip(worlds, robots, strict=True)):
+        together.setdefault(pair, []).append(episode)
+    contacts: dict[int, Tensor] = {}
+    for (world, robot), episodes in together.items():
+        members = [trajectories[episode] for episode in episodes]
+        position, angles = (torch.cat([getattr(t, key) for t in members]) for key in ("position", "angles"))
+        touched = is_touching(position, angles, world, robot)
+        contacts |= zip(episodes, touched.split([len(t.position) for t in members]), strict=True)
+    return [contacts[episode] for episode in range(len(trajectories))]
+
+
+def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
+    """Returns whether the rover's body touches an obstacle in each of several poses, bool ``[P]``.
+
+    The body touches an obstacle if its footprint (:func:`rover_rl.robots.footprint.footprint`), at the height of
+    the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
+
+    Args:
+        position: positions of the rover, ``[P, 3]``, m.
+        angles: roll, pitch and yaw of the rover, ``[P, 3]``, rad.
+    """
+    outline = _outline(robot)
+    reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
+    touched = torch.zeros(len(position), dtype=torch.bool)
+    for obstacle in _obstacles_within(reach, position[:, :2], world):
+        normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
+        near = _near(position[:, :2], obstacle, reach) & ~touched
+        for poses in near.nonzero().squeeze(-1).split(_CHUNK):
+            points = position[poses, None] + outline @ euler_to_matrix(angles[poses]).mT
+            touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
+    return touched
+
+
+def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
+    """Obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
+    if not world.obstacles:
+        return []
+    centers, radii = _circles(world)
+    nearest = torch.stack([torch.cdist(part, centers).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
+    # The margin covers rounding. Obstacles that are not near are sorted out later.
+    near = (nearest <= radii + reach + 1e-3).nonzero().squeeze(-1)
+    return [world.obstacles[index] for index in near.tolist()]
+
+
+@lru_cache(maxsize=64)
+def _circles(world: World) -> tuple[Tensor, Tensor]:
+    """Centers ``[N, 2]`` and radii ``[N]`` of the obstacles' bounding circles, seen from above, float64, m."""
+    outlines = [torch.from_numpy(solids.outlines) for solids in groups_of(world.obstacles)]
+    centers = [group.mean(1) for group in outlines]
+    radii = [(g - c[:, None]).norm(dim=-1).amax(1) for g, c in zip(outlines, centers, strict=True)]
+    return torch.cat(centers), torch.cat(radii)
+
+
+def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
+    """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
+    outline = obstacle.footprint.to(path)
+    near = ((path >= outline.amin(0) - reach) & (path <= outline.amax(0) + reach)).all(-1)
+    near[near.clone()] = _distance_to_polygon(path[near], outline) <= reach
+    return near
+
+
+def _outline(robot: Robot) -> Tensor:
+    """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
+    back, front, right, left = footprint(robot)
+    height = sum(hub[2] for hub in robot.wheels.hubs) / len(robot.wheels.hubs)
+    x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
+    sides = torch.cartesian_prod(x, torch.tensor((right, left)))
+    ends = torch.cartesian_prod(torch.tensor((back, front)), y)
+    return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
+
+
+def _distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
+    """Distance from ``points [..., 2]`` to a convex polygon, counter-clockwise ``[K, 2]``, 0 inside it."""
+    edges = polygon.roll(-1, 0) - polygon
+    offsets = points[..., None, :] - polygon
+    along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
+    distance = (offsets - along[..., None] * edges).norm(dim=-1).amin(-1)
+    inside = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(-1)
+    return distance.masked_fill(inside, 0.0)
