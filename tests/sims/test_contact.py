@@ -34,7 +34,7 @@ def contacts(backend: str, poses, speeds: list[float], steps: int) -> tuple[torc
     nothing = torch.zeros(steps, dtype=torch.bool)
     drives = [Trajectory(p, a, nothing, nothing, "time limit") for p, a in zip(position, angles, strict=True)]
     reported = torch.cat([state.contact for state in states], 1)
-    return reported, torch.stack(find_body_contacts(drives, WALLED, ROVER))
+    return reported, torch.stack(find_body_contacts(drives, [WALLED] * len(drives), [ROVER] * len(drives)))
 
 
 def first(flags: torch.Tensor) -> torch.Tensor:

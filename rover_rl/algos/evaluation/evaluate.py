@@ -36,7 +36,7 @@ from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 
 Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
 """Function that watches an evaluation: see :func:`evaluate`."""
@@ -188,6 +188,8 @@ class _Schedule(Schedule):
     Worlds take turns. With ``in_order``, all episodes have a rover, in their order. ``number`` is the index of the
     episode that each rover drives.
     """
+
+    driving: Tensor
 
     def __init__(self, episodes: EpisodeSet, rows: int, in_order: bool) -> None:
         self._episodes, worlds = episodes, episodes.world_index.tolist()

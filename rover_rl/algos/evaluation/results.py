@@ -31,13 +31,13 @@ WORST = 6  # number of worlds with the lowest success rates that are named and d
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
 results of randomized environments do not, either."""
-_PLACE = ("start", "goal")
-_COLUMNS = (
-    *("shortest", "length", "goals", "ending", "seconds", "contacts", "collisions", "wall_contacts"),
-    *("mover_contacts", "run_into", "least_mover_distance", "risk_seconds", "intrusion_seconds", "frozen_seconds"),
+_EVENTS = ("ending", "seconds", "contacts", "collisions")
+_OF_MOVERS = (
+    *("wall_contacts", "mover_contacts", "run_into", "least_mover_distance"),
+    *("risk_seconds", "intrusion_seconds", "frozen_seconds"),
 )
-"""Columns of an episode in files, those with numbers that are rounded last."""
-_ROUNDED = {"seconds", "least_mover_distance", "risk_seconds", "intrusion_seconds", "frozen_seconds"}
+_ROUNDED = {"seconds", *_OF_MOVERS}
+"""Columns of the table in files, those of episodes in worlds with movers, and those that have three digits."""
 
 
 @dataclass(frozen=True)
@@ -204,10 +204,11 @@ class Evaluation:
         keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
         head = {key: summary[key] for key in keys if key in summary}
         for number, episode in enumerate(self._episodes):
-            start, goal = map(episode.pop, _PLACE)
-            place = dict(zip(("start_x", "start_y", "start_yaw", "goal_x", "goal_y"), (*start, *goal), strict=True))
+            place = (*episode.pop("start", ()), *episode.pop("goal", ()))
+            named = dict(zip(("start_x", "start_y", "start_yaw", "goal_x", "goal_y"), place, strict=False))
             world = {"world": self.episodes.world_name(number), "episode": number}
-            rows.append({**head, **world, **place, **episode, "success": episode["ending"] == "goal"})
+            success = {} if self.endless else {"success": episode["ending"] == "goal"}
+            rows.append({**head, **world, **named, **episode, **success})
         return rows
 
     def to_json(self) -> dict[str, Any]:
@@ -222,12 +223,13 @@ class Evaluation:
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
-        places = zip(*(getattr(self.episodes, key).tolist() for key in _PLACE), self.table, strict=True)
-        return [{"start": start, "goal": goal, **_plain_row(row)} for start, goal, row in places]
-
-
-def _plain_row(row: Row) -> dict[str, Any]:
-    return {key: round(row[key], 3) if key in _ROUNDED else row[key] for key in _COLUMNS if key in row}
+        episodes, first = [], ("goals",) if self.endless else ("shortest", "length")
+        for number, row in enumerate(self.table):
+            keys = (*first, *_EVENTS, *(_OF_MOVERS if "mover_contacts" in row else ()))
+            episode = {key: round(row[key], 3) if key in _ROUNDED else row[key] for key in keys}
+            place = {} if self.endless else {"start": self.episodes.start[number], "goal": self.episodes.goal[number]}
+            episodes.append({**{key: value.tolist() for key, value in place.items()}, **episode})
+        return episodes
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:

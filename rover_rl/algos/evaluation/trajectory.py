@@ -15,7 +15,7 @@ from torch import Tensor
 from rover_rl.robots import Robot
 from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix, wrap_angle
-from rover_rl.sims.timing import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.obstacles import Obstacle, groups_of
 

@@ -10,14 +10,11 @@ import pytest
 import torch
 
 from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate, evaluate_endless
-from rover_rl.algos.evaluation.imperfections import change
-from rover_rl.algos.evaluation.report import LISTED, find_disagreements, print_table, write_evaluation
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
+from rover_rl.algos.evaluation.report import change, find_disagreements, print_table
 from rover_rl.cli import main
-from rover_rl.envs import EnvConfig
 from tests.algos.drivers import straight
-from tests.algos.evaluation.drives import FIELD, csv_rows, printed
-from tests.algos.evaluation.slippery import Slippery
+from tests.algos.evaluation.drives import FIELD, printed
 
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 SLIPPERY = "tests.algos.evaluation.slippery:Slippery"
@@ -39,14 +36,6 @@ def copied(evaluation: Evaluation, backend: str, missed: list[int]) -> Evaluatio
 
 def table(*evaluations: Evaluation, **options) -> str:
     return printed(print_table, evaluations, **options)
-
-
-def test_results_name_their_backend(firm: Evaluation) -> None:
-    assert firm.backend == firm.to_json()["backend"] == "bullet"
-    slippery = evaluate(straight, EPISODES.first(1), seconds=0.5, env=EnvConfig(backend=Slippery()))
-    assert slippery.backend == "tests.algos.evaluation.slippery:Slippery"
-    endless = evaluate_endless(straight, FIELD, rows=1, seed=1, steps=5, env=EnvConfig(backend=SLIPPERY))
-    assert endless.backend == endless.summary()["backend"] == SLIPPERY
 
 
 def test_disagreements_are_the_episodes_with_a_goal_in_some_backends_only(firm: Evaluation) -> None:
@@ -75,47 +64,6 @@ def test_the_table_has_a_row_for_each_backend(firm: Evaluation) -> None:
     assert disagreement not in rows[:2]
     assert lines[disagreement].split()[:2] == ["straight", "1"]
     assert lines[disagreement + 1].split() == ["field"]
-
-
-def test_groups_of_policies_have_their_mean_in_each_backend(firm: Evaluation) -> None:
-    missed = copied(firm, "warp", [0, 1, 2])
-    several = [firm, missed, replace(firm, name="again"), replace(missed, name="again")]
-    lines = table(*several, groups={"straight": "both", "again": "both"}).splitlines()
-    rows = [number for number, line in enumerate(lines) if line.startswith(" both")]
-    assert [lines[row].split()[1] for row in rows] == ["100.0", "0.0"]
-    for row, backend in zip(rows, ("bullet", "warp"), strict=True):
-        assert lines[row + 1].startswith(f" 2 policies, {backend}")
-    # Results of one policy in several modes are no group.
-    endless = evaluate_endless(straight, FIELD, name="straight", rows=1, steps=5)
-    assert "standard deviation" not in table(firm, endless, groups={"straight": "alone"})
-
-
-def test_no_evaluation_is_left_out_and_agreement_is_stated(firm: Evaluation) -> None:
-    again = replace(copied(firm, "bullet", [0, 1, 2]), action_repeat=2)
-    text = table(firm, again, copied(firm, "warp", []))
-    rows = [line for line in text.splitlines() if line.startswith(" straight")]
-    assert [row.split()[1] for row in rows] == ["100.0", "0.0", "100.0"]
-    assert "backends agree" in text
-    for alone in ([firm], [firm, copied(firm, "bullet", [1])], [firm, replace(copied(firm, "warp", []), seconds=9.0)]):
-        assert "backends agree" not in table(*alone)
-
-
-def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Evaluation, tmp_path: Path) -> None:
-    count = LISTED + 3
-    many = EPISODES.select([0] * count)
-    reached = replace(firm, episodes=many, trajectories=firm.trajectories[:1] * count)
-    missed = copied(reached, "warp", list(range(count)))
-    text = table(reached, missed)
-    assert sum("time limit" in line for line in text.splitlines()) == LISTED + 1  # and the legend
-    assert "3 more such episodes" in text
-    write_evaluation(tmp_path / "evaluation.json", [reached, missed, replace(reached, name="alone")])
-    written = json.loads((tmp_path / "evaluation.json").read_text())
-    assert [len(entry.get("disagreements", [])) for entry in written] == [count, count, 0]
-    assert "disagreements" not in written[2]
-    assert written[0]["disagreements"][-1]["endings"] == {"bullet": "goal", "warp": "time limit"}
-    rows = csv_rows(tmp_path / "evaluation-summary.csv")
-    assert [row["backend"] for row in rows] == ["bullet", "warp", "bullet"]
-    assert rows[1]["disagreements"].split() == [str(number) for number in range(count)]
 
 
 # --- the command
@@ -157,14 +105,6 @@ def test_backends_that_cannot_be_used_fail_before_anything_is_driven(
     assert captured.err.count("\n") == 1
     assert message in captured.err
     assert not (tmp_path / "new").exists()
-
-
-def test_a_policy_with_other_action_bounds_drives_in_several_backends(tmp_path: Path) -> None:
-    """Each backend gets the environment that the policy was made for, not the default one."""
-    given = ["evaluate", "pretrained:anywhere", "--backend", "bullet", SLIPPERY, "--count", "1", "--seconds", "0.5"]
-    assert main([*given, "--world", "maze", "--out", str(tmp_path)]) == 0
-    results = json.loads((tmp_path / "evaluation.json").read_text())
-    assert results[0]["env"] | {"backend": SLIPPERY} == results[1]["env"]
 
 
 def test_imperfections_are_compared_with_exact_sensors(firm: Evaluation) -> None:

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rover_rl import RoverEnv, World
 from rover_rl.algos.evaluation.episodes import (
@@ -45,13 +43,6 @@ def test_a_seed_always_gives_the_same_episodes() -> None:
     assert_same(draw_episodes(FIELD, 3, seed=1), episodes)
     assert_same(draw_episodes(FIELD, 5, seed=1).first(3), episodes)
     assert not torch.equal(draw_episodes(FIELD, 3, seed=50).goal, episodes.goal)
-
-
-def test_each_world_of_a_range_has_its_own_starts_whatever_the_others() -> None:
-    several = draw_episodes("field:10000-10002@0.5", 2, seed=1)
-    assert len(several.start.unique(dim=0)) == len(several.goal.unique(dim=0)) == 6
-    assert (several.start[::2, :2] - several.start[:1, :2]).norm(dim=1)[1:].min() > 0.5
-    assert_same(draw_episodes("field:10001@0.5", 2, seed=1), several.part(2, 4))
 
 
 def test_a_draw_is_the_first_episode_of_an_environment() -> None:
@@ -124,27 +115,6 @@ def test_invalid_arguments_raise() -> None:
         stored_episodes("maze").first(257)
 
 
-# --- shortest paths
-
-
-INSIDE = st.floats(-5.5, 5.5)
-
-
-@given(st.tuples(INSIDE, INSIDE), st.tuples(INSIDE, INSIDE))
-@settings(deadline=None, max_examples=50)
-def test_on_open_ground_the_shortest_path_is_straight(start: tuple[float, float], goal: tuple[float, float]) -> None:
-    assert length(FIELD, start, goal) == pytest.approx(max(0.0, math.dist(start, goal) - 0.5), rel=1e-5, abs=1e-5)
-
-
-@given(st.integers(0, 10_000), st.integers(0, 10_000))
-@settings(deadline=None, max_examples=12)
-def test_no_path_is_shorter_than_the_straight_line(a: int, b: int) -> None:
-    cells = stored_episodes("maze")
-    start, goal = cells.start[a % 256, :2], cells.goal[b % 256]
-    straight = max(0.0, torch.dist(start, goal).item() - 0.5)
-    assert length(cells.world, start.tolist(), goal.tolist()) >= straight - 1e-4
-
-
 def around_the_wall(gap: float) -> float:
     """Length from (-2, 0) to 0.5 m before (2, 0) along arcs of radius ``gap`` around the corners of the wall."""
     to_corner = math.hypot(1.9, 3.0)
@@ -157,18 +127,3 @@ def test_the_path_around_a_wall() -> None:
     path = length(WALL, (-2.0, 0.0), (2.0, 0.0))
     assert around_the_wall(0.35) < path < around_the_wall(0.35 + 0.1 * math.sqrt(2))
     assert length(WALL, (2.0, 0.0), (-2.0, 0.0)) == pytest.approx(path, rel=0.005)
-
-
-def test_a_start_within_the_goal_disc_has_length_zero() -> None:
-    assert length(WALL, (-2.0, 0.0), (-1.6, 0.2)) == length(WALL, (-0.2, 0.0), (-0.5, 0.0)) == 0
-
-
-def test_an_unreachable_goal_has_infinite_length() -> None:
-    sides = [box((x, 0.0, 0.5), (0.2, 3.2, 1.0)) for x in (-1.5, 1.5)]
-    sides += [box((0.0, y, 0.5), (3.2, 0.2, 1.0)) for y in (-1.5, 1.5)]
-    cell = World("cell", Terrain.flat((12.0, 12.0)), sides)
-    assert length(cell, (4.0, 0.0), (0.0, 0.0)) == math.inf
-
-
-def test_a_start_that_is_not_free_begins_at_the_nearest_free_cell() -> None:
-    assert length(WALL, (-0.2, 0.0), (-3.0, 0.0)) == pytest.approx(2.3, abs=0.05)

@@ -70,22 +70,10 @@ def test_all_movers_of_a_single_episode_are_drawn(ending: str) -> None:
     assert outlines(ended(ending, 1.5, 4.0), alone=True) == [1.5, 4.0]
 
 
-def test_an_episode_without_a_track_has_no_movers() -> None:
-    assert outlines(line("jammed", (0.0, 0.0), (1.0, 0.0), steps=20), alone=True) == []
-
-
 def test_a_picture_names_movers_if_there_are_any(tmp_path: Path) -> None:
     for track, named in ((True, True), (False, False)):
         draw_paths([driven(track)], tmp_path / "paths.svg")
         assert (LEGEND in (tmp_path / "paths.svg").read_text()) == named
-
-
-def test_a_track_of_the_last_seconds_is_the_end_of_the_whole() -> None:
-    whole, part = (driven(track).trajectories[0].movers for track in (True, 3.0))
-    assert len(whole.position) == 81
-    assert len(part.position) == 61
-    assert torch.equal(part.position, whole.position[-61:])
-    assert torch.equal(part.orientation, whole.orientation[-61:])
 
 
 def test_the_first_steps_of_an_episode_have_the_first_part_of_its_track() -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,12 +14,7 @@ import torch
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.metrics import (
-    contact_free_success_rate,
-    encounter_figures,
-    endless_metrics,
-    goal_metrics,
-)
+from rover_rl.algos.evaluation.metrics import compute_metrics, episode_row
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.evaluation.trajectory import Encounters, Trajectory
 from rover_rl.envs import EnvConfig
@@ -75,21 +71,6 @@ def test_an_episode_without_movers_has_no_encounters(run_into: Evaluation) -> No
     assert run_into.trajectories[1].movers is None
 
 
-def test_a_trajectory_keeps_where_movers_are_if_asked_for(run_into: Evaluation) -> None:
-    track = run_into.trajectories[0].movers
-    assert track is not None
-    assert track.mover.tolist() == [0, 1]
-    assert track.kind.tolist() == [0, 1]
-    torch.testing.assert_close(track.half, torch.tensor([[0.3, 0.3, 0.5], [1.0, 0.5, 0.4]]))
-    x = 3.0 - torch.arange(57) * 0.05
-    torch.testing.assert_close(track.position[:, 0], torch.stack((x, x * 0, x * 0 + 0.5), -1), atol=1e-3, rtol=0)
-    torch.testing.assert_close(track.position[:, 1], torch.tensor([[4.0, 4.0, 0.4]]).expand(57, 3))
-    upright = torch.tensor([[0.0, 0.0, 0.5**0.5, 0.5**0.5]]).expand(57, 4)
-    torch.testing.assert_close(track.orientation[:, 1], upright)
-    without = evaluate(standing, episodes(STREET), env=EnvConfig(backend="warp"), seconds=0.1)
-    assert without.trajectories[0].movers is None
-
-
 def test_movers_are_those_of_the_episode_whatever_rover_drives_it() -> None:
     wanderers = World("crowd", Terrain.flat((12.0, 12.0)), movers=[Mover(Wander(), Cylinder())] * 4)
     crowd = draw_episodes(WorldPool(wanderers, STREET), 4, seed=1)
@@ -134,14 +115,13 @@ def met(
     return replace(line(ending, steps=steps), position=position, goal=goal, encounters=encounters)
 
 
-def untouched(*trajectories: Trajectory) -> list[torch.Tensor]:
-    """Flags of contacts with obstacles at rest: none."""
-    return [torch.zeros(len(t) + 1, dtype=torch.bool) for t in trajectories]
+def row_of(trajectory: Trajectory) -> dict[str, Any]:
+    """Columns of an episode without contacts with obstacles at rest."""
+    return episode_row(trajectory, torch.zeros(len(trajectory) + 1, dtype=torch.bool), 1.0)
 
 
 def values(*trajectories: Trajectory) -> dict[str, float]:
-    found = goal_metrics(trajectories, torch.ones(len(trajectories)), untouched(*trajectories))
-    return {name: estimate.value for name, estimate in found.items()}
+    return {name: estimate.value for name, estimate in compute_metrics([*map(row_of, trajectories)]).items()}
 
 
 @pytest.mark.parametrize(
@@ -160,14 +140,8 @@ def values(*trajectories: Trajectory) -> dict[str, float]:
     ],
 )
 def test_a_rover_that_stands_still_is_run_into(speeds: list[float], contact: str, contacts: int, run_into: int) -> None:
-    figures = encounter_figures(met(speeds, contact=contact))
-    assert (figures.mover_contacts, figures.run_into) == (contacts, run_into)
-
-
-def test_run_into_is_a_share_of_the_contacts() -> None:
-    standing_still, driving = met([0.0] * 3, contact=" x x"), met([1.0] * 3, contact="   x")
-    assert values(standing_still, driving, met([1.0]))["run_into"] == pytest.approx(2 / 3)
-    assert math.isnan(values(met([1.0]))["run_into"])
+    row = row_of(met(speeds, contact=contact))
+    assert (row["mover_contacts"], row["run_into"], row["at_fault"]) == (contacts, run_into, contacts - run_into)
 
 
 def test_contacts_with_movers_count_as_contacts() -> None:
@@ -177,13 +151,12 @@ def test_contacts_with_movers_count_as_contacts() -> None:
     assert found["body_contact_share"] == found["mover_contact_share"] == pytest.approx(2 / 3)
     assert found["body_contacts"] == found["mover_contacts"] == pytest.approx(1)
     assert found["wall_contact_share"] == 0
-    assert contact_free_success_rate([touched], untouched(touched)).value == 0
 
 
 def test_contacts_with_walls_and_with_movers_are_told_apart() -> None:
     drives = [met([1.0] * 4, contact=" xx  "), met([1.0] * 4)]
     walls = [torch.tensor([character == "x" for character in text]) for text in ("  xx ", "x    ")]
-    found = goal_metrics(drives, torch.ones(2), walls)
+    found = compute_metrics([episode_row(*pair, 1.0) for pair in zip(drives, walls, strict=True)])
     assert found["wall_contact_share"].value == 1
     assert found["mover_contact_share"].value == 0.5
     # A contact with a wall that follows one with a mover at once is part of it.
@@ -192,12 +165,12 @@ def test_contacts_with_walls_and_with_movers_are_told_apart() -> None:
 
 def test_distances_and_times_near_movers() -> None:
     near = met([1.0, 0.0, 0.0, 1.0], gap=[0.3, 1.1, 1.3, 2.1, 0.4], center=0.45)
-    figures = encounter_figures(near)
-    assert figures.least_mover_distance == pytest.approx(0.3)
+    row = row_of(near)
+    assert row["least_mover_distance"] == pytest.approx(0.3)
     # Times are those of steps: what is near at their ends. The rover stands still at 1.3 and 2.1 m.
-    assert figures.risk_seconds == pytest.approx(4 * 0.05)
-    assert figures.intrusion_seconds == pytest.approx(2 * 0.05)
-    assert figures.frozen_seconds == pytest.approx(0.05)
+    assert row["risk_seconds"] == pytest.approx(4 * 0.05)
+    assert row["intrusion_seconds"] == pytest.approx(2 * 0.05)
+    assert row["frozen_seconds"] == pytest.approx(0.05)
 
     found = values(near, met([1.0] * 4, gap=0.7, ending="stuck"))
     assert found["least_mover_distance"] == pytest.approx(0.5)
@@ -216,10 +189,7 @@ def test_only_episodes_with_movers_count_for_metrics_of_movers() -> None:
     assert mixed["least_mover_distance"] == 0
     assert mixed["success_rate"] == 1
     assert mixed["body_contact_share"] == 0.5
-    endless = endless_metrics([met([1.0], contact=" x")], untouched(met([1.0])))
-    assert endless["mover_contacts"].value == 1
-    with pytest.raises(ValueError, match="no encounters"):
-        encounter_figures(alone)
+    assert compute_metrics([row_of(met([1.0], contact=" x"))], endless=True)["mover_contacts"].value == 1
 
 
 # --- results, tables and files

@@ -2,10 +2,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from matplotlib.image import imread
 from tensordict import TensorDict
 
 from rover_rl import World
@@ -52,21 +50,6 @@ def test_each_policy_has_a_panel(count: int, tmp_path: Path) -> None:
     assert "<!-- first 1 shown -->" in text
 
 
-def test_paths_are_colored_by_speed(tmp_path: Path) -> None:
-    pictures = []
-    for speed in (0.2, 0.2, 0.9):
-        evaluation = driven("mine", [TIME_LIMIT], speed)
-        # The same path, driven slowly or fast.
-        (trajectory,) = evaluation.trajectories
-        trajectory.position[:, 0] = torch.linspace(-4, -3.2, len(trajectory.position))
-        trajectory.__dict__["speed"] = torch.full((len(trajectory),), speed)
-        draw_paths([evaluation], tmp_path / "paths.png")
-        pictures.append(imread(tmp_path / "paths.png"))
-    slow, again, fast = pictures
-    assert np.array_equal(slow, again)
-    assert np.abs(slow - fast).max() > 0.3
-
-
 def rollout(steps: int = 30) -> TensorDict:
     """A rollout in which the rover reaches a goal at step 10 and jams at the end of a collision."""
     rewards = {name: torch.zeros(steps, 1) for name in ("goal", "progress", "collision", "stuck", "tilt_penalty")}
@@ -87,20 +70,6 @@ def test_reward_components_are_drawn_with_events(tmp_path: Path) -> None:
         assert f"<!-- {expected} -->" in text
     assert "stuck" not in text
     assert "final +94.60" in text
-
-
-def test_the_time_axis_follows_from_the_step(tmp_path: Path) -> None:
-    draw_reward_components(rollout(), tmp_path / "default.svg")
-    draw_reward_components(rollout(), tmp_path / "longer.svg", dt=0.5)
-    for name, last, other in (("default", "1.4", "14"), ("longer", "14", "1.4")):
-        assert f"<!-- {last} -->" in texts(tmp_path / f"{name}.svg")
-        assert f"<!-- {other} -->" not in texts(tmp_path / f"{name}.svg")
-
-
-def test_a_rollout_of_one_rover_may_have_a_batch_dimension(tmp_path: Path) -> None:
-    for name, data in (("flat", rollout()), ("batched", rollout()[None])):
-        draw_reward_components(data, tmp_path / f"{name}.png")
-    assert (tmp_path / "flat.png").read_bytes() == (tmp_path / "batched.png").read_bytes()
 
 
 def test_invalid_rollouts_raise(tmp_path: Path) -> None:

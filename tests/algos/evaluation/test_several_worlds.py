@@ -11,14 +11,13 @@ import torch
 from matplotlib.image import imread
 
 from rover_rl import World
-from rover_rl.algos.evaluation.episodes import EpisodeSet, choose_episodes, draw_episodes
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.metrics import contact_free_success_rate
 from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.evaluation.results import worst_worlds
-from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
+from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
@@ -65,21 +64,6 @@ def test_a_range_is_named_and_its_worlds_are_built_when_they_are_needed() -> Non
     assert len(pickle.dumps(episodes.pool)) < 200
 
 
-def test_a_range_has_four_episodes_in_each_world_by_default() -> None:
-    assert choose_episodes("maze:10000-10001").world_index.tolist() == [0, 0, 0, 0, 1, 1, 1, 1]
-    assert len(choose_episodes("maze")) == 256
-    assert len(choose_episodes("maze:10000-10001", 1)) == 2
-
-
-def test_selected_episodes_keep_their_worlds() -> None:
-    chosen = EPISODES.select([7, 4])
-    assert [world.name for world in chosen.worlds] == ["crates", "wall"]
-    assert torch.equal(chosen.goal, EPISODES.goal[[7, 4]])
-    used = chosen.with_used_worlds()
-    assert [world.name for world in used.pool] == ["wall", "crates"]
-    assert used.worlds == chosen.worlds
-
-
 # --- driving
 
 
@@ -90,13 +74,6 @@ def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: s
     expected = [trajectory for part in alone for trajectory in part.trajectories]
     for rows in (2, 5):
         assert_same(evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows).trajectories, expected)
-
-
-def test_the_order_of_the_episodes_does_not_matter() -> None:
-    order = [8, 0, 4, 1, 7, 3, 2, 6, 5]
-    env = EnvConfig(backend="warp")
-    mixed = evaluate(ahead, EPISODES.select(order), seconds=0.4, rows=4, env=env)
-    assert_same(mixed.trajectories, evaluate(ahead, EPISODES, seconds=0.4, env=env).select(order).trajectories)
 
 
 def test_rovers_meet_the_obstacles_of_their_own_world() -> None:
@@ -135,16 +112,6 @@ def evaluation(name: str, endings: list[str], episodes: EpisodeSet = EPISODES) -
 
 # A third of the episodes in the field, two thirds at the wall, all among the crates.
 ENDINGS = ["goal", "stuck", "stuck", "goal", "goal", "stuck", "goal", "goal", "goal"]
-
-
-def test_contacts_are_those_with_the_world_of_each_episode() -> None:
-    through = drives(["goal"] * 3, x=0.0)
-    flags = find_body_contacts(through, [FIELD, WALL, FIELD], ROBOT)
-    assert [bool(touched.any()) for touched in flags] == [False, True, False]
-    (alone,) = find_body_contacts(through[:1], WALL, ROBOT)
-    assert torch.equal(flags[1], alone)
-    assert contact_free_success_rate(through, flags).value == pytest.approx(2 / 3)
-    assert contact_free_success_rate(drives(["stuck"]), [torch.tensor([False])]).value == 0
 
 
 def test_results_by_world() -> None:

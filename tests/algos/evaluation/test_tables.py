@@ -71,12 +71,6 @@ def test_no_line_is_too_wide_and_no_name_or_number_is_cut(
     assert NAMES[3] in shown
 
 
-def test_no_heading_is_cut_beside_short_names() -> None:
-    drives = [evaluation("a", ENDINGS)]
-    for width in range(80, 130, 5):
-        assert "…" not in "".join(lines(drives, width, False, ["all"]))
-
-
 def test_the_legend_explains_what_is_shown_and_nothing_else(evaluations: list[Evaluation]) -> None:
     text = " ".join(lines(evaluations[:1], 200, False, ["spl", "jerk"]))
     assert "SPL: success weighted by path length; jerk: root mean square" in text
