@@ -23,15 +23,6 @@ def test_an_archive_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert torch.equal(data["weights"]["a"], torch.arange(4.0))
 
 
-def test_an_archive_of_another_format_raises(tmp_path: Path) -> None:
-    path = tmp_path / "archive.pt"
-    write_archive(path, "form 3", {})
-    with pytest.raises(ValueError, match=r"archive\.pt is no archive of this version of rover_rl$"):
-        read_archive(path, "form 1", "archive")
-    with pytest.raises(FileNotFoundError, match=r"^no archive at .*missing\.pt$"):
-        read_archive(tmp_path / "missing.pt", "form 1", "archive")
-
-
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
 def test_the_first_tensor_that_is_not_finite_is_found(number: float) -> None:
     whole = {"a": torch.zeros(2), "b": torch.ones(3)}

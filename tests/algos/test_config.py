@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
-from rover_rl.algos.workers import default_workers, usable_cores
+from rover_rl.algos.workers import default_workers
 from rover_rl.sims.warp.settings import WarpSettings
 
 PPO, SAC = training_config("ppo"), training_config("sac")
@@ -84,22 +84,6 @@ def test_settings_that_do_not_go_together_raise(algo: str, settings: dict[str, A
         training_config(algo, **settings).check()
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"north_up": True, "mirror_augmentation": False},
-        {"memory": "gru"},
-        {"privileged_critic": True},
-        {"device": "cuda"},
-        {"device": "cuda:1"},
-    ],
-)
-def test_settings_that_go_together_pass(settings: dict[str, Any]) -> None:
-    config = training_config("ppo", **settings)
-    config.check()
-    assert config.on_gpu == ("device" in settings)
-
-
 def test_settings_are_put_into_their_parts() -> None:
     config = training_config("sac", world="maze", hidden=(8,), workers=2, tau=0.1, max_minutes=5)
     assert (config.algo, config.env.world, config.network.hidden) == ("sac", "maze", (8,))
@@ -137,9 +121,3 @@ def test_workers_share_the_rovers_equally_and_warp_has_one() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0
     assert (PPO.workers, with_settings(PPO, workers=2).workers) == (1, 2)
-
-
-def test_gradient_steps_take_the_cores_of_workers_that_wait() -> None:
-    assert PPO.learner_threads == 1
-    assert with_settings(PPO, workers=2).learner_threads == min(2, usable_cores())
-    assert with_settings(SAC, workers=2).learner_threads == 1

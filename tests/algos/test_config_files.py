@@ -33,12 +33,6 @@ def test_missing_settings_have_their_defaults(text: str, tmp_path: Path) -> None
     assert read_config(tmp_path / "mine.yaml") == training_config("sac", world="moon", gamma=1.0)
 
 
-def test_files_that_name_a_simulator_have_its_defaults(tmp_path: Path) -> None:
-    for text in ("algo: ppo\nbackend: bullet\n", "algo: ppo\nenv: {backend: bullet}\n"):
-        (tmp_path / "mine.yaml").write_text(text)
-        assert read_config(tmp_path / "mine.yaml") == training_config("ppo", backend="bullet")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -62,11 +56,6 @@ def test_invalid_files_raise(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(text)
     with pytest.raises(ValueError, match=message):
         read_config(tmp_path / "config.yaml")
-
-
-def test_the_error_names_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"no settings at .*none\.yaml"):
-        read_config(tmp_path / "none.yaml")
 
 
 @settings(deadline=None)

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from rover_rl.algos.config import training_config
-from rover_rl.algos.experiments.comparison import ALL_WORLDS, IN_TRAINING, compare, print_comparison, write_comparison
+from rover_rl.algos.experiments.comparison import IN_TRAINING, compare, write_comparison
 from rover_rl.algos.experiments.runs import Run, find_runs, group
-from tests.algos.evaluation.drives import csv_rows, printed
+from tests.algos.evaluation.drives import csv_rows
 from tests.algos.experiments.records import write_run
 
 
@@ -52,25 +52,6 @@ def test_experiments_are_compared_by_their_final_success_in_training(tmp_path: P
     (pair,) = comparison.pairs
     assert (pair.better, pair.other, pair.probability.value) == ("good", "bad", 1)
     assert comparison.scored_by == IN_TRAINING
-
-
-def test_worlds_have_a_table_each_and_one_for_all(tmp_path: Path) -> None:
-    for world in ("maze", "moon"):
-        write_experiment(tmp_path, f"good-{world}", world=world)
-        write_experiment(tmp_path, f"bad-{world}", best=0.5, gamma=0.9, world=world)
-    comparison = compare(find_runs([str(tmp_path)]))
-    everywhere = [(row.name, row.runs) for row in comparison.rows if row.world == ALL_WORLDS]
-    assert everywhere == [("PPO, gamma=0.96", 6), ("PPO, gamma=0.9", 6)]
-    assert len(comparison.pairs) == 3
-
-
-def test_tables_fit_80_columns_and_cut_no_number(tmp_path: Path) -> None:
-    write_experiment(tmp_path, "a-rather-long-name-of-an-experiment")
-    write_experiment(tmp_path, "other", best=0.5, seeds=1, gamma=0.9, hidden=(64, 64), learning_rate=3e-4)
-    text = printed(print_comparison, compare(find_runs([str(tmp_path)])), 80)
-    assert max(map(len, text.splitlines())) <= 80
-    for expected in ("a-rather-long-name-of-an-", "93.6", "93–95", "150,000", "47.3", "of other: 100 %", "too narrow"):
-        assert expected in " ".join(text.split())
 
 
 def evaluation(folder: Path, **rates: float) -> None:

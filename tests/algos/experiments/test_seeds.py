@@ -43,14 +43,6 @@ def test_runs_with_other_settings_are_refused(tmp_path: Path) -> None:
         seed_runs(training_config("sac", runs=str(tmp_path), name="mine"), [0])
 
 
-def test_seeds_are_checked() -> None:
-    for seeds in ((), (1, 1)):
-        with pytest.raises(ValueError, match="seeds must be at least one, each once"):
-            seed_runs(training_config("ppo"), seeds)
-    with pytest.raises(ValueError, match="seed"):
-        seed_runs(training_config("ppo"), [-1])
-
-
 @pytest.mark.slow
 def test_one_command_trains_all_seeds_and_one_compares_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = ["train", *TINY, "--total-steps", "192", "--logger", "csv", "--runs", str(tmp_path), "--name", "mine"]

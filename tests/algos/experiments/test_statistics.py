@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rover_rl.algos.experiments.statistics import interquartile_mean, interval, probability_of_improvement
+from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
@@ -27,12 +27,6 @@ def test_intervals_resample_runs_within_each_world() -> None:
 def test_one_run_has_no_interval() -> None:
     assert math.isnan(interquartile_mean([np.array([0.4])]).low)
     assert math.isnan(probability_of_improvement([np.array([0.4])], [np.array([0.3])]).low)
-
-
-def test_curves_have_an_interval_at_each_point() -> None:
-    low, high = interval([np.array([[0.0, 1.0], [0.0, 3.0], [0.0, 5.0]])])
-    assert (low[0], high[0]) == (0, 0)
-    assert 1 <= low[1] < 3 < high[1] <= 5
 
 
 def test_the_probability_of_improvement_counts_pairs() -> None:

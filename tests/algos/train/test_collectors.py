@@ -11,28 +11,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
-from torchrl.envs import (
-    Compose,
-    EnvBase,
-    RandomTruncationTransform,
-    StepCounter,
-    TensorDictPrimer,
-    Transform,
-    TransformedEnv,
-)
-from torchrl.envs.utils import check_env_specs
-from torchrl.modules import GRUModule, TanhNormal
+from torchrl.envs import Compose, EnvBase, StepCounter, TensorDictPrimer, Transform, TransformedEnv
 
 from rover_rl import RoverEnv
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import BoundedTanhNormal
-from rover_rl.algos.policy.recurrent import GRU as GRUStep
-from rover_rl.algos.policy.recurrent import MemoryPrimer, memory_transforms, state_keys
-from rover_rl.algos.train.attempts import SpreadEnds
+from rover_rl.algos.policy.recurrent import memory_transforms
 from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.env import make_training_env
 from rover_rl.algos.train.run import prepare
@@ -43,19 +30,12 @@ from tests.algos.train.runs import (
     LEARNABLE,
     LEARNERS,
     LSTM,
-    PPO,
     SAC,
     before_updates,
     progress_of,
     run,
     state_of,
 )
-
-
-@pytest.mark.slow
-def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
-    # The only test whose workers start as those of a user: each with a new interpreter.
-    assert progress_of(run(PPO, tmp_path, workers=2, total_steps=128).folder)["steps"] == [64, 128]
 
 
 @pytest.mark.slow
@@ -160,57 +140,7 @@ def _ended(transform: Transform) -> TensorDictBase:
     return env.rollout(24, lambda td: td.set("action", torch.zeros(4, 2)), break_when_any_done=False)
 
 
-def test_episodes_end_as_with_the_transform_of_torchrl() -> None:
-    own, other = _ended(SpreadEnds(9)), _ended(RandomTruncationTransform(1, 9))
-    assert own["next", "truncated"].any(1).all()
-    for key in ("step_count", ("next", "step_count"), ("next", "truncated"), ("next", "done")):
-        assert torch.equal(own[key], other[key]), key
-
-
 def _with_memory(primer: type[TensorDictPrimer]) -> EnvBase:
     env: EnvBase = RoverEnv(world_n=FIELD, num_envs=3, seed=0)
     tracker, own = memory_transforms("gru", 4)
     return env.append_transform(tracker).append_transform(primer(own.primers, expand_specs=True))
-
-
-def test_the_memory_begins_as_with_the_transform_of_torchrl() -> None:
-    mask = torch.tensor([[True], [False], [True]])
-    resets = []
-    for primer in (MemoryPrimer, TensorDictPrimer):
-        env = _with_memory(primer)
-        check_env_specs(env)
-        td = env.reset()
-        td["memory_hidden"] = torch.ones(3, 1, 4)
-        resets.append(env.reset(td.set("_reset", mask)))
-    for key in ("memory_hidden", "is_init"):
-        assert torch.equal(resets[0][key], resets[1][key])
-    assert resets[0]["memory_hidden"].flatten(1).sum(1).tolist() == [0, 4, 0]
-
-
-@pytest.mark.parametrize("shape", [(), (5,), (5, 2)])
-def test_a_step_of_a_memory_is_that_of_torchrl(shape: tuple[int, ...]) -> None:
-    keys = {"in_keys": ["embedding", "memory", "is_init"], "out_keys": ["recalled", ("next", "memory")]}
-    own, other = GRUStep(6, 4, **keys), GRUModule(6, 4, **keys)
-    other.load_state_dict(own.state_dict())
-    assert state_keys(own) == ["memory"]
-    entries = {"embedding": torch.randn(*shape, 6), "memory": torch.randn(*shape, 1, 4)}
-    td = TensorDict({**entries, "is_init": torch.rand(*shape, 1) < 0.5}, shape)
-    for given in (td, td.exclude("memory")):
-        after, expected = own(given.clone()), other(given.clone())
-        for key in ("recalled", ("next", "memory")):
-            assert torch.equal(after[key], expected[key])
-
-
-def test_a_distribution_is_that_of_torchrl() -> None:
-    bounds = {"low": torch.tensor([-1.0, -3.0]), "high": torch.tensor([1.0, 2.0])}
-    loc, scale = torch.randn(6, 2, requires_grad=True), torch.rand(6, 2) + 0.1
-    results = []
-    for kind in (BoundedTanhNormal, TanhNormal):
-        torch.manual_seed(0)
-        distribution = kind(loc, scale, **bounds)
-        action, log_prob = distribution.rsample_and_log_prob()
-        other = distribution.log_prob(distribution.sample())
-        (slope,) = torch.autograd.grad((action.sum() + log_prob.sum() + other.sum()), loc)
-        results.append((action, log_prob, other, slope, distribution.deterministic_sample))
-    for own, expected in zip(*results, strict=True):
-        assert torch.equal(own, expected)

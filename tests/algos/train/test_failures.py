@@ -40,13 +40,6 @@ def test_a_diverging_training_keeps_its_last_good_checkpoint(
     assert run(config, tmp_path, folder, learning_rate=3e-4).steps == 256
 
 
-def test_a_training_that_diverges_before_its_first_checkpoint_raises(tmp_path: Path) -> None:
-    # The NaN appears within the update, and its next gradient step fails.
-    with pytest.raises(FloatingPointError, match="there is no checkpoint yet; begin a new run with a lower learning"):
-        run(PPO, tmp_path, learning_rate=1e30)
-    assert not (tmp_path / "ppo-maze" / "checkpoint.pt").exists()
-
-
 def test_a_full_disk_ends_a_run_and_keeps_its_checkpoint(tmp_path: Path) -> None:
     folder = run(PPO, tmp_path, snapshots=0, total_steps=128).folder
     whole = {path.name: path.read_bytes() for path in folder.glob("*.pt")}

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDictBase
 
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
@@ -46,19 +45,6 @@ def test_it_starts_from_the_policys_weights_and_only_the_critic_learns_at_first(
     # A run that is continued goes on with its own weights.
     again = train(with_settings(written, total_steps=128), warm.folder)
     assert again.steps == 128
-
-
-def test_the_first_actions_are_those_of_the_policy(trained: Trained, tmp_path: Path, monkeypatch: Any) -> None:
-    source = trained("ppo").folder
-    seen = []
-
-    def update(self: PPOLearner, batch: TensorDictBase, *_: Any) -> dict[str, float]:
-        seen.append(equal(self.actor.state_dict(), dict(weights(source))))
-        return {}
-
-    monkeypatch.setattr(PPOLearner, "update", update)
-    train(fine_tuning_config(source, world=FIELD, runs=str(tmp_path), **SMALL))
-    assert all(seen)
 
 
 def test_frozen_convolutions_stay_those_of_the_policy_also_in_the_critic(tmp_path: Path) -> None:

@@ -20,23 +20,7 @@ from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import MirrorMemory, PPOLearner, mirrored_rows
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
-from tests.algos.train.runs import (
-    FIELD,
-    GRU,
-    LSTM,
-    PPO,
-    RECURRENT,
-    WALL,
-    before_updates,
-    check_states,
-    equal,
-    field,
-    progress_of,
-    record_of,
-    run,
-    state_of,
-    states_of,
-)
+from tests.algos.train.runs import FIELD, GRU, LSTM, PPO, WALL, check_states, equal, field, progress_of, run, state_of
 
 BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
 OBSERVATION = PPO.network.observation
@@ -62,17 +46,6 @@ def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: Tra
         again = learner.actor[0](seen)
     for key in ("loc", "scale"):
         torch.testing.assert_close(again[key], batch[key])
-
-
-@BOTH
-@torch.no_grad()
-def test_a_policy_that_drives_has_the_memory_of_training(config: TrainingConfig) -> None:
-    learner, (batch, *_) = batches(config, 3)
-    runner = PolicyRunner(learner.actor)
-    for step in batch.unbind(1):
-        runner.reset(step["is_init"].squeeze(-1))
-        high = learner.actor.spec["action"].space.high
-        torch.testing.assert_close(runner(step.select(*OBSERVATION)), high * step["loc"].tanh())
 
 
 @BOTH
@@ -124,28 +97,6 @@ def test_a_training_on_sequences(config: TrainingConfig, tmp_path: Path) -> None
     learner.load_state_dict(states[0])
     assert equal(learner.state_dict(), states[0])
     assert run(config, tmp_path, folder, total_steps=384).steps == 384
-
-
-@BOTH
-def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) -> None:
-    imitating = with_settings(config, imitation=1.0, epochs=15, learning_rate=3e-3, anneal=False, world=(FIELD, WALL))
-    learner, (_, batch) = batches(imitating, 2)
-    surprise = [learner.update(batch.clone(), 0.0, Stopwatch())["loss_objective"] for _ in range(3)]
-    assert surprise[2] < surprise[1] - 0.3 < surprise[0] - 0.6
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick_workers")
-def test_workers_carry_the_memory_and_have_a_curriculum_of_their_own_also_in_a_run_that_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config, collected = with_settings(RECURRENT, memory="lstm", workers=2), list[TensorDictBase]()
-    before_updates(monkeypatch, "ppo", lambda number, learner, batch: collected.append(states_of(batch, "lstm")))
-    folder = run(config, tmp_path, total_steps=384).folder
-    assert len(collected) == 3
-    check_states(collected, "lstm")
-    assert run(config, tmp_path, folder, total_steps=512).steps == 512
-    assert sum(int(row["draws"]) for row in record_of(folder)) >= 8
 
 
 @pytest.mark.parametrize("memory", ["none", "gru"])

@@ -10,7 +10,6 @@ from rich.console import Console
 from tensordict import TensorDict
 
 from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, read_progress
-from tests.full_disk import largest_file
 
 
 def test_what_happened_in_a_batch_is_counted() -> None:
@@ -62,16 +61,6 @@ def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
     assert read_progress(path)["steps"] == [100]
 
 
-def test_progress_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    def fill(log: ProgressLog) -> None:
-        with log, largest_file(150):
-            for steps in range(1, 100):
-                log.add({"steps": steps, **MEASURED})
-
-    with pytest.raises(OSError, match=rf"File too large: '{tmp_path}/progress\.csv"):
-        fill(ProgressLog(tmp_path, console=Console(quiet=True)))
-
-
 def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
     console = Console(file=io.StringIO(), width=200)
     with ProgressLog(tmp_path, console=console) as log:
@@ -101,14 +90,3 @@ def test_the_time_of_a_batch_is_divided_by_what_it_went_into() -> None:
     assert shares["simulator"] == pytest.approx(shares["task and rewards"], rel=1e-3)
     assert shares["policy and collector"] == pytest.approx(2 * shares["simulator"], rel=1e-3)
     assert sum(shares.values()) == pytest.approx(1, abs=1e-6 * shares["simulator"])
-
-
-def test_what_is_done_while_nobody_waits_takes_no_time() -> None:
-    stopwatch = Stopwatch()
-    stopwatch.collected(batch_of([(1, 6.0, 8.0)]), rows=2, waited=2.0)
-    stopwatch.collected(batch_of([(0, 3.0, 4.0)]), rows=2, waited=0.0)
-    # Worker 1 worked 8 s more, 2 of them in the simulator; others know nothing of it.
-    stopwatch.collected(batch_of([(1, 8.0, 16.0)]), rows=2, waited=4.0)
-    shares = stopwatch.shares()
-    assert shares["simulator"] / shares["task and rewards"] == pytest.approx((1.5 + 1.0) / (0.5 + 3.0), rel=1e-3)
-    assert shares["policy and collector"] == pytest.approx(0.0, abs=1e-6)

@@ -55,12 +55,6 @@ def _words(process: psutil.Process) -> list[str]:
 
 
 @pytest.mark.slow
-def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
-    progress = progress_of(run(SAC, tmp_path, total_steps=128).folder)
-    assert progress["steps"] == list(range(16, 129, 16))
-
-
-@pytest.mark.slow
 def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,13 +96,6 @@ def kill_a_worker_at_the_third_update(
             time.sleep(wait)
 
     before_updates(monkeypatch, "ppo", kill)
-
-
-@pytest.mark.slow
-def test_more_workers_than_processors_raise(cluster: None, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
-        run(PPO, tmp_path, workers=4)
-    assert not list(tmp_path.iterdir())
 
 
 def test_without_ray_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

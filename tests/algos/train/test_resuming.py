@@ -130,19 +130,6 @@ def test_the_record_lists_sessions_with_other_settings_once_they_have_trained(
     assert [session["from_step"] for session in read_sessions(path)] == [256, 320]
 
 
-def test_a_run_killed_before_its_first_checkpoint_starts_over(
-    own_run: OwnRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = own_run(PPO)
-    expected = progress_of(folder)["loss_objective"]
-    for name in ("checkpoint.pt", "training_state.pt"):
-        (folder / name).unlink()
-    capsys.readouterr()
-    assert run(PPO, tmp_path, folder).steps == 256
-    assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
-    assert progress_of(folder)["loss_objective"] == expected
-
-
 def test_what_cannot_be_gone_on_with_raises_and_is_not_overwritten(own_run: OwnRun, tmp_path: Path) -> None:
     folder = own_run(PPO)
     files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
@@ -160,16 +147,6 @@ def test_what_cannot_be_gone_on_with_raises_and_is_not_overwritten(own_run: OwnR
     for kept in ("config.yaml", "progress.csv"):
         assert (folder / kept).read_bytes() == files[kept]
     assert Checkpoint.load(folder).steps == 256
-
-
-def test_steps_after_the_last_state_are_repeated(own_run: OwnRun, tmp_path: Path) -> None:
-    folder = own_run(PPO)
-    progress = folder / "progress.csv"
-    lines = progress.read_text().splitlines()
-    # As after a kill: a row that is newer than the state, and half of another.
-    progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
-    run(PPO, tmp_path, folder, total_steps=384)
-    assert progress_of(folder)["updates"] == list(range(1, 7))
 
 
 @pytest.mark.slow

@@ -59,13 +59,6 @@ def test_a_full_disk_keeps_the_last_checkpoint_and_state(checkpoint: Checkpoint,
     assert load_state(tmp_path / "training_state.pt") == {"steps": 100}
 
 
-def test_an_error_names_the_file_that_does_not_fit_and_none_is_written(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    for name, state in (("checkpoint", {"steps": 1}), ("training_state", {"memory": torch.zeros(5000)})):
-        with largest_file(5000), pytest.raises(OSError, match=rf"{tmp_path}/{name}\.pt'$"):
-            save_run(tmp_path, checkpoint, state)
-        assert not [*tmp_path.iterdir()]
-
-
 def hold(folder: Path, told: Connection) -> None:
     """Locks a folder, says so, and holds the lock until the process is killed."""
     with training_lock(folder):

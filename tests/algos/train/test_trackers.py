@@ -28,11 +28,6 @@ def track(folder: Path, *names: str, steps: tuple[int, ...] = (100,), resumed_at
     return said
 
 
-def test_values_are_written_as_csv(tmp_path: Path) -> None:
-    assert track(tmp_path, "csv", steps=(100, 200)) == []
-    assert (tmp_path / "csv" / "scalars" / "goals.csv").read_text() == "100,1.5\n200,1.5\n"
-
-
 def test_events_after_the_state_that_is_gone_on_from_are_hidden(tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     track(tmp_path, "tensorboard", steps=(100, 200, 300))

@@ -17,10 +17,9 @@ from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.progress import TIME
-from rover_rl.algos.train.run import TrainingSummary, prepare
+from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.envs import EnvConfig, RoverEnv
-from rover_rl.envs.config import Randomization
-from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of, run, state_of
+from tests.algos.train.runs import BOTH, FIELD, PPO, equal, progress_of, run, state_of
 
 Trained = Callable[[str], TrainingSummary]
 
@@ -78,20 +77,6 @@ def test_the_same_seed_gives_the_same_weights_to_the_last_bit(
     assert not equal(first, other)
 
 
-@BOTH
-def test_policies_can_be_trained_in_several_worlds_at_once_and_in_warp(config: TrainingConfig, tmp_path: Path) -> None:
-    config = with_settings(config, world=("inspect", "maze"), backend="warp", workers=None)
-    summary = run(config, tmp_path, randomization=Randomization.typical())
-    assert (summary.folder.name, summary.steps) == (f"{config.algo}-inspect-maze", 256)
-    for written in (read_config(summary.folder / "config.yaml"), Checkpoint.load(summary.checkpoint).config):
-        assert (written.env.worlds, written.collection.workers) == (("inspect", "maze"), 1)
-    assert run(read_config(summary.folder / "config.yaml"), tmp_path, summary.folder, total_steps=320).steps == 320
-
-
-def test_the_expert_knows_the_world_of_each_rover(tmp_path: Path) -> None:
-    assert run(PPO, tmp_path, world=(FIELD, WALL), total_steps=64, imitation=1.0, path_reward=1.0).steps == 64
-
-
 def test_imitation_makes_the_experts_actions_more_likely(tmp_path: Path) -> None:
     settings = {"imitation": 1.0, "epochs": 30, "learning_rate": 3e-3, "anneal": False, "minibatch": 16}
     folder = run(PPO, tmp_path, world=FIELD, total_steps=512, hidden=(64,), **settings).folder
@@ -111,10 +96,3 @@ def test_the_time_limit_ends_a_run(tmp_path: Path) -> None:
     assert len(progress_of(summary.folder)["steps"]) == 1
     assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000064.pt"]
     assert not summary.interrupted
-
-
-def test_a_training_without_a_seed_draws_one_and_keeps_it(tmp_path: Path) -> None:
-    config = with_settings(PPO, seed=None, total_steps=64)
-    seeds = [read_config(run(config, tmp_path).folder / "config.yaml").env.seed, prepare(config).env.seed]
-    assert None not in seeds
-    assert seeds[0] != seeds[1]

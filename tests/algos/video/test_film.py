@@ -15,11 +15,9 @@ from rover_rl import RoverEnv, World, make_env
 from rover_rl.algos.video.film import film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
-from rover_rl.rotations import rotate
 from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.worlds import Terrain, box
 from tests.algos.drivers import straight
-from tests.algos.policy.memories import CountingPolicy
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
@@ -64,18 +62,6 @@ def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
     assert pixels.isnan().any(-1).tolist() == [False] * 4 + [True]
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.8, 2.0, -1.5])
-def test_no_part_of_a_rover_is_hidden_by_a_wall_behind_it_or_a_ceiling(yaw: float) -> None:
-    sides = [box((x, y, 1.25), (0.2, 3.0, 2.5) if x else (3.0, 0.2, 2.5)) for x, y in ((0.9, 0), (-0.9, 0), (0, -0.9))]
-    for ceiling in ([], [box((0.0, 0.0, 1.4), (3.0, 3.0, 0.2))]):
-        sight = Sight(World("closet", Terrain.flat((12.0, 12.0)), [*sides, *ceiling]))
-        turn = torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)], dtype=torch.float64)
-        camera = Camera.on(torch.tensor([0.0, 0.0, 0.1]), turn, sight, "chase")
-        corners = [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (0.1, 0.3)]
-        body = rotate(turn.expand(8, 4), torch.tensor(corners, dtype=torch.float64))
-        assert not sight.hidden(camera.eye, body + torch.tensor([0.0, 0.0, 0.1])).any()
-
-
 def test_lidar_beams_end_where_they_meet_something() -> None:
     with closing(RoverEnv(world_n=WALL, seed=0)) as env:
         env.reset(start=torch.tensor([[0.0, 0.5, 1.0]]))
@@ -84,18 +70,6 @@ def test_lidar_beams_end_where_they_meet_something() -> None:
     torch.testing.assert_close(hits[:, 0], torch.full((len(hits),), 1.8), atol=0.01, rtol=0)
     assert hits[:, 1].abs().max() < 2.01
     torch.testing.assert_close(hits[:, 2], start[2].expand(len(hits)), atol=0.05, rtol=0)
-
-
-@pytest.mark.parametrize(("start", "low"), [(-2.0, True), (2.8, False), (2.6, False)])
-def test_the_camera_climbs_until_it_sees_the_rover(start: float, low: bool) -> None:
-    env = RoverEnv(world_n=WALL, seed=0)
-    env.reset(start=torch.tensor([[start, 0.0, 0.0]]), goal=torch.zeros(1, 2))
-    camera, rover = chase(env), env.rover_state[0].position.double()
-    env.close()
-    assert camera.see(rover + torch.tensor((0.0, 0.0, 0.1)), 320, 240)[1]
-    assert (camera.eye - rover).norm() == pytest.approx(2.55)
-    assert (camera.eye[2] - rover[2] < 1.4) == low
-    assert not WALL.obstacles[0].contains(camera.eye)
 
 
 @pytest.mark.parametrize(
@@ -117,14 +91,6 @@ def test_a_gif_has_the_size_and_the_time_asked_for(settings: dict, duration: int
         assert (picture.size, picture.n_frames, picture.info["duration"]) == ((99, 64), 10, duration)
         assert np.asarray(picture.convert("RGB")).std() > 10
     assert [file.name for file in path.parent.iterdir()] == ["film.gif"]
-
-
-def test_a_policy_with_memory_is_filmed_as_it_was_trained(tmp_path: Path) -> None:
-    policy = CountingPolicy()
-    rollout = film(policy, tmp_path / "film.gif", world=FIELD, seconds=0.6, width=64, height=48)
-    # Its speed counts the decisions, one in four steps.
-    assert (rollout["action"][:, 0] * 100).round().int().tolist() == [0] * 4 + [1] * 4 + [2] * 4
-    assert policy.calls == 3
 
 
 def test_an_mp4_is_a_film(tmp_path: Path) -> None:

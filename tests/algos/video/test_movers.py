@@ -14,7 +14,6 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.video.film import film
 from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides
-from rover_rl.cli.film import Film
 from rover_rl.envs import EnvConfig
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
@@ -53,14 +52,6 @@ def test_a_film_shows_movers(view, tmp_path: Path) -> None:
     assert max(violet(bare)) == 0
 
 
-def test_moments_keep_where_movers_were() -> None:
-    recording = record_endless(straight, CROSSING, seconds=1.0, rows=2, seed=0, env=WARP)
-    ys = torch.stack([moment.movers.position[0, 3, 1] for moment in recording.moments])
-    # One meter a second from -3 on.
-    torch.testing.assert_close(ys, torch.arange(21) * 0.05 - 3, atol=1e-4, rtol=0)
-    assert record_endless(straight, EMPTY, seconds=0.1, rows=1, seed=0, env=WARP).moments[-1].movers is None
-
-
 def test_an_episode_is_filmed_with_its_movers() -> None:
     episodes = draw_episodes("plaza:3", 3)
     drives = record_episodes(straight, episodes, seconds=1.0, name="straight", env=WARP)
@@ -77,13 +68,3 @@ def test_movers_hide_what_is_behind_them() -> None:
     assert hides(moment.movers, torch.tensor([0.0, 0.0, 0.5]), points).tolist() == [False, False, True, False]
     # A mover at the camera is not drawn, and hides nothing.
     assert not hides(moment.movers, torch.tensor([2.4, 0.0, 0.5]), points).any()
-
-
-def test_the_command_films_one_rover_among_movers_from_above(tmp_path: Path, capsys) -> None:
-    out = tmp_path / "film.gif"
-    options = {"view": "top", "seconds": 0.2, "width": 240, "height": 180, "backend": "warp"}
-    assert Film("scripted", out=out, world="plaza:1", **options)() == 0
-    alone = frames(out)
-    assert Film("scripted", out=out, world="plaza:1", rovers=1, **options)() == 0
-    assert all(np.array_equal(a, b) for a, b in zip(alone, frames(out), strict=True))
-    assert capsys.readouterr().out == f"Film: {out}\n" * 2
