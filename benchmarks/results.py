@@ -25,8 +25,8 @@ from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
 from rover_rl.algos.config_files import run_config
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, stored_episodes
-from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, endless_episodes, stored_episodes
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.experiments.curves import draw_learning_curve
@@ -92,6 +92,9 @@ def measured(folder: Path, options: Options) -> dict[str, Any]:
     return json.loads(path.read_text())
 
 
+ENDLESS = 100.0  # duration of an endless episode, s
+
+
 def _measure(folder: Path, options: Options) -> dict[str, Any]:
     checkpoint = Checkpoint.load(folder)
     actor, worlds = checkpoint.make_actor(), stored_worlds(checkpoint.env)
@@ -100,7 +103,8 @@ def _measure(folder: Path, options: Options) -> dict[str, Any]:
     driven = drive(actor, stored_episodes(world).first(options.count), name=folder.name)
     # The original reports the number of goals for inspect only.
     jams = (True, False) if "inspect" in worlds else ()
-    endless = {jam: evaluate_endless(actor, "inspect", name=folder.name, jam=jam, rows=options.endless) for jam in jams}
+    goals = endless_episodes("inspect", options.endless)
+    endless = {jam: evaluate(actor, goals, name=folder.name, jam=jam, seconds=ENDLESS) for jam in jams}
     write_evaluation(folder / "evaluation.json", [driven, *endless.values()])
     draw_paths([driven], folder / "paths.png")
     quick = min(options.count, FEW_EPISODES)
@@ -119,7 +123,7 @@ def _measure(folder: Path, options: Options) -> dict[str, Any]:
     }
 
 
-def _endless(evaluation: EndlessEvaluation, jam: bool) -> dict[str, float]:
+def _endless(evaluation: Evaluation, jam: bool) -> dict[str, float]:
     metrics, kind = evaluation.metrics, "" if jam else ", no jam ending"
     names = {"goals in 2,000 steps": "goals_per_episode", "ended early": "ended_early", "turns": "turns_per_goal"}
     return {f"endless{kind}: {name}": metrics[key].value for name, key in names.items()}

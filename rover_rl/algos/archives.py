@@ -16,7 +16,6 @@ from rover_rl.files import write_through
 
 
 def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
-    """Writes plain data and tensors."""
     # Written to memory first: the errors of PyTorch's writer do not say that a disk is full.
     written = io.BytesIO()
     torch.save({"format": form, **data}, written)

@@ -212,12 +212,10 @@ class TrainingConfig:
 
     @property
     def algo(self) -> str:
-        """Name of the algorithm."""
         return self.algorithm.name
 
     @property
     def num_envs(self) -> int:
-        """Number of rovers, those of all workers."""
         return 1 if self.env.num_envs is None else self.env.num_envs
 
     @property
@@ -237,12 +235,10 @@ class TrainingConfig:
 
     @property
     def on_gpu(self) -> bool:
-        """Whether the training runs on a GPU."""
         return self.device != "cpu"
 
     @property
     def workers(self) -> int:
-        """Number of workers that simulate."""
         cores = 1 if self.env.backend == "warp" or self.collection.collector == "process" else None
         return self.collection.workers or default_workers(self.groups, cores)
 
@@ -259,7 +255,6 @@ class TrainingConfig:
 
     @property
     def rovers_per_worker(self) -> int:
-        """Number of rovers of each worker."""
         return self.num_envs // self.workers
 
     def check(self) -> None:

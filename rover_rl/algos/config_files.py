@@ -75,12 +75,10 @@ def write_config(path: Path, config: TrainingConfig, sessions: Sequence[dict[str
 
 
 def read_sessions(path: Path) -> list[dict[str, Any]]:
-    """Reads the sessions of a run that changed its settings from its ``config.yaml``."""
     return read_yaml(path).get(_SESSIONS, [])
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Plain data from a YAML file."""
     path = Path(path)
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, and settings are in a file, such as a run's config.yaml")
@@ -103,7 +101,6 @@ def read_config(path: str | Path) -> TrainingConfig:
 
 
 def run_config(folder: str | Path) -> TrainingConfig:
-    """Settings of the run in ``folder``, to continue it; its folder may have been moved since."""
     folder = Path(folder)
     path = folder / "config.yaml"
     if not path.is_file():
@@ -142,7 +139,6 @@ _OF_A_RUN = (
 
 
 def plain_settings(config: TrainingConfig) -> dict[str, Any]:
-    """Settings as plain data, by their names alone."""
     parts = plain(config)
     return {"algo": parts["algo"]} | {name: value for part in PARTS for name, value in parts[part].items()}
 

@@ -56,7 +56,6 @@ class Step(NamedTuple):
     transition: TensorDictBase | None = None
 
     def endings(self) -> dict[int, str]:
-        """Endings of the episodes that have ended, by row."""
         rows = self.ended.nonzero().squeeze(-1).tolist()
         return {row: ending_of(self.observation[row]) for row in rows}
 

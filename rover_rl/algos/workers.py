@@ -6,11 +6,9 @@ import os
 
 
 def default_workers(num_envs: int, cores: int | None = None) -> int:
-    """Default number of workers: one per core, or the largest number below that divides ``num_envs``."""
     most = max(1, min(usable_cores() if cores is None else cores, num_envs))
     return next(workers for workers in range(most, 0, -1) if num_envs % workers == 0)
 
 
 def usable_cores() -> int:
-    """Number of cores of this machine that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

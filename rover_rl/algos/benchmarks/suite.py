@@ -133,13 +133,11 @@ class Suite(ABC):
 
     @property
     def title(self) -> str:
-        """Title of a table."""
         runs = "one run each" if self.runs == 1 else f"{self.runs} runs each"
         limits = f"goal within {self.goal_radius:g} m and {self.seconds:g} s, any contact fails"
         return f"{self.name}: {len(self.courses)} {self.places}, {runs}; {limits}"
 
     def episodes(self, robot: Robot) -> EpisodeSet:
-        """Returns an episode for each run, course by course."""
         start = torch.cat([self._starts(course, robot) for course in self.courses])
         goal = torch.tensor([course.goal for course in self.courses]).repeat_interleave(self.runs, 0)
         length = torch.tensor([course.length for course in self.courses]).repeat_interleave(self.runs)
@@ -148,7 +146,6 @@ class Suite(ABC):
         return EpisodeSet(self.name, pool, self.seed, start, goal, length, world_index=index)
 
     def _starts(self, course: Course, robot: Robot) -> Tensor:
-        """Starts of the runs of a course, ``[runs, 3]``: the given one, then ones near it without a contact."""
         starts = [torch.tensor(course.start)]
         for run in range(1, self.runs):
             rng = np.random.default_rng((self.seed, course.number, run))
@@ -203,7 +200,6 @@ class Result:
 
     @property
     def name(self) -> str:
-        """Name of the policy."""
         return self.evaluation.name
 
     @cached_property
@@ -219,11 +215,9 @@ class Result:
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
-        """Metrics by name."""
         return self.suite.metrics(self)
 
     def common_metrics(self) -> dict[str, Estimate]:
-        """Returns the metrics that all suites share. Intervals cover the variation between courses."""
         seconds = self.by_course([run.seconds for run in self.evaluation.trajectories])
         succeeded = self.succeeded
         return {
@@ -234,7 +228,6 @@ class Result:
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """Returns each run as plain data."""
         scored = zip(self._course_of_run, self.evaluation.trajectories, self.scores.flatten().tolist(), strict=True)
         return [
             {
@@ -324,7 +317,6 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
 
 
 def draw_worst_runs(result: Result, path: Path) -> None:
-    """Draws the paths of the runs with the lowest scores; the suffix of ``path`` selects the format."""
     rows, panels = result.rows(), []
     for run in result.worst(WORST_RUNS):
         row = rows[run]

@@ -91,7 +91,6 @@ class EpisodeSet:
 
     @property
     def several_worlds(self) -> bool:
-        """Whether the pool has several worlds."""
         return len(self.pool) > 1
 
     @property
@@ -110,13 +109,11 @@ class EpisodeSet:
         return self.pool.name(int(self.world_index[episode])) if self.several_worlds else self.name
 
     def first(self, count: int) -> EpisodeSet:
-        """Returns the first ``count`` episodes. Raises ``ValueError`` if there are not as many."""
         if not 1 <= count <= len(self):
             raise ValueError(f"count must be between 1 and {len(self)}, got {count}")
         return self.part(0, count)
 
     def part(self, begin: int, end: int) -> EpisodeSet:
-        """Returns the episodes from index ``begin`` up to, but not including, ``end``."""
         return replace(self.select(range(begin, min(end, len(self)))), offset=self.offset + begin)
 
     def select(self, indices: Sequence[int]) -> EpisodeSet:
@@ -236,7 +233,6 @@ def _draw_in(
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tuple[Tensor, Tensor]:
-    """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
     placing = (WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
     placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
@@ -246,7 +242,6 @@ def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tup
 
 
 def stored_episodes(world: str) -> EpisodeSet:
-    """Returns the stored set of 256 episodes of a world. Raises ``ValueError`` for a world without one."""
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
@@ -293,7 +288,6 @@ def write_episodes(episodes: EpisodeSet, path: Path) -> None:
 
 
 def main() -> None:
-    """Regenerates the stored episodes of the package."""
     for world in STORED_WORLDS:
         write_episodes(draw_episodes(world, STORED), FOLDER / f"{world}.json")
         print(FOLDER / f"{world}.json")

@@ -159,13 +159,11 @@ def usual_seconds(env: EnvConfig, episodes: EpisodeSet) -> float:
 
 
 def check_options(*, seconds: float = 60.0, rows: int = 1, action_repeat: int = 1) -> None:
-    """Checks numbers that are given to :func:`evaluate`."""
     check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
     check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
 
 
 def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
-    """Returns the environment to evaluate a policy in: see :func:`evaluate`."""
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
@@ -229,8 +227,6 @@ class _Schedule(Schedule):
 
 
 class _Recorder:
-    """Records episodes step by step, in one tensor for all of them."""
-
     def __init__(self, episodes: EpisodeSet, env: RoverEnv, watch: Watcher | None, track_movers: bool | float) -> None:
         count, self._dt, self._watch = len(episodes), env.control_dt, watch
         self._has_movers = "mover_contact" in env.observation_spec["outcome"]
@@ -264,13 +260,11 @@ class _Recorder:
 
     @property
     def progress(self) -> float:
-        """Mean fraction of the episodes that is done."""
         ended = torch.tensor([bool(ending) for ending in self._endings])
         return torch.where(ended, 1.0, self._steps / (self._records.shape[1] - 1)).mean().item()
 
     @property
     def trajectories(self) -> list[Trajectory]:
-        """Trajectories of the episodes, in order."""
         return [self._trajectory(episode) for episode in range(len(self._endings))]
 
     def _trajectory(self, episode: int) -> Trajectory:

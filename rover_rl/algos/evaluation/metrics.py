@@ -206,7 +206,6 @@ class Metric:
     root: bool = False
 
     def estimate(self, rows: Sequence[Row]) -> Estimate:
-        """Computes the metric of episodes."""
         values = [row[self.top] if isinstance(self.top, str) else self.top(row) for row in rows]
         if all(isinstance(value, bool) for value in values) and self.bottom is None:
             return proportion(sum(values), len(values))

@@ -48,5 +48,4 @@ def draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: boo
 
 
 def mover_handle() -> Line2D:
-    """Returns the entry of a legend."""
     return Line2D([], [], color=WAY, marker="o", markerfacecolor=MOVER, label=f"mover at the end, its last {TRACE:g} s")

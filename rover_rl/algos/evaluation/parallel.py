@@ -30,7 +30,6 @@ class Request:
     options: dict[str, Any] = field(default_factory=dict)
 
     def parts(self) -> list[Request]:
-        """Divides the episodes."""
         episodes, env = self.episodes, self.options.get("env")
         batched = episodes.several_worlds and env is not None and env.backend == "warp"
         size, agents = BATCHED_PER_PART if batched else EPISODES_PER_PART, 1 if env is None else env.agents
@@ -49,7 +48,6 @@ class Request:
         return replace(evaluate(self.policy, self.episodes, rows=rows, **self.options), episodes=None)  # type: ignore[arg-type]
 
     def merge(self, parts: Sequence[Evaluation]) -> Evaluation:
-        """Joins the results of :meth:`parts`."""
         trajectories = [t for part in parts for t in part.trajectories]
         env = replace(parts[0].env, num_envs=len(trajectories)) if self.episodes.endless else parts[0].env
         return replace(parts[0], episodes=self.episodes, trajectories=trajectories, env=env)

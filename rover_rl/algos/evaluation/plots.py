@@ -40,7 +40,6 @@ GREY, GRID = "#6b7280", "#e5e7eb"
 
 
 def style_axes(ax: Axes) -> None:
-    """Leaves out the upper and the right side of a panel, and draws a horizontal grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(axis="y", color=GRID)
     ax.set_axisbelow(True)
@@ -108,7 +107,6 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
 
 
 def _square_around(points: Tensor, margin: float = 0.7) -> Area:
-    """The smallest square around ``points [n, 2]`` plus a margin, m."""
     low, high = points.amin(0), points.amax(0)
     center, half = (low + high) / 2, (high - low).max() / 2 + margin
     (left, bottom), (right, top) = (center - half).tolist(), (center + half).tolist()

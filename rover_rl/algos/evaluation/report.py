@@ -189,7 +189,6 @@ class Disagreement:
 
 
 def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
-    """Finds these episodes, in evaluations of a policy on the same episodes in several backends."""
     reached, episodes = torch.stack([evaluation.reached for evaluation in group]), group[0].episodes
     return [
         Disagreement(
@@ -246,7 +245,6 @@ def _print_disagreements(disagreements: Sequence[Disagreement], console: Console
 
 
 def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console: Console) -> None:
-    """Prints the success rate of each policy under each imperfection, and its change against the first one."""
     driven = [one for one in evaluations if not one.endless]
     names = [*dict.fromkeys(one.imperfection for one in driven)]
     if len(names) < 2:

@@ -65,7 +65,6 @@ class Evaluation:
 
     @property
     def endless(self) -> bool:
-        """Whether a reached goal is followed by a new one."""
         return self.episodes.endless
 
     @property
@@ -75,12 +74,10 @@ class Evaluation:
 
     @property
     def world_name(self) -> str:
-        """Name of the world or of the range of worlds, as the user gave it."""
         return self.episodes.name
 
     @cached_property
     def robots(self) -> list[Robot]:
-        """Robot of each episode."""
         first = self.episodes.seed + self.episodes.offset
         keys = episode_keys(row_keys(first, len(self.trajectories), torch.device("cpu")), 1)
         # All of them fit in the worlds of an evaluation.
@@ -99,13 +96,11 @@ class Evaluation:
 
     @cached_property
     def table(self) -> list[Row]:
-        """A row for each episode: see :func:`~rover_rl.algos.evaluation.metrics.episode_row`."""
         pairs = zip(self.trajectories, self.wall_contacts, self.episodes.shortest.tolist(), strict=True)
         return [episode_row(*each) for each in pairs]
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
-        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
         return compute_metrics(self.table, self.endless)
 
     @property
@@ -115,17 +110,14 @@ class Evaluation:
 
     @property
     def paths(self) -> list[Tensor]:
-        """Positions at the start and after each step: ``[T + 1, 2]`` each, m."""
         return [trajectory.path for trajectory in self.trajectories]
 
     @property
     def reached(self) -> Tensor:
-        """Whether each episode reached its goal, bool ``[count]``."""
         return torch.tensor([ending == "goal" for ending in self.endings])
 
     @property
     def success_rate(self) -> float:
-        """Fraction of episodes that reached their goal."""
         return self.reached.double().mean().item()
 
     @property
@@ -161,13 +153,11 @@ class Evaluation:
         }
 
     def select(self, indices: Sequence[int]) -> Evaluation:
-        """Returns the results of the episodes with the given indices."""
         trajectories = [self.trajectories[index] for index in indices]
         return replace(self, episodes=self.episodes.select(indices), trajectories=trajectories)
 
     @property
     def title(self) -> str:
-        """Title of a table with these results."""
         episodes, count = self.episodes, len(self.episodes)
         several = f"{count} episode{'' if count == 1 else 's'}"
         if self.endless:
@@ -255,7 +245,6 @@ def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
 
 
 def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
-    """Returns estimates as plain data, with ``None`` for nan and infinity."""
     return {key: finite_row(vars(estimate)) for key, estimate in estimates.items()}
 
 
@@ -277,7 +266,6 @@ class StoredEvaluation:
 
     @property
     def failures(self) -> list[int]:
-        """Indices of the episodes that did not reach their goal."""
         return [index for index, ending in enumerate(self.endings) if ending != "goal"]
 
     def telling(self, worst: int, good: int) -> list[int]:

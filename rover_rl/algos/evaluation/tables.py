@@ -70,7 +70,6 @@ def cell(estimate: Estimate, unit: str, digits: int = 2) -> str:
 
 
 def formatted(value: float, unit: str, digits: int = 2) -> str:
-    """Formats a value in the unit of its column."""
     return f"{100 * value:.1f}" if unit == "%" else f"{value:.{1 if unit == 's' else digits}f}"
 
 
@@ -84,7 +83,6 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def estimate_row(estimates: Mapping[str, Estimate]) -> dict[str, float]:
-    """Returns three columns for each estimate: its value and the ends of its interval."""
     columns: dict[str, float] = {}
     for key, estimate in estimates.items():
         columns |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}

@@ -94,7 +94,6 @@ class Trajectory:
         return walls if self.encounters is None else walls | self.encounters.contact
 
     def until(self, steps: int, ending: str) -> Trajectory:
-        """Returns the first ``steps`` steps as an episode with the given ending."""
         states: dict[str, Any] = {key: getattr(self, key)[: steps + 1] for key in ("position", "angles")}
         events = {key: getattr(self, key)[:steps] for key in ("collision", "goal")}
         if self.encounters is not None:
@@ -107,7 +106,6 @@ class Trajectory:
 
     @property
     def seconds(self) -> float:
-        """Duration of the episode, s."""
         return len(self) * self.dt
 
     @property
@@ -145,7 +143,6 @@ class Trajectory:
 
 
 def count_runs(flags: Tensor) -> int:
-    """Counts the runs of consecutive true values in ``flags``, bool ``[T]``."""
     flags = flags.to(torch.int8)
     return int(flags[:1].sum() + (flags.diff() > 0).sum())
 

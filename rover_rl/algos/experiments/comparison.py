@@ -49,7 +49,6 @@ class Row:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
         return sum(map(len, self.scores))
 
 

@@ -77,8 +77,6 @@ def draw_learning_curve(
 
 @dataclass(frozen=True)
 class _Curve:
-    """Curve of an experiment."""
-
     experiment: Experiment
     style: dict[str, Any]
     named: bool

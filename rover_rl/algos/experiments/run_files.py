@@ -33,12 +33,10 @@ class RunFiles:
 
     @classmethod
     def find(cls, path: Path) -> RunFiles | None:
-        """Returns the run in a folder, ``None`` if it is no folder of a run."""
         return cls(path) if (path / SETTINGS).is_file() else None
 
     @property
     def env(self) -> EnvConfig:
-        """Environment that the run trains in."""
         return run_config(self.folder).env
 
     def policies(self) -> list[Path]:

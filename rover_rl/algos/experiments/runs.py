@@ -41,7 +41,6 @@ class Run:
 
     @classmethod
     def read(cls, folder: str | Path) -> Run:
-        """Reads the record of the run in ``folder``."""
         folder = Path(folder)
         config = run_config(folder)
         columns = {key: np.array(values) for key, values in read_progress(folder / PROGRESS).items()}
@@ -54,7 +53,6 @@ class Run:
         return cls(folder, config, x, {"success": success, "goals": goals})
 
     def end(self, against: Against) -> float:
-        """Steps or minutes of the whole run."""
         return float(self.x[against][-1])
 
     def curve(self, measure: Measure, against: Against, at: np.ndarray, width: float) -> np.ndarray:
@@ -104,12 +102,10 @@ class Experiment:
         return names.pop() if shared or len(self.runs) == 1 else self.settings
 
     def end(self, against: Against) -> float:
-        """Steps or minutes of the shortest run."""
         return min(run.end(against) for run in self.runs)
 
 
 def group(runs: Sequence[Run]) -> list[Experiment]:
-    """Groups runs by their settings without the seed, in the order of the runs."""
     found: dict[str, Experiment] = {}
     for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
         world = ", ".join(run.config.env.world_names)

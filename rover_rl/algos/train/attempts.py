@@ -60,7 +60,6 @@ class AttemptEntries(Transform):
         return tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds the nested entry."""
         steps = observation_spec["outcome", "steps"]
         leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         entries = {name: leaf.clone() for name in self.entries}

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,11 +32,8 @@ from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
 
 Batches: TypeAlias = Iterator[TensorDictBase]
 MakeEnv: TypeAlias = Callable[..., EnvBase]
-Estimates: TypeAlias = Mapping[str, Tensor]
-"""State of the estimates of a curriculum."""
 _LAST_LINES = 60  # number of lines of a failed worker's output that are reported
-_FILES = 512  # number of files that a process may have open besides those of its workers
-_FILES_OF_A_WORKER = 128  # number of tensors that a worker shares: about 80, more with histories and maps
+_FILES, _FILES_OF_A_WORKER = 512, 128  # numbers of files that a process may have open: shared tensors take one each
 _POLL_INTERVAL = 1.0  # time between two checks of whether the workers are alive, s
 _RAY_TIMEOUT = 10.0  # time to wait for Ray to report which worker has ended, s
 
@@ -50,7 +47,7 @@ def collect(
     config: TrainingConfig,
     actor: ProbabilisticActor,
     session: int = 0,
-    estimates: Estimates | None = None,
+    estimates: Mapping[str, Tensor] | None = None,
     folder: Path | None = None,
 ) -> Iterator[Batches]:
     """Opens a collector and yields an endless iterator over batches ``[num_envs, rollout_length]``.
@@ -58,20 +55,23 @@ def collect(
     If the algorithm is ``asynchronous`` and there are several workers, each batch holds the rows of one worker,
     ``[rovers_per_worker, rollout_length]``, while the other workers continue. Workers receive the current weights of
     the actor whenever a batch is requested. The iterator raises :class:`WorkerError` within seconds after a worker has
-    failed. ``session`` is the number of times the run has been resumed, and ``estimates`` the state of the
-    :class:`~rover_rl.algos.train.curriculum.Learnability` that a curriculum begins with.
-    ``folder`` is that of the run, in which pages watch it.
+    failed.
+
+    Args:
+        session: number of times the run has been resumed.
+        estimates: state of the :class:`~rover_rl.algos.train.curriculum.Learnability` that a curriculum begins with.
+        folder: folder of the run, in which pages watch it.
     """
-    with _COLLECTORS[config.collector](
-        config, actor, partial(_make_env, config, session, estimates, folder)
-    ) as batches:
+    make_env = partial(_make_env, config, session, estimates, folder)
+    opened = {"process": _in_this_process, "processes": _in_processes, "ray": _on_a_cluster}[config.collector]
+    with opened(config, actor, make_env) as batches:
         yield batches
 
 
 def _make_env(
     config: TrainingConfig,
     session: int,
-    estimates: Estimates | None,
+    estimates: Mapping[str, Tensor] | None,
     folder: Path | None,
     worker: int = -1,
     log: Path | None = None,
@@ -146,36 +146,30 @@ def with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDic
     return kept.where(~ended.reshape(current.batch_size), begun, pad=0)
 
 
-def _make_collector(
+def _collector(
     config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv, logs: Sequence[Path | None], **options: Any
 ) -> BaseCollector:
-    frames = config.num_envs * config.algorithm.rollout_length
+    """Makes TorchRL's collector with a worker for each of ``logs``."""
+    asynchronous, frames = config.algorithm.asynchronous, config.num_envs * config.algorithm.rollout_length
     return Collector(
         [partial(make_env, worker, log) for worker, log in enumerate(logs)],
         actor,
         num_collectors=config.workers,
-        sync=not config.algorithm.asynchronous,
+        sync=not asynchronous,
         # Each batch of an asynchronous collector comes from one worker.
-        frames_per_batch=frames // config.workers if config.algorithm.asynchronous else frames,
+        frames_per_batch=frames // config.workers if asynchronous else frames,
         **options,
     )
 
 
 @contextmanager
 def _in_processes(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
+    options: dict[str, Any] = {"use_buffers": True, "num_threads": 1, "auto_register_policy_transforms": False}
     with _enough_files(config.workers), TemporaryDirectory(prefix="rover_rl-") as folder:
         logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
-        collector = _make_collector(
-            config,
-            actor,
-            make_env,
-            logs,
-            # Asynchronous batches come from one worker each and are not concatenated.
-            cat_results=None if config.algorithm.asynchronous else 0,
-            use_buffers=True,
-            num_threads=1,
-            auto_register_policy_transforms=False,
-        )
+        # Asynchronous batches come from one worker each and are not concatenated.
+        joined = None if config.algorithm.asynchronous else 0
+        collector = _collector(config, actor, make_env, logs, cat_results=joined, **options)
         try:
             yield _watched(collector, logs)
         finally:
@@ -184,23 +178,19 @@ def _in_processes(config: TrainingConfig, actor: ProbabilisticActor, make_env: M
 
 @contextmanager
 def _enough_files(workers: int) -> Iterator[None]:
-    """Lets this process open as many files as it may, since shared tensors take a file descriptor each.
-
-    If these are too few, tensors are shared by name instead (``file_system``, PyTorch's default on macOS).
-    """
+    """Lets this process open as many files as it may; if these are too few, tensors are shared by name instead."""
     before = get_sharing_strategy()
     try:
         import resource
-    except ImportError:  # Windows has no such limit.
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = _FILES + _FILES_OF_A_WORKER * workers
-    if soft < needed:
+
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        needed = _FILES + _FILES_OF_A_WORKER * workers
         most = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-        if most < needed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
+        if max(soft, most) < needed:
             set_sharing_strategy("file_system")
+    except ImportError:  # Windows has no such limit.
+        pass
     try:
         yield
     finally:
@@ -208,6 +198,7 @@ def _enough_files(workers: int) -> Iterator[None]:
 
 
 def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
+    """Yields the collector's batches until a worker fails."""
     batches = iter(collector)
     while True:
         try:
@@ -219,6 +210,7 @@ def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
 
 
 def _send_weights(collector: BaseCollector) -> None:
+    """Sends the actor's weights to the workers. TorchRL alone waits forever for the reply of a dead worker."""
     done: Future[None] = Future()
 
     def send() -> None:
@@ -246,20 +238,14 @@ def _last_output(log: Path) -> str:
 def _on_a_cluster(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
     from ray.exceptions import RayError
 
-    collector = _make_collector(
-        config,
-        actor,
-        make_env,
-        [None] * config.workers,
-        backend="ray",
-        total_frames=sys.maxsize,
-        backend_options={
-            "remote_configs": {"num_cpus": 1},
-            # At any other time, an update waits for workers that are collecting.
-            "update_after_each_batch": True,
-            "collector_kwargs": {"track_traj_ids": False, "auto_register_policy_transforms": False},
-        },
-    )
+    options = {
+        "remote_configs": {"num_cpus": 1},
+        # At any other time, an update waits for workers that are collecting.
+        "update_after_each_batch": True,
+        "collector_kwargs": {"track_traj_ids": False, "auto_register_policy_transforms": False},
+    }
+    ray: dict[str, Any] = {"backend": "ray", "total_frames": sys.maxsize, "backend_options": options}
+    collector = _collector(config, actor, make_env, [None] * config.workers, **ray)
 
     def batches() -> Batches:
         try:
@@ -305,6 +291,7 @@ def connect() -> int:
 
 
 def _ended_actors(collector: BaseCollector) -> list[str]:
+    """Ray's reports on the workers that have ended. This can take some seconds."""
     import ray
 
     replies = [worker.__ray_ready__.remote() for worker in collector.remote_collectors]
@@ -315,11 +302,3 @@ def _ended_actors(collector: BaseCollector) -> list[str]:
         except ray.exceptions.RayError as error:
             reports.append(str(error))
     return reports
-
-
-_COLLECTORS: dict[str, Callable[..., AbstractContextManager[Batches]]] = {
-    "process": _in_this_process,
-    "processes": _in_processes,
-    "ray": _on_a_cluster,
-}
-"""Context managers that open a collector, by the kind of the collector."""

@@ -84,7 +84,6 @@ class Learnability:
 
     @property
     def values(self) -> Tensor:
-        """Estimated learnability p (1 - p) of each world, float64 ``[len(pool)]``."""
         rate = self.success_rate
         return rate * (1 - rate)
 
@@ -104,11 +103,9 @@ class Learnability:
         return (1 - share) * self._even + share * weights / weights.sum()
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Returns the attempts."""
         return {"attempts": self.attempts, "successes": self.successes}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Loads a state that :meth:`state_dict` returned, of the same worlds."""
         self.attempts, self.successes = state["attempts"].clone(), state["successes"].clone()
 
 
@@ -242,11 +239,9 @@ class CurriculumRecord:
                 writer.writerow((self._pool.name(index), *self._totals[index].tolist(), *estimates))
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the names of the worlds, and all counts."""
         return {"worlds": self._names, "totals": self._totals, **self.learnability.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Loads a state that :meth:`state_dict` returned. Ignores that of a run that has been in other worlds."""
         if state["worlds"] == self._names:
             self._totals = state["totals"].clone()
             self.learnability.load_state_dict(state)

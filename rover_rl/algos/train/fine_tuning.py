@@ -66,7 +66,6 @@ def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
 
 
 def load_source(config: TrainingConfig) -> Checkpoint | None:
-    """Loads the policy that a training starts from; ``None`` if it starts from a new one."""
     if config.run.started_from is None:
         return None
     source = load_policy(config.run.started_from)

@@ -69,5 +69,4 @@ class LiveRovers(Transform):
 
 
 def forget_live_rovers(run: Path) -> None:
-    """Removes what was written, at the end of a run."""
     shutil.rmtree(run / FOLDER, ignore_errors=True)

@@ -94,7 +94,6 @@ class PPOLearner(Learner):
                 new.load_state_dict(trained.state_dict())
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Updates the networks with a batch and returns the means of the logged values over the gradient steps."""
         self._set_learning_rate(share)
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():

@@ -64,7 +64,6 @@ class Stopwatch:
 
     @property
     def elapsed(self) -> float:
-        """Time since the stopwatch was created, s."""
         return time.perf_counter() - self._started
 
     @contextmanager
@@ -89,14 +88,12 @@ class Stopwatch:
         self._seconds["policy and collector"] += waited - waited_share * environment
 
     def shares(self) -> dict[str, float]:
-        """Returns the share of each activity in the time since the stopwatch was created; ``other`` is the rest."""
         elapsed = self.elapsed
         shares = {name: seconds / elapsed for name, seconds in self._seconds.items()}
         return shares | {"other": 1 - sum(shares.values())}
 
 
 def time_columns(shares: Mapping[str, float]) -> dict[str, float]:
-    """Returns the shares of a session's time by column of the table, such as ``time_gradient_steps``."""
     return {TIME + name.replace(" ", "_"): share for name, share in shares.items()}
 
 
@@ -138,7 +135,6 @@ class ProgressLog:
         return row
 
     def show(self, share: float) -> None:
-        """Shows means over the latest rows, after at least one row."""
         # Rows have equal numbers of steps, so the mean speed is the harmonic mean. The speed of a single row varies,
         # because batches may arrive in pairs.
         speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
@@ -152,7 +148,6 @@ class ProgressLog:
         self._display.update(share, status)
 
     def say(self, text: str) -> None:
-        """Prints a line above the progress bar."""
         self._display.say(text)
 
     def _mean(self, key: str) -> float:

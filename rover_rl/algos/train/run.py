@@ -67,19 +67,15 @@ class Learner(ABC):
         """Learns from a batch ``[N, T]`` of decisions, after a fraction ``share`` of training; returns what to log."""
 
     def start_from(self, actor: Mapping[str, Tensor]) -> None:
-        """Loads the weights of a trained policy, from which training goes on."""
         self.actor.load_state_dict(actor)
 
     def weights(self) -> dict[str, Tensor]:
-        """Returns the weights of all networks, by name."""
         return dict(self._loss.named_parameters())
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the state from which training continues, as plain data and tensors."""
         return {"loss": self._loss.state_dict(), "optimizer": self._optimizer.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Loads a state that :meth:`state_dict` returned."""
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])
 
@@ -120,7 +116,6 @@ class TrainingSummary:
 
     @property
     def checkpoint(self) -> Path:
-        """Path of the trained policy."""
         return self.folder / CHECKPOINT
 
 
@@ -197,7 +192,6 @@ class TrainingRun:
 
     @property
     def minutes(self) -> float:
-        """Duration of training, all sessions together, minutes."""
         return self._minutes_before + self.stopwatch.elapsed / 60
 
     @property
@@ -211,7 +205,6 @@ class TrainingRun:
 
     @property
     def summary(self) -> TrainingSummary:
-        """Results of the run so far."""
         shares = self.stopwatch.shares()
         return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, shares, self._reached_before)
 
@@ -368,7 +361,6 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
 
 
 def check_world(world: str | World) -> None:
-    """Checks a world or a range of worlds for training."""
     if isinstance(world, str):
         check_training_seed(world)
     WorldPool.of(world)[0]

@@ -79,12 +79,10 @@ def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> Non
 
 
 def load_state(path: Path) -> dict[str, Any]:
-    """Reads the training state that :func:`save_run` wrote. Nothing in the file is executed."""
     return read_archive(path, _FORMAT, "training state")
 
 
 def default_name(config: TrainingConfig) -> str:
-    """Returns the default name of a run: the algorithm and the worlds, such as ``ppo-moon``."""
     name = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
     return re.sub(r"[:/\\]+", "-", name)
 
@@ -136,7 +134,6 @@ class RunRecord:
         return cls(folder / SETTINGS, config, read_sessions(folder / SETTINGS), changed)
 
     def begin(self) -> None:
-        """Writes the settings of a run that has not been trained yet."""
         self.changed = {}
         write_config(self.path, self.config, self.sessions)
 

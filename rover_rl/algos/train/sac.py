@@ -68,7 +68,6 @@ class SACLearner(Learner):
         self._training_keys = (*network.observation, "action", *(("next", key) for key in next_keys))
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due."""
         decisions = batch.select(*self._training_keys).reshape(-1)
         decisions["next", "reward"] = decisions["next", "reward"] * self._settings.reward_scale
         self._replay_buffer.extend(decisions)
@@ -96,7 +95,6 @@ class SACLearner(Learner):
         return self._logged(losses)
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the weights, the state of the optimizer, the replay buffer and the gradient steps that are due."""
         storage, count = self._replay_buffer.storage, len(self._replay_buffer)
         return {
             **super().state_dict(),

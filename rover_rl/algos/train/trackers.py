@@ -54,8 +54,6 @@ class Trackers:
                 raise ValueError(f"the tracker {name} cannot be opened: {' '.join(str(error).split())}") from error
 
     def add(self, row: dict[str, float]) -> None:
-        """Sends a row of values by name, with at least ``steps``."""
-
         def send(logger: Logger) -> None:
             logger.log_metrics(row, step=int(row["steps"]))
             logger.flush()
@@ -63,8 +61,6 @@ class Trackers:
         self._each(send)
 
     def close(self) -> None:
-        """Completes the record of the run."""
-
         def close(logger: Logger) -> None:
             logger.shutdown()
             if isinstance(logger, MLFlowLogger):
@@ -86,7 +82,6 @@ class Trackers:
 
 
 def check_trackers(names: Sequence[str]) -> None:
-    """Checks that the libraries of trackers are installed."""
     for name in names:
         if find_spec(name) is None:
             raise ImportError(f'the tracker {name} needs its package: pip install "rover_rl[{name}]"')

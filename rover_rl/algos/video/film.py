@@ -52,7 +52,6 @@ class Style:
     speed: float = 1.0
 
     def check(self, path: Path) -> None:
-        """Checks the settings and the suffix of the file, before the drive that the film shows."""
         _writer(path)
         check_positive(MAX_SECONDS, speed=self.speed)
         check_positive(1000, fps=1 if self.fps is None else self.fps)
@@ -162,7 +161,6 @@ def film_recording(recording: Recording, path: Path, style: Style) -> None:
 
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
-    """Writes pictures, uint8 ``[height, width, 3]`` each, to a ``.mp4`` or a ``.gif`` file."""
     _writer(path)[0](path, pictures, fps)
 
 

@@ -30,7 +30,6 @@ class LiveMoment:
     movers: Parts | None
 
     def of(self, row: int) -> tuple[World, Moment, Tensor]:
-        """Returns the world of a rover, the moment with the movers around it, and the rovers in its world, int64."""
         movers = None if self.movers is None else parts_in(self.movers, row)
         rows = torch.tensor([one for one, name in enumerate(self.worlds) if name == self.worlds[row]])
         return get_world(self.worlds[row]), replace(self.moment, movers=movers), rows

@@ -22,7 +22,6 @@ _SCRIPT = Path(__file__).with_name("overlay.js")
 
 
 def stride_of(recording: Recording) -> int:
-    """Returns the number of steps from one moment of a replay to the next."""
     return max(1, round(1 / (RATE * recording.dt)))
 
 

@@ -90,7 +90,6 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """Duration of the drive, s."""
         return (len(self.moments) - 1) * self.dt
 
     def last(self, seconds: float) -> Recording:
@@ -140,7 +139,6 @@ class Tally:
             self.event = f"{endings[row]}: new start" if row in endings else "goal reached", seconds
 
     def moment(self, seconds: float, rovers: RoverEnv, row: int = 0) -> Moment:
-        """Returns the state of all rovers at a time, and the movers around the followed one."""
         seen, endings = (rovers.rover_state, rovers.scan, rovers.goal), [one.ending for one in self.ended]
         return Moment(seconds, *seen, self.goals, self.episodes, endings, self.event, parts_of(rovers.movers, row))
 
@@ -206,7 +204,6 @@ def record_episodes(
 
 
 def record_stored(policy: Policy | None, stored: StoredEvaluation, episode: int) -> Recording:
-    """Drives an episode of an evaluation again, and records it."""
     episodes = stored.to_drive(episode)
     options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
     wanted = [episode - episodes.offset]
@@ -261,7 +258,6 @@ def recording_of_log(path: Path, number: int | None = None, world: str | None = 
 
 
 def _world(drive: LoggedDrive, world: str | None, points: Tensor) -> World:
-    """Returns the world to show, by default the log's, or flat ground around ``points [P, 2]``."""
     if world not in (None, NO_WORLD):
         return get_world(world)
     if world is None:

@@ -93,12 +93,10 @@ class Session:
 
     @property
     def observation(self) -> TensorDictBase:
-        """The last observation, ``[N]``."""
         return self._drive.observation
 
     @property
     def can_change(self) -> bool:
-        """Whether the environment can be made anew with another world or simulator."""
         return isinstance(self.env, (RoverEnv, RewardedEnv))
 
     def change(self, **changes: Any) -> None:
@@ -143,7 +141,6 @@ class Session:
             self.reset()
 
     def reset(self) -> None:
-        """Starts a new episode of all rovers."""
         self._drive.begin()
         self._tally, self.seconds = Tally(self.rovers.num_envs), 0.0
         self.history: dict[str, deque[float]] = {}
@@ -155,11 +152,9 @@ class Session:
 
     @property
     def event(self) -> tuple[str, float]:
-        """Last event of the followed rover, and its time (s)."""
         return self._tally.event
 
     def put(self, row: int, xy: tuple[float, float]) -> None:
-        """Puts a rover elsewhere, which starts a new episode with the same goal."""
         rovers = self.rovers
         yaw = quaternion_to_euler(rovers.rover_state.orientation)[:, 2:]
         start, goal = torch.cat((rovers.rover_state.position[:, :2], yaw), -1), rovers.goal
@@ -167,13 +162,11 @@ class Session:
         self._drive.begin(torch.arange(rovers.num_envs) == row, start=start, goal=goal)
 
     def set_goal(self, row: int, xy: tuple[float, float]) -> None:
-        """Moves the goal of a rover."""
         goal = self.rovers.goal
         goal[row] = torch.tensor(xy)
         self.rovers.set_goal(goal)
 
     def decide(self) -> Tensor:
-        """Returns the actions of the policy, ``[N, 2]``."""
         return self._drive.decide(exploring=self.exploring)
 
     def advance(self, action: Tensor, by_hand: int | None = None) -> None:
@@ -206,7 +199,6 @@ class Session:
             self.history.setdefault(name, deque(maxlen=KEPT)).append(value)
 
     def moment(self) -> Moment:
-        """Returns the state of all rovers."""
         return self._tally.moment(self.seconds, self.rovers, self.row)
 
     def neighbors(self) -> Tensor:
@@ -215,7 +207,6 @@ class Session:
         return torch.tensor([row for row, world in enumerate(worlds) if world is worlds[self.row]])
 
     def route(self) -> Tensor:
-        """Returns the shortest path from the followed rover to its goal, ``[points, 2]``, m."""
         row, world = self.row, self.rovers.worlds[self.row]
         if self._distances is None or self._distances[0] is not world:
             self._distances = world, PathDistances([world], self.rovers.robot)
@@ -278,5 +269,4 @@ class Session:
         return {f"norm of {key}": value[self.row].norm().item() for key, value in self._drive.runner.state.items()}
 
     def close(self) -> None:
-        """Closes the environment."""
         self.env.close()

@@ -62,7 +62,6 @@ class _FrameFigure:
         self._background = None
 
     def picture(self, caption: Sequence[str], event: str = "", backdrop: np.ndarray | None = None) -> np.ndarray:
-        """Draws a frame, uint8 ``[height, width, 3]``, with texts at the bottom and top, over a picture or the axes."""
         above = [*self.artists, self._band, *self._caption, self._event]
         if self._background is None:
             for artist in above:
@@ -121,7 +120,6 @@ class ChaseView:
         return Rendered(image, pixels, seen)
 
     def picture(self, moment: Moment, rendered: Rendered) -> np.ndarray:
-        """Draws a frame over what :meth:`render` returned, uint8 ``[height, width, 3]``."""
         rover = moment.rover[0]
         self._draw_beams(rendered)
         away = moment.goal[0] - rover.position[:2]
@@ -170,7 +168,6 @@ def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor)
 
 
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
-    """Computes points along the beams from ``start [3]`` to ``hits [n, 3]``: ``[n, count, 3]``, m."""
     beams = hits - start
     # Without their first 0.35 m, beams do not cover the rover.
     first = (0.35 / beams.norm(dim=-1, keepdim=True)).clamp(max=1)
@@ -216,7 +213,6 @@ class TopView:
         """Renders nothing: the map is drawn once."""
 
     def picture(self, moment: Moment, rendered: None = None) -> np.ndarray:
-        """Draws a frame, uint8 ``[height, width, 3]``."""
         rover, recording = moment.rover, self._recording
         self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
         self._draw_trails()

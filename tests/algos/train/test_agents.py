@@ -10,8 +10,8 @@ import torch
 
 from rover_rl import EnvConfig
 from rover_rl.algos.config import with_settings
-from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate, evaluate_endless
+from rover_rl.algos.evaluation.episodes import draw_episodes, endless_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.cli import main
 from tests.algos.train.runs import PPO, progress_of
 
@@ -55,5 +55,5 @@ def test_episodes_of_a_group_are_apart_and_driven_at_once() -> None:
 
 
 def test_endless_mode_drives_in_groups() -> None:
-    result = evaluate_endless(None, "maze", rows=8, steps=10, env=ENV)
+    result = evaluate(None, endless_episodes("maze", 8), seconds=0.5, env=ENV)
     assert len(result.trajectories) == 8
