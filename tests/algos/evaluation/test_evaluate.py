@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,14 +11,14 @@ from matplotlib.image import imread
 from rover_rl import World
 from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, endless_episodes
-from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
-from rover_rl.envs.config import ActionConfig, LidarConfig, Randomization, TaskConfig
+from rover_rl.envs.config import ActionConfig, LidarConfig, Randomization
 from rover_rl.worlds import Terrain, box
 from tests.algos.drivers import ahead, straight
 from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, printed
@@ -50,11 +49,10 @@ def test_driving_at_the_goal_reaches_it_on_open_ground(driven: Evaluation) -> No
     assert driven.goals_per_2000_steps == pytest.approx(3 * 2000 / sum(map(len, driven.trajectories)))
 
 
-@pytest.mark.parametrize("kind", ["rule", "network", "random", "gru", "lstm"])
+@pytest.mark.parametrize("kind", ["random", "gru"])
 def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str) -> None:
     torch.manual_seed(0)
-    plain: dict[str, Policy | None] = {"rule": straight, "network": make_actor(), "random": None}
-    policy = plain[kind] if kind in plain else recurrent_checkpoint(kind).make_actor()
+    policy = None if kind == "random" else recurrent_checkpoint(kind).make_actor()
     together = evaluate(policy, MANY, seconds=0.6, rows=9)
     for rows in (1, 4):
         assert_same(evaluate(policy, MANY, seconds=0.6, rows=rows).trajectories, together.trajectories)
@@ -99,35 +97,10 @@ def test_driving_into_a_wall_jams_and_touches_it() -> None:
     assert jammed.trajectories[0].collision[-16:].all()
 
 
-def test_a_policy_is_evaluated_by_the_collision_of_the_task_that_it_was_made_for(
-    checkpoint: Checkpoint, tmp_path: Path
-) -> None:
-    task = TaskConfig(collision_from="contact", collision_window=0)
-    replace(checkpoint, config=with_settings(checkpoint.config, task=task)).save(tmp_path / "checkpoint.pt")
-    made_for = Checkpoint.load(tmp_path).make_actor().made_for
-    assert made_for.task == task
-
-    class Ahead:
-        __call__ = staticmethod(ahead)
-
-    driver = Ahead()
-    by_lidar = evaluate(driver, BEHIND_A_WALL, seconds=10)
-    driver.made_for = made_for  # type: ignore[attr-defined]
-    by_contact = evaluate(driver, BEHIND_A_WALL, seconds=10)
-    assert by_contact.env.task == task
-    assert by_contact.endings == by_lidar.endings == ["jammed"]
-    # It ends at the first contact, after the steps with near readings.
-    assert by_contact.trajectories[0].collision.tolist() == [False] * (len(by_contact.trajectories[0]) - 1) + [True]
-    assert by_contact.contacts[0][-1]
-    assert by_lidar.trajectories[0].collision.sum() == 16
-
-
 def test_settings_out_of_range_raise() -> None:
     for setting in ({"action_repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
         with pytest.raises(ValueError, match=f"{next(iter(setting))} must be at least"):
             evaluate(straight, EPISODES, **setting)
-    with pytest.raises(ValueError, match="unknown world 'mars'"):
-        endless_episodes("mars")
 
 
 # --- the environment that a policy was made for
@@ -168,9 +141,9 @@ def test_goals_keep_coming() -> None:
 
 
 def test_without_the_jam_ending_a_collision_goes_on() -> None:
-    with_jam, without = (evaluate(ahead, endless_episodes("maze", 2, 1), seconds=10, jam=jam) for jam in (True, False))
-    assert [trajectory.ending for trajectory in with_jam.trajectories] == ["jammed"] * 2
-    assert [trajectory.ending for trajectory in without.trajectories] == ["time limit"] * 2
+    with_jam, without = (evaluate(ahead, endless_episodes("maze", 1, 1), seconds=5, jam=jam) for jam in (True, False))
+    assert [trajectory.ending for trajectory in with_jam.trajectories] == ["jammed"]
+    assert [trajectory.ending for trajectory in without.trajectories] == ["time limit"]
     for ours, theirs in zip(with_jam.trajectories, without.trajectories, strict=True):
         assert torch.equal(ours.position, theirs.position[: len(ours) + 1])
 
@@ -252,15 +225,6 @@ def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureF
     assert [entry["policy"] for entry in written] == ["run-1", "run-2", "scripted", "random"]
     assert {(entry["world"], entry["seed"], entry["count"]) for entry in written} == {("maze", 20_000, 2)}
     assert "PPO in maze" in capsys.readouterr().out
-
-
-def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
-    args = ["--world", "maze", "maze:7", "--count", "1", "--seconds", "0.5", "--seed", "5"]
-    assert main(["evaluate", "scripted", *args, "--out", str(tmp_path)]) == 0
-    written = json.loads((tmp_path / "evaluation.json").read_text())
-    assert [(entry["world"], entry["seed"]) for entry in written] == [("maze", 5), ("maze:7", 5)]
-    names = {"evaluation.json", "evaluation.csv", "evaluation-summary.csv", "paths-maze.png", "paths-maze-7.png"}
-    assert {file.name for file in tmp_path.iterdir()} == names
 
 
 def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run: Path) -> None:

@@ -15,7 +15,7 @@ from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.metrics import compute_metrics, episode_row
-from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.evaluation.trajectory import Encounters, Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.robots import get_robot
@@ -23,7 +23,7 @@ from rover_rl.worlds import Terrain
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints
 from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import standing
-from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, line, printed
+from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, line
 
 ROVER = get_robot("rover_zero")
 FRONT = 0.2635  # from the rover's origin to its front, m
@@ -208,22 +208,6 @@ def test_results_of_a_drive(run_into: Evaluation) -> None:
     moving, alone = run_into.by_world
     assert moving["mover_contact_share"] == 1
     assert "mover_contact_share" not in alone
-
-
-def test_tables_have_columns_of_movers_only_where_something_moves(run_into: Evaluation) -> None:
-    default = printed(print_table, [run_into])
-    for word in ("mover", "into", "least"):
-        assert word in default.split("Lowest")[0]
-    assert "mover touched: episodes in which the body touches a mover" in " ".join(default.split())
-    some = printed(print_table, [run_into], columns=["frozen", "intrusion"])
-    assert {"frozen", "intrusion"} <= set(some.split())
-    assert "touched" not in some
-    static = run_into.select([1])
-    text = printed(print_table, [static], columns=["all"])
-    assert not {"mover", "risk", "frozen", "intrusion"} & set(text.split())
-    for width in (80, 120):
-        lines = printed(print_table, [run_into, static], width=width, columns=["all"]).splitlines()
-        assert max(map(len, [text for text in lines if not text.startswith("Lowest")])) <= width
 
 
 def test_files_have_rows_and_columns_of_movers(run_into: Evaluation, tmp_path: Path) -> None:

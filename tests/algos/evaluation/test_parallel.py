@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import signal
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import pytest
@@ -20,7 +19,6 @@ from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import draw_episodes, endless_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, usual_seconds
 from rover_rl.algos.evaluation.parallel import Request, evaluate_all
-from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import LidarConfig
@@ -43,7 +41,7 @@ def preloaded() -> None:
 
 
 def policies(checkpoint: Checkpoint) -> dict[str, Policy | None]:
-    return {"scripted": ScriptedPolicy(), "random": None, "network": checkpoint.make_actor()}
+    return {"random": None, "network": checkpoint.make_actor()}
 
 
 def assert_equal(ours: Evaluation, theirs: Evaluation) -> None:
@@ -149,27 +147,6 @@ def test_the_error_tells_what_happened_in_a_process_and_ends_the_others(
     for process in set(multiprocessing.active_children()) - before:
         process.join(60)
         assert process.exitcode is not None
-
-
-def tensors(world: World, count: int) -> list[Any]:
-    return [world, *(torch.zeros(2) for _ in range(count))]
-
-
-def test_more_tensors_cross_than_there_are_file_descriptors() -> None:
-    resource = pytest.importorskip("resource")
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    limit = max(map(int, os.listdir("/dev/fd"))) + 32
-    worlds = [World(f"field {number}", Terrain.flat((6.0, 6.0))) for number in range(20)]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-    try:
-        episodes = draw_episodes(worlds, 1, min_path=1.0, workers=2)
-        (results,) = evaluate_all([Request(None, episodes, {"seconds": 0.05})], workers=2)
-        one, two = over_cores(partial(tensors, count=limit), worlds[:2], "working", workers=2)
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-    assert len(results.trajectories) == 20
-    assert len(one) == len(two) == limit + 1
-    assert [one[0].name, two[0].name] == ["field 0", "field 1"]
 
 
 def test_invalid_requests_raise(checkpoint: Checkpoint) -> None:

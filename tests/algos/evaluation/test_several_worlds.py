@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 from pathlib import Path
 
 import pytest
@@ -23,9 +22,8 @@ from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import Randomization
 from rover_rl.robots import get_robot
-from rover_rl.worlds import Terrain, box, get_world
+from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.pool import WorldPool
-from tests.algos.drivers import ahead
 from tests.algos.evaluation.drives import assert_same, csv_rows, line, printed
 from tests.fork_server import fork_server
 
@@ -54,16 +52,6 @@ def test_each_world_has_the_episodes_that_it_has_alone() -> None:
         _ = EPISODES.world
 
 
-def test_a_range_is_named_and_its_worlds_are_built_when_they_are_needed() -> None:
-    episodes = draw_episodes("maze:10000-10001@0.3", episodes=2, seed=4)
-    assert (len(episodes), episodes.name) == (4, "maze:10000-10001@0.3")
-    assert episodes.world_name(2) == "maze:10001@0.3"
-    assert episodes.worlds[3] is get_world("maze:10001@0.3")
-    sent = pickle.loads(pickle.dumps(episodes))
-    assert sent.pool.entries == ("maze:10000-10001@0.3",)
-    assert len(pickle.dumps(episodes.pool)) < 200
-
-
 # --- driving
 
 
@@ -74,16 +62,6 @@ def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: s
     expected = [trajectory for part in alone for trajectory in part.trajectories]
     for rows in (2, 5):
         assert_same(evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows).trajectories, expected)
-
-
-def test_rovers_meet_the_obstacles_of_their_own_world() -> None:
-    start, goal = torch.tensor([[-1.5, 0.0, 0.0]] * 2), torch.tensor([[1.5, 0.0]] * 2)
-    index = torch.tensor([0, 1])
-    episodes = EpisodeSet("two", WorldPool(FIELD, WALL), 0, start, goal, torch.tensor([2.5, 5.0]), world_index=index)
-    driven = evaluate(ahead, episodes, seconds=6, env=EnvConfig(backend="warp"))
-    assert driven.endings == ["goal", "jammed"]
-    assert [bool(flags.any()) for flags in driven.contacts] == [False, True]
-    assert driven.metrics["contact_free_success_rate"].value == 0.5
 
 
 def test_results_do_not_depend_on_the_number_of_processes() -> None:

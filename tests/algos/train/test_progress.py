@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import math
 from pathlib import Path
 
@@ -59,18 +58,6 @@ def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
     assert math.isnan(columns["episode_return"][0])
     ProgressLog(tmp_path, updates=1, steps=100, console=Console(quiet=True))
     assert read_progress(path)["steps"] == [100]
-
-
-def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
-    console = Console(file=io.StringIO(), width=200)
-    with ProgressLog(tmp_path, console=console) as log:
-        for step in range(1, 41):
-            log.add({"steps": 100 * step, **MEASURED})
-            log.show(step / 40)
-    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    assert len(lines) == 10
-    assert "goals per 2,000 steps" in lines[0]
-    assert "success 50% while exploring" in lines[0]
 
 
 def batch_of(clocks: list[tuple[float, float, float]], rows: int = 2) -> TensorDict:

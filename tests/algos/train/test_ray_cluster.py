@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from tests.algos.train import runs
 from tests.algos.train.runs import before_updates, check_states, progress_of, record_of, run, states_of
 
 PPO = with_settings(runs.RECURRENT, collector="ray", workers=None)
-SAC = with_settings(runs.SAC, collector="ray", workers=None)
 
 
 @pytest.fixture(scope="module")
@@ -59,18 +57,22 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The workers carry the memory and have a curriculum of their own."""
-    folder, config, steps, collected = tmp_path / "dying", with_settings(PPO, name="dying"), 0, list[TensorDictBase]()
-    # The worker dies in a batch, and between two.
-    for wait in (0.0, 2.0):
-        kill_a_worker_at_the_third_update(monkeypatch, wait, collected)
-        with pytest.raises(WorkerError, match="actor died"):
-            run(config, tmp_path, folder if steps else None, total_steps=UNLIMITED_STEPS)
-        monkeypatch.undo()
-        checkpoint = Checkpoint.load(folder)
-        assert checkpoint.steps >= steps + 3 * 128
-        steps = checkpoint.steps
-    check_states(collected[:3], "gru")
-    check_states(collected[3:6], "gru")
+    folder, config, collected = tmp_path / "dying", with_settings(PPO, name="dying"), list[TensorDictBase]()
+
+    def kill(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
+        if number <= 3:
+            collected.append(states_of(batch, "gru"))
+        if number == 3:
+            remote_workers()[0].send_signal(signal.SIGKILL)
+
+    before_updates(monkeypatch, "ppo", kill)
+    with pytest.raises(WorkerError, match="actor died"):
+        run(config, tmp_path, total_steps=UNLIMITED_STEPS)
+    monkeypatch.undo()
+    checkpoint = Checkpoint.load(folder)
+    steps = checkpoint.steps
+    assert steps >= 3 * 128
+    check_states(collected, "gru")
     assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
     # One worker per processor of the cluster.
     assert "workers: 2" in (folder / "config.yaml").read_text()
@@ -81,21 +83,6 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
     assert progress_of(folder)["steps"] == list(range(128, steps + 129, 128))
     assert sum(again.shares.values()) == pytest.approx(1)
     assert sum(int(row["draws"]) for row in record_of(folder)) >= 16
-
-
-def kill_a_worker_at_the_third_update(
-    monkeypatch: pytest.MonkeyPatch, wait: float, collected: list[TensorDictBase]
-) -> None:
-    """Lets PPO kill a worker and wait for some seconds, and keep the states in its batches."""
-
-    def kill(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
-        if number <= 3:
-            collected.append(states_of(batch, "gru"))
-        if number == 3:
-            remote_workers()[0].send_signal(signal.SIGKILL)
-            time.sleep(wait)
-
-    before_updates(monkeypatch, "ppo", kill)
 
 
 def test_without_ray_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -62,10 +61,10 @@ def test_the_learners_state_is_restored_exactly(config: TrainingConfig, own_run:
     assert equal(state_of(folder)["learner"], state)
 
 
-@BOTH
 def test_a_run_that_trains_is_continued_nowhere_else_and_evaluated_meanwhile(
-    config: TrainingConfig, own_run: OwnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own_run: OwnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    config = PPO
     folder, found = own_run(config), []
 
     def meanwhile(*_: object) -> None:
@@ -205,17 +204,3 @@ def wait_until(condition: Callable[[], bool], process: BaseProcess) -> None:
         assert process.is_alive()
         assert time.monotonic() < latest
         time.sleep(0.05)
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-@BOTH
-def test_training_on_a_gpu_continues_where_it_was(config: TrainingConfig, tmp_path: Path) -> None:
-    config = with_settings(config, backend="warp", device="cuda")
-    first = run(config, tmp_path)
-    again = run(config, tmp_path, first.folder, total_steps=512, name=first.folder.name)
-    assert (first.steps, again.steps) == (256, 512)
-    checkpoint = Checkpoint.load(again.checkpoint)
-    env = replace(checkpoint.env, device="cpu")
-    found = evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), env=env, seconds=1)
-    assert len(found.endings) == 2

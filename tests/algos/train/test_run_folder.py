@@ -80,14 +80,3 @@ def test_a_locked_folder_names_the_process_that_trains_there_and_is_free_when_th
     with training_lock(tmp_path):
         assert str(os.getpid()) in (tmp_path / "training.lock").read_text()
     assert not [*tmp_path.iterdir()]
-
-
-def test_a_file_system_without_locks_gives_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for code in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
-
-        def flock(*_: object, code: int = code) -> None:
-            raise OSError(code, os.strerror(code))
-
-        monkeypatch.setattr("fcntl.flock", flock)
-        with pytest.warns(UserWarning, match=f"{tmp_path} is on a file system without locks"), training_lock(tmp_path):
-            pass
