@@ -28,8 +28,8 @@ def chase(env: RoverEnv) -> Camera:
     return Camera.on(rover.position, rover.orientation, Sight(env.worlds[0]), "chase")
 
 
-@pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
+def test_lines_are_drawn_over_what_the_simulator_renders() -> None:
+    yaw = 2.0
     env = RoverEnv(world_n=FIELD, seed=0)
     goal = 4 * torch.tensor([[math.cos(yaw + 0.2), math.sin(yaw + 0.2)]])
     env.reset(start=torch.tensor([[0.0, 0.0, yaw]]), goal=goal)
@@ -74,12 +74,8 @@ def test_lidar_beams_end_where_they_meet_something() -> None:
 
 @pytest.mark.parametrize(
     ("settings", "duration"),
-    [
-        ({"view": "chase", "seconds": 1.0}, 100),
-        ({"view": "top", "rows": 3, "seconds": 1.0}, 100),
-        ({"view": "top", "seconds": 2.0, "speed": 4, "fps": 20}, 50),
-    ],
-    ids=["chase", "top", "fast"],
+    [({"view": "chase", "seconds": 1.0}, 100), ({"view": "top", "seconds": 2.0, "speed": 4, "fps": 20}, 50)],
+    ids=["chase", "fast"],
 )
 def test_a_gif_has_the_size_and_the_time_asked_for(settings: dict, duration: int, tmp_path: Path) -> None:
     path, before = tmp_path / "new" / "film.gif", b""
