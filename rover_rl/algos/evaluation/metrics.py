@@ -208,7 +208,7 @@ class Metric:
     def estimate(self, rows: Sequence[Row]) -> Estimate:
         values = [row[self.top] if isinstance(self.top, str) else self.top(row) for row in rows]
         if all(isinstance(value, bool) for value in values) and self.bottom is None:
-            return proportion(sum(values), len(values))
+            return proportion(sum(map(int, values)), len(values))
         found = ratio(values, None if self.bottom is None else [row[self.bottom] for row in rows])
         return Estimate(*map(math.sqrt, (found.value, found.low, found.high))) if self.root else found
 

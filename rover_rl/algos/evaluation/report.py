@@ -258,10 +258,9 @@ def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console:
     for name in names:
         cells: list[str] = []
         for row in rows.values():
-            one, exact = row.get(name), row.get(names[0])
-            compared = one is not None and exact is not None and one is not exact
-            cells.append("-" if one is None else cell(one.metrics["success_rate"], "%"))
-            cells.append(cell(change(one, exact), "%") if compared else "-")  # type: ignore[arg-type]
+            mine, exact = row.get(name), row.get(names[0])
+            cells.append("-" if mine is None else cell(mine.metrics["success_rate"], "%"))
+            cells.append(cell(change(mine, exact), "%") if mine and exact and mine is not exact else "-")
         columns.append(Column(name, "%", cells))
     heading = f"{title}. Success, and its change against {names[0]}"
     print_tables(heading, [line for policy in policies for line in (policy, "change")], columns, console)

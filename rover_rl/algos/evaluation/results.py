@@ -323,12 +323,12 @@ def read_evaluation(path: Path, policy: str, world: str | None = None, backend: 
 
 def _stored(entry: Mapping[str, Any]) -> StoredEvaluation:
     rows, pool = entry["episodes"], WorldPool(entry["world"])
-    places = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
+    start, goal, shortest = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
     worlds = torch.tensor([row.get("world", 0) for row in rows])
     env = EnvConfig(backend=entry["backend"]) if entry["env"] is None else env_from_plain(entry["env"], FILE)
     return StoredEvaluation(
         entry["policy"],
-        EpisodeSet(entry["world"], pool, entry["seed"], *places, world_index=worlds),
+        EpisodeSet(entry["world"], pool, entry["seed"], start, goal, shortest, world_index=worlds),
         entry["action_repeat"],
         entry["time_limit"],
         replace(env, world=entry["world"]),
