@@ -38,14 +38,14 @@ class Row:
     mean. ``steps`` and ``minutes`` are medians to the level, infinity if half of the runs do not reach it.
     """
 
+    world: str
     name: str
     settings: str
-    world: str
     scores: list[np.ndarray]
     success: Estimate
+    reached: int
     steps: float
     minutes: float
-    reached: int
 
     @property
     def runs(self) -> int:
@@ -93,33 +93,24 @@ def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
     if not 0 < level <= 1:
         raise ValueError(f"success must be above 0 and at most 1, got {level}")
     runs = [Run.read(folder) for folder in folders]
-    evaluated = evaluated_success(runs)
-    scored_by, scores = evaluated or (IN_TRAINING, {run.folder: run.final_success for run in runs})
+    scored_by, scores = evaluated_success(runs) or (IN_TRAINING, {run.folder: run.final_success for run in runs})
     by_world: dict[str, list[Experiment]] = {}
     for experiment in group(runs):
         by_world.setdefault(experiment.world, []).append(experiment)
     tables = [(world, [[one] for one in experiments]) for world, experiments in by_world.items()]
-    if len(by_world) > 1 and (everywhere := _everywhere(by_world)):
-        tables.append((ALL_WORLDS, everywhere))
-    rows, pairs = [], []
-    for world, experiments in tables:
-        here = sorted((_row(world, strata, scores, level) for strata in experiments), key=_merit, reverse=True)
-        rows += here
-        pairs += [
-            Pair(world, one.name, other.name, probability_of_improvement(one.scores, other.scores))
-            for one, other in combinations(here, 2)
-        ]
-    return Comparison(runs, scored_by, level, scores, rows, pairs)
-
-
-def _merit(row: Row) -> float:
-    return -1.0 if math.isnan(row.success.value) else row.success.value
-
-
-def _everywhere(by_world: dict[str, list[Experiment]]) -> list[list[Experiment]]:
+    # Experiments with the same settings in every world.
     by_settings = [{one.settings: one for one in experiments} for experiments in by_world.values()]
     shared = [name for name in by_settings[0] if all(name in others for others in by_settings)]
-    return [[world[name] for world in by_settings] for name in shared]
+    if len(by_world) > 1 and shared:
+        tables.append((ALL_WORLDS, [[world[name] for world in by_settings] for name in shared]))
+    rows, pairs = [], []
+    for world, experiments in tables:
+        here = [_row(world, strata, scores, level) for strata in experiments]
+        here.sort(key=lambda row: -1.0 if math.isnan(row.success.value) else row.success.value, reverse=True)
+        rows += here
+        for one, other in combinations(here, 2):
+            pairs.append(Pair(world, one.name, other.name, probability_of_improvement(one.scores, other.scores)))
+    return Comparison(runs, scored_by, level, scores, rows, pairs)
 
 
 def _row(world: str, strata: Sequence[Experiment], scores: dict[Path, float], level: float) -> Row:
@@ -131,10 +122,9 @@ def _row(world: str, strata: Sequence[Experiment], scores: dict[Path, float], le
         # The mean of a number and infinity would be infinity, the median of two infinities nan.
         return float(np.median(times)) if math.isfinite(times[len(times) // 2]) else math.inf
 
-    name = strata[0].name if len(strata) == 1 else strata[0].settings
-    reached = sum(math.isfinite(run.first_at(level, "steps")) for run in runs)
-    estimate = interquartile_mean(values)
-    return Row(name, strata[0].settings, world, values, estimate, median("steps"), median("minutes"), reached)
+    settings, reached = strata[0].settings, sum(math.isfinite(run.first_at(level, "steps")) for run in runs)
+    name = strata[0].name if len(strata) == 1 else settings
+    return Row(world, name, settings, values, interquartile_mean(values), reached, median("steps"), median("minutes"))
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
@@ -173,16 +163,9 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     """Writes ``comparison.png``, ``comparison.csv`` (experiments), ``runs.csv`` and ``comparison.json``."""
     draw_learning_curve([run.folder for run in comparison.runs], folder / "comparison.png", panels=COMPARED)
     experiments = [
-        {
-            "world": row.world,
-            "experiment": row.name,
-            "settings": row.settings,
-            "runs": row.runs,
-            **estimate_row({"success": row.success}),
-            "reached": row.reached,
-            "steps": row.steps,
-            "minutes": row.minutes,
-        }
+        {"world": row.world, "experiment": row.name, "settings": row.settings, "runs": row.runs}
+        | estimate_row({"success": row.success})
+        | {"reached": row.reached, "steps": row.steps, "minutes": row.minutes}
         for row in comparison.rows
     ]
     pairs = [
@@ -192,13 +175,9 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     ]
     runs = [
         {
-            "run": str(run.folder),
-            "experiment": experiment.name,
-            "world": experiment.world,
-            "seed": run.config.seed,
-            "success": comparison.scores[run.folder],
-            "final_training_success": run.final_success,
-            "steps": int(run.end("steps")),
+            **{"run": str(run.folder), "experiment": experiment.name, "world": experiment.world},
+            **{"seed": run.config.seed, "success": comparison.scores[run.folder]},
+            **{"final_training_success": run.final_success, "steps": int(run.end("steps"))},
             "minutes": run.end("minutes"),
             "steps_to_level": run.first_at(comparison.level, "steps"),
             "minutes_to_level": run.first_at(comparison.level, "minutes"),

@@ -11,7 +11,8 @@ from tensordict import TensorDictBase
 from torchrl.modules import set_recurrent_mode
 
 from rover_rl.algos.config import TrainingConfig, with_settings
-from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import mirrored
 from rover_rl.algos.policy.recurrent import MEMORY_KEYS

@@ -16,7 +16,8 @@ import torch
 
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.config_files import read_config, read_sessions
-from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.algos.train.run_folder import save_run

@@ -13,7 +13,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
-from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.progress import TIME
