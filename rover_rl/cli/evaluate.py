@@ -192,8 +192,8 @@ class Evaluate:
     ) -> tuple[list[Request], list[str]]:
         """Returns what to evaluate in each world and backend, and with which imperfections."""
         from rover_rl.algos.evaluation.episodes import endless_episodes
-        from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import Request
+        from rover_rl.algos.evaluation.plots import TRACE
 
         requests: list[Request] = []
         names: list[str] = []

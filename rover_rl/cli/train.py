@@ -110,7 +110,7 @@ class Train:
 
     def _train_seeds(self, config: TrainingConfig, page: TrainingPage | None) -> int:
         """Trains a policy for each seed. A run that diverges does not keep the others from being trained."""
-        from rover_rl.algos.experiments.seeds import seed_runs
+        from rover_rl.algos.experiments.runs import seed_runs
 
         runs = seed_runs(config, self.seeds)
         failed = 0

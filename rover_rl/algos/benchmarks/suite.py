@@ -26,9 +26,8 @@ from rover_rl.algos.driving import CONTACT, TIME_LIMIT
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy
 from rover_rl.algos.evaluation.metrics import Estimate, proportion, ratio
-from rover_rl.algos.evaluation.mover_traces import TRACE
 from rover_rl.algos.evaluation.parallel import Request, evaluate_all
-from rover_rl.algos.evaluation.plots import draw_panels
+from rover_rl.algos.evaluation.plots import TRACE, draw_panels
 from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, plain_estimates
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching

@@ -1,7 +1,7 @@
 """Evaluation episodes: fixed starts and goals with the lengths of their shortest paths.
 
 Each of the three worlds of the original environment has a stored set: the first 256 draws whose shortest path is long
-enough, without further selection. ``python -m rover_rl.algos.evaluation.episodes`` regenerates the sets.
+enough, without further selection.
 
 Example:
     >>> stored_episodes("maze").shortest.min() >= 2
@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,7 +30,6 @@ from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.envs.config import RobotLike
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.placement import Placement
-from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
@@ -274,24 +272,3 @@ def choose_episodes(
     # Several worlds have a display of their own.
     with nullcontext() if several else ProgressDisplay("drawing starts and goals"):
         return draw_episodes(world, count, seed, robot=robot, workers=workers, agents=agents)
-
-
-def write_episodes(episodes: EpisodeSet, path: Path) -> None:
-    """Writes a set as JSON, one episode per line, with the shortest exact decimal form of each float32."""
-    exact = np.vectorize(lambda number: float(str(number)))
-    columns = [exact(getattr(episodes, key).numpy()).tolist() for key in ("start", "goal", "shortest")]
-    rows = (dict(zip(("start", "goal", "shortest"), row, strict=True)) for row in zip(*columns, strict=True))
-    lines = [json.dumps(row) for row in rows]
-    head = json.dumps({"world": episodes.name, "seed": episodes.seed})[:-1]
-    with written_whole(path) as temporary:
-        temporary.write_text(f'{head}, "episodes": [\n' + ",\n".join(lines) + "\n]}\n")
-
-
-def main() -> None:
-    for world in STORED_WORLDS:
-        write_episodes(draw_episodes(world, STORED), FOLDER / f"{world}.json")
-        print(FOLDER / f"{world}.json")
-
-
-if __name__ == "__main__":
-    main()

@@ -16,8 +16,8 @@ from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -25,11 +25,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.algos.driving import CONTACT, ENDINGS, TIME_LIMIT
-from rover_rl.algos.evaluation.mover_traces import draw_mover_traces, mover_handle
 from rover_rl.algos.evaluation.results import Evaluation, worst_worlds
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
+from rover_rl.sims.movers.draw import EDGES, WAY, seen_from_above
+from rover_rl.sims.rendering.looks import looks_of
+from rover_rl.sims.rendering.scenery import MOVER
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.draw import draw_map
@@ -45,6 +47,10 @@ def style_axes(ax: Axes) -> None:
     ax.set_axisbelow(True)
 
 
+TRACE = 3.0
+"""Duration for which the movers of an episode leave a trace before its end, s."""
+NEAR = 1.5
+"""Distance from the rover at the end of an episode up to which movers are drawn among other episodes, m."""
 _MAX_COLUMNS = 3  # largest number of panels in a row
 _STRIDE = 4  # Number of steps per segment of a path. Its color shows the mean speed over them.
 _SPEED = ScalarMappable(Normalize(0, 1), ListedColormap(colormaps["plasma_r"](np.linspace(0.12, 1, 256))))
@@ -100,7 +106,8 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
     handles: list[Artist] = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
     if any(trajectory.movers is not None for _, evaluation in panels for trajectory in evaluation.trajectories):
-        handles.append(mover_handle())
+        label = f"mover at the end, its last {TRACE:g} s"
+        handles.append(Line2D([], [], color=WAY, marker="o", markerfacecolor=MOVER, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
@@ -128,6 +135,30 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
     for ending, style in _ENDS.items():
         ends = [trajectory.path[-1].tolist() for trajectory in driven if trajectory.ending == ending]
         ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
+
+
+def draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: bool) -> None:
+    """Draws where the movers of an episode are at its end, with fading traces, if the trajectory has them.
+
+    Of an episode among others, only those near the rover that has not reached its goal.
+    """
+    track, reached = trajectory.movers, trajectory.ending == "goal"
+    if track is None or not len(track.position) or (reached and not alone):
+        return
+    gaps = (track.position[-1, :, :2] - trajectory.path[-1]).norm(dim=-1) - track.half[:, :2].amax(-1)
+    shown = track.mover[gaps < (math.inf if alone else NEAR)].unique()
+    for mover in shown.tolist():
+        parts = (track.mover == mover).nonzero().squeeze(-1)
+        # The last part is the trunk of a person, whose legs swing.
+        way = track.position[-1 - round(TRACE / trajectory.dt) :, parts[-1], :2].numpy()
+        colors = [(*to_rgb(WAY), share) for share in np.linspace(0, 0.8, len(way) - 1)]
+        segments = list(np.stack((way[:-1], way[1:]), 1))
+        ax.add_collection(LineCollection(segments, colors=colors, linewidths=1.6, zorder=4.2))
+    drawn = torch.isin(track.mover, shown)
+    looks = [look for look, is_drawn in zip(looks_of(world, len(drawn)), drawn.tolist(), strict=True) if is_drawn]
+    position, orientation = track.position[-1, drawn], track.orientation[-1, drawn]
+    shapes = seen_from_above(track.kind[drawn], track.half[drawn], position, orientation, looks)
+    ax.add_collection(PolyCollection(**shapes, **EDGES, alpha=0.85, zorder=4.4))
 
 
 def draw_pale_map(ax: Axes, world: World, area: Area) -> None:

@@ -7,14 +7,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, World
-from rover_rl.algos.evaluation.episodes import (
-    STORED,
-    STORED_WORLDS,
-    EpisodeSet,
-    draw_episodes,
-    stored_episodes,
-    write_episodes,
-)
+from rover_rl.algos.evaluation.episodes import STORED, STORED_WORLDS, EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.paths import shortest_paths
@@ -88,16 +81,6 @@ def test_stored_episodes(world: str) -> None:
     assert (episodes.shortest >= straight - 1e-4).all()
     assert episodes.shortest.min() >= 2
     assert episodes.shortest.isfinite().all()
-
-
-def test_written_episodes_are_exact(tmp_path, monkeypatch) -> None:
-    episodes = draw_episodes("maze", 5, seed=3)
-    write_episodes(episodes, tmp_path / "maze.json")
-    monkeypatch.setattr("rover_rl.algos.evaluation.episodes.FOLDER", tmp_path)
-    read = stored_episodes("maze")
-    assert read.seed == 3
-    for key in ("start", "goal", "shortest"):
-        assert torch.equal(getattr(read, key), getattr(episodes, key))
 
 
 def test_invalid_arguments_raise() -> None:

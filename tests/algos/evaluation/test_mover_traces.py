@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.mover_traces import draw_mover_traces
-from rover_rl.algos.evaluation.plots import draw_paths
+from rover_rl.algos.evaluation.plots import draw_mover_traces, draw_paths
 from rover_rl.algos.evaluation.trajectory import MoverTrack, Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.worlds import Terrain, World

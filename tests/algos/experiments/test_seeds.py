@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rover_rl.algos.config import training_config, with_settings
-from rover_rl.algos.experiments.seeds import seed_runs
+from rover_rl.algos.experiments.runs import seed_runs
 from rover_rl.cli import main
 from tests.algos.experiments.records import write_run
 from tests.algos.train.runs import FIELD
