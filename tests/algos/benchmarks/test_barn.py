@@ -128,16 +128,10 @@ def saved(values: Any) -> Callable[[Path], object]:
 @pytest.mark.parametrize(
     ("file", "damage", "message"),
     [
-        (PATH, Path.unlink, r"no file at .*path_7\.npy$"),
         (PATH, saved([{}]), r"path_7\.npy is damaged, no NumPy file, or has pickled objects, which are not read$"),
         (PATH, saved([[0.0] * 3] * 4), r"path_7\.npy must be numbers of the shape any x 2, got float64 \[4, 3\]$"),
-        (PATH, saved([["a", "b"]]), r"path_7\.npy must be numbers of the shape any x 2, got <U1 \[1, 2\]$"),
-        (PATH, lambda path: path.write_bytes(path.read_bytes()[:100]), r"path_7\.npy is damaged"),
         (PATH, saved([[math.inf, 0.0]]), "the reference path of .*world_7.world must have finite cells$"),
         (XML, replaced("<radius>0.075", "<radius>0.2"), "a cylinder has the radius 0.2 m, not 0.075 m$"),
-        (XML, replaced("-2.25", "-2000.25"), "must have cylinders, all of them within 100 m of the origin$"),
-        (XML, replaced("frame=''>", "frame=''>up "), "the pose of a model in .*world_7.world must be 6 finite numbers"),
-        (XML, replaced("cylinder>", "sphere>"), "world_7.world must have cylinders, "),
         (XML, lambda path: path.write_text("<sdf"), "world_7.world is not valid XML: "),
     ],
 )
@@ -150,26 +144,14 @@ def test_damaged_worlds_are_refused_in_a_sentence(
         read_barn(folder)
 
 
-def test_missing_worlds_are_named(repository: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"lacks 2 of the BARN worlds, such as 0; it has 2 worlds: \[1, 7\]$"):
-        read_barn(repository, [0, 1, 6])
-    with pytest.raises(ValueError, match="has no BARN worlds: there is no world_0.world to world_299.world$"):
-        read_barn(tmp_path)
-    with pytest.raises(FileNotFoundError, match="no folder or file at"):
-        read_barn(tmp_path / "nothing")
-
-
 def test_arrays_that_do_not_match_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "barn.npz"
     arrays = dict(np.load(write_barn_file(path, [11.0, 12.0])))
     mismatch = "the arrays of .* do not match"
     for name, wrong, message in (
-        *(("offsets", np.array(wrong), mismatch) for wrong in ([0, 2], [0, 4, 2], [0.0, 2.0, 5.0])),
+        *(("offsets", np.array(wrong), mismatch) for wrong in ([0, 2], [0, 4, 2])),
         ("path_length", np.array([11.0]), mismatch),
         ("path_length", np.array([11.0, math.nan]), "the reference path of world 7 in .* must have a positive length"),
-        ("cylinder_xy", np.zeros((5, 3)), "cylinder_xy in .* must be numbers of the shape any x 2"),
-        ("cylinder_xy", np.full((5, 2), math.nan), "world 1 in .* must have cylinders"),
-        ("world", np.array([{}, {}]), "is damaged, no NumPy file, or has pickled objects"),
     ):
         np.savez(path, **(arrays | {name: wrong}))
         with pytest.raises(ValueError, match=message):

@@ -55,17 +55,6 @@ def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation)
         assert "in one backend and not in another" not in table(firm, other)
 
 
-def test_the_table_has_a_row_for_each_backend(firm: Evaluation) -> None:
-    lines = table(firm, copied(firm, "warp", [1])).splitlines()
-    rows = [number for number, line in enumerate(lines) if line.startswith(" straight") and "field" not in line]
-    assert [lines[row].split()[1] for row in rows[:2]] == ["100.0", "66.7"]
-    assert [lines[row + 1].split()[0] for row in rows[:2]] == ["bullet", "warp"]
-    (disagreement,) = (number for number, line in enumerate(lines) if line.startswith(" straight") and "goal " in line)
-    assert disagreement not in rows[:2]
-    assert lines[disagreement].split()[:2] == ["straight", "1"]
-    assert lines[disagreement + 1].split() == ["field"]
-
-
 # --- the command
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +13,6 @@ from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.metrics import compute_metrics, episode_row
-from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.evaluation.trajectory import Encounters, Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.robots import get_robot
@@ -23,7 +20,7 @@ from rover_rl.worlds import Terrain
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints
 from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import standing
-from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, line
+from tests.algos.evaluation.drives import FIELD, assert_same, line
 
 ROVER = get_robot("rover_zero")
 FRONT = 0.2635  # from the rover's origin to its front, m
@@ -180,18 +177,6 @@ def test_distances_and_times_near_movers() -> None:
     assert math.isnan(values(met([1.0], ending="stuck"))["risk_per_goal"])
 
 
-def test_only_episodes_with_movers_count_for_metrics_of_movers() -> None:
-    alone = line("goal")
-    static = values(alone)
-    assert not {"mover_contact_share", "run_into", "wall_contact_share", "frozen"} & set(static)
-    mixed = values(alone, met([1.0], contact=" x", gap=0.0))
-    assert mixed["mover_contact_share"] == 1
-    assert mixed["least_mover_distance"] == 0
-    assert mixed["success_rate"] == 1
-    assert mixed["body_contact_share"] == 0.5
-    assert compute_metrics([row_of(met([1.0], contact=" x"))], endless=True)["mover_contacts"].value == 1
-
-
 # --- results, tables and files
 
 
@@ -208,26 +193,3 @@ def test_results_of_a_drive(run_into: Evaluation) -> None:
     moving, alone = run_into.by_world
     assert moving["mover_contact_share"] == 1
     assert "mover_contact_share" not in alone
-
-
-def test_files_have_rows_and_columns_of_movers(run_into: Evaluation, tmp_path: Path) -> None:
-    write_evaluation(tmp_path / "evaluation.json", [run_into])
-    moving, alone = csv_rows(tmp_path / "evaluation.csv")
-    assert (moving["contacts"], moving["wall_contacts"], moving["mover_contacts"]) == ("1", "0", "1")
-    assert (moving["run_into"], moving["least_mover_distance"]) == ("1", "0.0")
-    assert float(moving["frozen_seconds"]) > 2
-    assert (alone["contacts"], alone["mover_contacts"], alone["frozen_seconds"]) == ("0", "", "")
-    (summary,) = csv_rows(tmp_path / "evaluation-summary.csv")
-    assert float(summary["mover_contact_share"]) == 1
-    worlds = csv_rows(tmp_path / "evaluation-worlds.csv")
-    assert [row["mover_contact_share"] for row in worlds] == ["1.0", ""]
-    episodes = json.loads((tmp_path / "evaluation.json").read_text())[0]["episodes"]
-    assert [row.get("run_into") for row in episodes] == [1, None]
-
-    static = run_into.select([1])
-    write_evaluation(tmp_path / "static.json", [static])
-    (result,) = json.loads((tmp_path / "static.json").read_text())
-    result.pop("env", None)
-    texts = [(tmp_path / file).read_text() for file in ("static.csv", "static-summary.csv")]
-    for text in (*texts, json.dumps(result)):
-        assert not any(word in text for word in ("mover_", "run_into", "wall_contact", "risk", "intrusion", "frozen"))

@@ -14,7 +14,7 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.evaluation.plots import draw_paths
-from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.algos.policy.baselines import ScriptedPolicy
@@ -24,7 +24,7 @@ from rover_rl.envs.config import Randomization
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.pool import WorldPool
-from tests.algos.evaluation.drives import assert_same, csv_rows, line, printed
+from tests.algos.evaluation.drives import assert_same, csv_rows, line
 from tests.fork_server import fork_server
 
 ROBOT = get_robot("rover_zero")
@@ -102,16 +102,6 @@ def test_results_by_world() -> None:
     other = evaluation("other", ENDINGS[::-1])
     assert worst_worlds([driven, other]) == [0, 1, 2]
     assert driven.title == "3 episodes in each of 3 worlds, field, wall, crates: one goal within 60 s"
-
-
-def test_ranges_have_a_table_each_and_the_worst_worlds_are_named() -> None:
-    two = draw_episodes(WorldPool(WALL, CRATES, FIELD), 3, seed=1)
-    text = printed(print_table, [evaluation("mine", ENDINGS), evaluation("mine", ["goal"] * 9, two)], width=200)
-    for worlds in ("field, wall, crates", "wall, crates, field"):
-        assert text.count(f"3 episodes in each of 3 worlds, {worlds}: one goal within 60 s") == 1
-    assert "Lowest success rates of mine in field, wall, crates, bullet: field 33%, wall 67%\n" in text
-    assert "mine in wall, crates, field, bullet: all episodes reach their goal" in text
-    assert "clean" in text
 
 
 def test_files_have_the_results_by_world(tmp_path: Path) -> None:

@@ -15,14 +15,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl import make_env
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.evaluation.cores import dumps
-from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.sac import SACLearner
-from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.envs.config import Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.robots import Robot
@@ -130,16 +127,11 @@ class SlidingScanner:
 
 LEARNERS = {
     "ppo": training_config("ppo", epochs=2),
-    "imitation": training_config("ppo", epochs=2, imitation=0.5, mirror_augmentation=False, north_up=True),
     "sac": training_config("sac", gradient_steps=2, learning_starts=8, buffer_size=64),
 }
 
 
-COLLECTED = {
-    **LEARNERS,
-    "gru": training_config("ppo", memory="gru", memory_size=8),
-    "pool": training_config("ppo", world=POOL),
-}
+COLLECTED = {**LEARNERS, "pool": training_config("ppo", world=POOL)}
 """Trainings whose actors collect batches."""
 
 
@@ -159,7 +151,6 @@ def _found(on: Accelerator | None) -> dict[str, Any]:
     return {
         "steps": _stepped(on),
         "changes": _changed(on),
-        "evaluation": _evaluated(on),
         **{name: _learned(on, config) for name, config in LEARNERS.items()},
         **{f"batches of {name}": _collected(on, config) for name, config in COLLECTED.items()},
     }
@@ -205,16 +196,6 @@ def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
             looks += on.looks
         seen += [_on_host(result) for result in results]
     return seen, looks
-
-
-def _evaluated(on: Accelerator | None) -> list[tuple[Tensor, str]]:
-    """Path and ending of each of some episodes that an actor drives, a rover two of them."""
-    device = "cpu" if on is None else str(on.device)
-    torch.manual_seed(0)
-    actor, episodes = make_actor().to(device), draw_episodes(FIELD, 3, seed=3)
-    env = EnvConfig(backend=SlidingBackend(), device=device)
-    driven = evaluate(actor, episodes, env=env, rows=2, seconds=1).trajectories
-    return [(one.position, one.ending) for one in driven]
 
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:

@@ -40,14 +40,6 @@ def test_an_environment_steps_and_changes_worlds_as_on_the_cpu_without_waiting(
             assert torch.equal(a[key], b[key]), (step, key)
 
 
-def test_a_policy_is_evaluated_as_on_the_cpu(found: dict[str, Any]) -> None:
-    there, here = found["evaluation"]
-    assert len(there) == 3
-    for (path, ending), (same_path, same_ending) in zip(there, here, strict=True):
-        assert torch.equal(path, same_path)
-        assert ending == same_ending
-
-
 @pytest.mark.parametrize("learner", COLLECTED)
 def test_batches_are_collected_as_on_the_cpu_without_waiting(learner: str, found: dict[str, Any]) -> None:
     (there, looks), (here, _) = found[f"batches of {learner}"]
@@ -60,8 +52,7 @@ def test_batches_are_collected_as_on_the_cpu_without_waiting(learner: str, found
             if "clock" in key:
                 assert (b[key] == b[key].flatten()[0]).all() or "next" not in key
             else:
-                # The device computes a memory in another order.
-                torch.testing.assert_close(a[key], b[key], rtol=0, atol=1e-4 if learner == "gru" else 0)
+                assert torch.equal(a[key], b[key]), key
     times = [batch["('next', 'clock', 'environment')"].max().item() for batch in there]
     assert 0 < times[0] < times[1] < times[2]
 
