@@ -5,7 +5,7 @@ from __future__ import annotations
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.envs.config import EnvConfig
-from rover_rl.worlds.names import WorldRange
+from rover_rl.names import Name
 
 
 def stored_worlds(env: EnvConfig) -> list[str]:
@@ -15,8 +15,8 @@ def stored_worlds(env: EnvConfig) -> list[str]:
         >>> stored_worlds(EnvConfig(world=("maze:0-99@0.2-0.8", "rooms:0-99", "moon")))
         ['maze', 'moon']
     """
-    ranges = {name: WorldRange.parse(name) for name in env.world_names}
-    kinds = dict.fromkeys(name if seeds is None else seeds.part for name, seeds in ranges.items())
+    names = map(Name.parse, env.world_names)
+    kinds = dict.fromkeys(name.part if name.is_range else str(name) for name in names)
     return [kind for kind in kinds if kind in STORED_WORLDS]
 
 

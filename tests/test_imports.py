@@ -17,6 +17,7 @@ LAYERS = (
     (
         "checks",
         "files",
+        "names",
         "option_names",
         "plain",
         "progress",

@@ -179,7 +179,7 @@ class Drive:
 
     def _policy(self) -> ResolvedPolicy:
         """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
-        from rover_rl.worlds.names import WorldRange
+        from rover_rl.names import Name
 
         robot = None if self.robot is None else with_options(self.robot, self.robot_options)
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), robot)
@@ -191,7 +191,7 @@ class Drive:
             return policy
         trained, network = policy.config.env.world_names, policy.config.network
         reads_place = "pose" in network.observation or network.north_up
-        if reads_place and policy.worlds[0] not in trained and not any(map(WorldRange.parse, trained)):
+        if reads_place and policy.worlds[0] not in trained and not any(Name.parse(world).is_range for world in trained):
             raise ValueError(
                 f"{self.policy} recognizes the places of {', '.join(trained)}, where it was trained, and --world is "
                 f"{policy.worlds[0]}; use another policy, or --allow-other-world"

@@ -106,7 +106,7 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
 
 def _unseen(config: TrainingConfig) -> tuple[str, ...]:
     """Returns the worlds of the training, or for a range one that was not in it."""
-    from rover_rl.worlds.names import unseen
+    from rover_rl.names import unseen
 
     return tuple(map(unseen, config.env.world_names))
 

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from rover_rl.rng import random_bits, to_index
 from rover_rl.worlds import World
-from rover_rl.worlds.ahead import WorldsAhead
-from rover_rl.worlds.pool import WorldPool, WorldSource, draws_worlds
+from rover_rl.worlds.pool import WorldPool, WorldsAhead, WorldSource, draws_worlds
 from rover_rl.worlds.table import WorldTable
 
 _WORLD = 16

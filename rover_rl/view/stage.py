@@ -21,7 +21,7 @@ from rover_rl.sims.rendering.daylight import solid, world_meshes
 from rover_rl.sims.rendering.mover_surfaces import Form, forms_of, part_surface
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, post_surface
-from rover_rl.worlds import Obstacle, World
+from rover_rl.worlds import World, hull
 
 Color: TypeAlias = tuple[int, int, int]
 ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
@@ -69,7 +69,7 @@ def without_high_walls(world: World) -> World:
             if bottom > CUT / 2:
                 continue
             cut = torch.minimum(points[:, 2], ground + CUT)
-            obstacle = Obstacle(torch.cat((points[:, :2], cut[:, None]), 1))
+            obstacle = hull(torch.cat((points[:, :2], cut[:, None]), 1))
         kept.append(obstacle)
     return replace(world, obstacles=kept)
 

@@ -1,32 +1,41 @@
-"""Horizontal distances to the obstacles of a world."""
+"""Where the obstacles of a world are: horizontal distances to them, and points inside of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.worlds.obstacles import Obstacle, Solids, groups_of
+from rover_rl.worlds.solids import Solids, bounding_balls
 from rover_rl.worlds.terrain import Terrain
-
-if TYPE_CHECKING:
-    from rover_rl.worlds.world import World
 
 NEAR_GROUND = 0.5
 """Maximum height above and depth below the ground at which obstacles count, m."""
+CELL = 0.1
+"""Side length of a cell of the height map of :class:`SolidTest`, m."""
+
+
+class HasObstacles(Protocol):
+    """A world, or a :class:`Site`."""
+
+    @property
+    def terrain(self) -> Terrain: ...
+
+    @property
+    def obstacles(self) -> Sequence[Solids]: ...
 
 
 class Site(NamedTuple):
     """Ground with obstacles: what a world is before it has areas."""
 
     terrain: Terrain
-    obstacles: Sequence[Obstacle]
+    obstacles: Sequence[Solids]
 
 
-def clearance_on_grid(world: World | Site, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
+def clearance_on_grid(world: HasObstacles, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
     """Returns the horizontal distance from the points of a grid to the nearest obstacle near the ground.
 
     Args:
@@ -43,36 +52,69 @@ def clearance_on_grid(world: World | Site, xs: np.ndarray, ys: np.ndarray, limit
     from rover_rl.worlds.ground_kernels import measure_clearance
 
     clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
-    outlines = [solids.outlines[_is_near_ground(world, solids)] for solids in groups_of(world.obstacles)]
-    outlines = [group for group in outlines if len(group)]
+    solids = Solids.of(world.obstacles)
+    near = _is_near_ground(world.terrain, solids)
+    outlines = [outline for outline, counts in zip(solids.outlines, near, strict=True) if counts]
     if outlines:
-        middles = [group.mean(1) for group in outlines]
-        radii = [np.linalg.norm(g - m[:, None], axis=-1).max(1) for g, m in zip(outlines, middles, strict=True)]
-        starts = np.cumsum([0, *(group.shape[1] for group in outlines for _ in group)]).astype(np.int32)
-        vertices = np.concatenate([group.reshape(-1, 2) for group in outlines])
-        circles = np.column_stack((np.concatenate(middles), np.concatenate(radii)))
-        inputs = [xs, ys, vertices, starts, circles, limit, clearance.numpy()]
+        corners, starts = np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).astype(np.int32)
+        circles = np.column_stack(bounding_balls(corners, starts.tolist()))
+        inputs = [xs, ys, corners, starts, circles, limit, clearance.numpy()]
         wp.launch(measure_clearance, dim=len(ys), inputs=inputs, device="cpu")
     return clearance
 
 
-def _is_near_ground(world: World | Site, solids: Solids) -> np.ndarray:
-    """Returns whether a part of each solid may be at a rover's height, conservatively by its bounding box: ``[N]``."""
-    low, high = solids.vertices.numpy().min(1), solids.vertices.numpy().max(1)
-    if world.terrain.is_flat:
-        lowest = highest = np.full(len(solids), world.terrain.heights[0, 0].item())
+def _is_near_ground(terrain: Terrain, solids: Solids) -> np.ndarray:
+    """Which solids may reach a rover's height, conservatively by their bounding boxes: bool ``[N]``."""
+    low, high = solids.bounding_boxes
+    if terrain.is_flat or not len(low):
+        lowest = highest = np.full(len(low), terrain.heights[0, 0].item())
     else:
-        lowest, highest = _ground_extremes(world.terrain, low[:, :2], high[:, :2]).T
+        from rover_rl.native.warp import wp
+        from rover_rl.worlds.ground_kernels import ground_of, measure_extremes
+
+        steps = np.minimum(200, np.ceil((high - low)[:, :2].max(1) / terrain.cell) * 2 + 1).astype(np.int32)
+        extremes = np.empty((len(low), 2))
+        corners = (np.ascontiguousarray(corner[:, :2]) for corner in (low, high))
+        wp.launch(measure_extremes, len(low), [ground_of(terrain), *corners, steps, extremes], device="cpu")
+        lowest, highest = extremes.T
     return (low[:, 2] <= highest + NEAR_GROUND) & (high[:, 2] >= lowest - NEAR_GROUND)
 
 
-def _ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Returns the least and the greatest height (m) of the ground in rectangles by their corners, from samples."""
-    from rover_rl.native.warp import wp
-    from rover_rl.worlds.ground_kernels import ground_of, measure_extremes
+class SolidTest:
+    """Fast test for points inside the solids of one world: below the ground or in an obstacle.
 
-    steps = np.minimum(200, np.ceil((high - low).max(1) / terrain.cell) * 2 + 1).astype(np.int32)
-    extremes = np.empty((len(low), 2))
-    corners = (np.ascontiguousarray(corner) for corner in (low, high))
-    wp.launch(measure_extremes, len(low), [ground_of(terrain), *corners, steps, extremes], device="cpu")
-    return extremes
+    :meth:`World.inside` compares every point with every obstacle. This test first compares the height of a point with
+    an upper bound of the height of all solids in its cell of a grid, which excludes almost all points.
+    """
+
+    def __init__(self, world: HasObstacles) -> None:
+        self._terrain, self._solids = world.terrain, Solids.of(world.obstacles)
+        (x_low, x_high), (y_low, y_high) = world.terrain.extent
+        xs = np.arange(x_low - 1, x_high + 1, CELL)
+        ys = np.arange(y_low - 1, y_high + 1, CELL)
+        self._origin = np.array((xs[0], ys[0]))
+        # The terrain in a cell is no higher than the nearest vertex of the terrain and its neighbors.
+        heights = torch.nn.functional.max_pool2d(world.terrain.heights[None, None], 3, 1, 1)[0, 0].numpy()
+        (x0, y0), cell = world.terrain.origin, world.terrain.cell
+        i = np.clip(np.rint((xs + CELL / 2 - x0) / cell).astype(int), 0, heights.shape[1] - 1)
+        j = np.clip(np.rint((ys + CELL / 2 - y0) / cell).astype(int), 0, heights.shape[0] - 1)
+        self._heights = heights[np.ix_(j, i)]
+        lows, highs = self._solids.bounding_boxes
+        corners = zip(self._cells(lows), self._cells(highs) + 1, highs[:, 2], strict=True)
+        for (left, bottom), (right, top), height in corners:
+            block = self._heights[bottom:top, left:right]
+            np.maximum(block, height, out=block)
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Returns which of ``points [k, 3]`` (m, float64) are inside a solid: bool ``[k]``."""
+        cells = self._cells(points)
+        inside = points[:, 2] <= self._heights[cells[:, 1], cells[:, 0]]
+        if inside.any():
+            near = torch.from_numpy(points[inside])
+            below = near[:, 2] < self._terrain.height_at(near[:, :2])
+            inside[inside] = (below | self._solids.contains(near)).numpy()
+        return inside
+
+    def _cells(self, points: np.ndarray) -> np.ndarray:
+        cells = ((points[:, :2] - self._origin) / CELL).astype(int)
+        return np.clip(cells, 0, (self._heights.shape[1] - 1, self._heights.shape[0] - 1))

@@ -1,16 +1,20 @@
-"""Pools of worlds that episodes draw from."""
+"""Pools of worlds that episodes draw from, and a thread that prepares worlds before they are needed."""
 
 from __future__ import annotations
 
+import threading
+import weakref
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from itertools import accumulate
-from threading import Lock
+from queue import Empty, SimpleQueue
 from typing import TypeAlias, Union
 
+from rover_rl.names import Name
 from rover_rl.worlds import get_world
-from rover_rl.worlds.names import WorldRange
 from rover_rl.worlds.world import World
 
 KEPT_WORLDS = 1024
@@ -18,6 +22,7 @@ KEPT_WORLDS = 1024
 
 WorldSource: TypeAlias = Union[str, World, "WorldPool", Sequence[str | World]]
 """What ``world_n`` takes: a world, a range of worlds, a pool, or a list of worlds and ranges."""
+_Queue: TypeAlias = "SimpleQueue[tuple[int, Future[World]] | None]"
 
 
 class WorldPool:
@@ -29,8 +34,7 @@ class WorldPool:
     Args:
         *entries: each one a :class:`World`, the name of a world (``"maze"``, ``"maze:7"``), or a range of seeds:
             ``"maze:0-999"``, or ``"maze:*"`` for the 10,000 seeds from 0 to 9999. Seeds from 10,000 up are for
-            evaluation. A difficulty, or a range of difficulties, follows after ``@``, as in ``"maze:*@0.2-0.8"``: see
-            :class:`~rover_rl.worlds.names.WorldRange`.
+            evaluation. See :class:`~rover_rl.names.Name`.
 
     Attributes:
         entries: the arguments.
@@ -49,12 +53,13 @@ class WorldPool:
         if not entries:
             raise ValueError("a pool needs at least one world, got none")
         self.entries = entries
-        self._ranges = [WorldRange.parse(entry) if isinstance(entry, str) else None for entry in entries]
+        names = [Name.parse(entry) if isinstance(entry, str) else None for entry in entries]
+        self._ranges = [name if name and name.is_range else None for name in names]
         self.sizes = tuple(1 if seeds is None else len(seeds) for seeds in self._ranges)
         self._starts = (0, *accumulate(self.sizes))
         self._kept: OrderedDict[int, World] = OrderedDict()
-        # A thread may generate worlds: see rover_rl.worlds.ahead.
-        self._lock = Lock()
+        # The thread of WorldsAhead may generate worlds.
+        self._lock = threading.Lock()
 
     @classmethod
     def of(cls, worlds: WorldSource) -> WorldPool:
@@ -74,7 +79,6 @@ class WorldPool:
         return self._kept.keys()
 
     def __len__(self) -> int:
-        """Number of worlds."""
         return self._starts[-1]
 
     def __reduce__(self) -> tuple[type[WorldPool], tuple[str | World, ...]]:
@@ -92,10 +96,9 @@ class WorldPool:
             raise IndexError(f"the pool has {len(self)} worlds, got index {index}")
         part = bisect_right(self._starts, index) - 1
         seeds = self._ranges[part]
-        return self.entries[part] if seeds is None else seeds.name(index - self._starts[part])
+        return self.entries[part] if seeds is None else str(seeds[index - self._starts[part]])
 
     def __getitem__(self, index: int) -> World:
-        """Returns world ``index``."""
         with self._lock:
             world = self._kept.get(index)
         if world is None:
@@ -108,10 +111,88 @@ class WorldPool:
         return world
 
     def __iter__(self) -> Iterator[World]:
-        """Iterates over all worlds."""
         return (self[index] for index in range(len(self)))
 
 
 def draws_worlds(worlds: WorldSource) -> bool:
     """Whether each episode draws its world: from a pool, or from a list with a range of seeds."""
     return isinstance(worlds, WorldPool) or WorldPool.of(worlds).has_ranges
+
+
+class WorldsAhead:
+    """Prepares worlds of a pool in a thread.
+
+    A world is generated and prepared once: by the caller if it is needed before the thread has begun with it. The
+    thread and its caller share Python's interpreter lock: :meth:`pause` the thread except while the caller waits for
+    what does not hold the lock, such as kernels.
+
+    Args:
+        pool: worlds.
+        prepare: what to do with each world, besides generating it. It must be safe to call from another thread.
+        limit: largest number of worlds that are requested and not taken. Of more, the first requested ones are dropped.
+    """
+
+    def __init__(self, pool: WorldPool, prepare: Callable[[World], object], limit: int) -> None:
+        self._pool, self._limit = pool, limit
+        self._requested: OrderedDict[int, Future[World]] = OrderedDict()
+        self._queue: _Queue = SimpleQueue()
+        self._go = threading.Event()
+        self._go.set()
+        # The thread holds no reference to this object, which therefore ends it when it is garbage.
+        thread = threading.Thread(target=_work, args=(self._queue, self._go, pool, prepare), daemon=True)
+        thread.start()
+        self._finalizer = weakref.finalize(self, _end, self._queue, self._go, thread)
+
+    def pause(self) -> None:
+        """Lets the thread begin with no further world until :meth:`resume`."""
+        self._go.clear()
+
+    def resume(self) -> None:
+        self._go.set()
+
+    def request(self, indices: Iterable[int]) -> None:
+        """Adds worlds to those that the thread prepares. Returns immediately."""
+        for index in indices:
+            if index in self._requested:
+                self._requested.move_to_end(index)
+            elif index not in self._pool.kept:
+                future: Future[World] = Future()
+                self._requested[index] = future
+                self._queue.put((index, future))
+        while len(self._requested) > self._limit:
+            self._requested.popitem(last=False)[1].cancel()
+
+    def __getitem__(self, index: int) -> World:
+        """Returns world ``index``. Waits for it if the thread is preparing it, and raises what that raised."""
+        future = self._requested.pop(index, None)
+        return self._pool[index] if future is None or future.cancel() else future.result()
+
+    def close(self) -> None:
+        """Ends the thread after the world that it is preparing. Idempotent."""
+        for future in self._requested.values():
+            future.cancel()
+        self._requested.clear()
+        self._finalizer()
+
+
+def _work(queue: _Queue, go: threading.Event, pool: WorldPool, prepare: Callable[[World], object]) -> None:
+    """Prepares the worlds of a queue, until ``None``, while ``go`` is set."""
+    while (item := queue.get()) and go.wait():
+        index, future = item
+        if future.set_running_or_notify_cancel():
+            try:
+                world = pool[index]
+                prepare(world)
+            except BaseException as error:
+                future.set_exception(error)
+            else:
+                future.set_result(world)
+
+
+def _end(queue: _Queue, go: threading.Event, thread: threading.Thread) -> None:
+    with suppress(Empty):
+        while True:
+            queue.get_nowait()
+    queue.put(None)
+    go.set()
+    thread.join()

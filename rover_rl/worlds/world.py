@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from rover_rl.worlds.cache import content_key
 from rover_rl.worlds.movers.motions.waypoints import Waypoints
 from rover_rl.worlds.movers.mover import MAX_MOVERS, Mover
-from rover_rl.worlds.obstacles import Obstacle
 from rover_rl.worlds.region import Area, Range, Region, expanded, overlap
+from rover_rl.worlds.solids import Solids
 from rover_rl.worlds.terrain import Terrain
 
 __all__ = ["Area", "Range", "World", "Worlds"]
@@ -38,7 +40,7 @@ class World:
         name: name of the world, used in messages and in the pose service ``/world/<name>/set_pose`` of a live
             simulator.
         terrain: ground of the world.
-        obstacles: static convex solids on the ground.
+        obstacles: static convex solids on the ground, or tables of them. They become one table.
         spawn_range: area in which episodes start. ``None`` is that of ``spawn_region``, or without one the terrain
             less 1 m on every side.
         goal_range: area of the goals. ``None`` is that of ``goal_region``, or without one ``spawn_range``.
@@ -68,7 +70,7 @@ class World:
 
     name: str
     terrain: Terrain
-    obstacles: Sequence[Obstacle] = ()
+    obstacles: Sequence[Solids] = ()
     # Never None after __post_init__.
     spawn_range: Area = None  # type: ignore[assignment]
     goal_range: Area = None  # type: ignore[assignment]
@@ -81,7 +83,7 @@ class World:
     movers: Sequence[Mover] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "obstacles", Solids.of(self.obstacles))
         object.__setattr__(self, "movers", tuple(self.movers))
         object.__setattr__(self, "bounds", self.bounds or self.terrain.extent)
         self._complete_areas()
@@ -104,7 +106,7 @@ class World:
                 continue
             point = torch.tensor(start, dtype=torch.float64)
             middle = torch.cat((point, self.height_at(point)[None] + 0.1))
-            if not any(obstacle.contains(middle) for obstacle in self.obstacles):
+            if not Solids.of(self.obstacles).contains(middle):
                 continue
             if not isinstance(mover.motion, Waypoints):
                 raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
@@ -171,10 +173,7 @@ class World:
 
     def inside(self, points: Tensor) -> Tensor:
         """Returns which of ``points [..., 3]`` (m) are below the ground or inside an obstacle: bool ``[...]``."""
-        inside = points[..., 2] < self.height_at(points[..., :2])
-        for obstacle in self.obstacles:
-            inside = inside | obstacle.contains(points)
-        return inside
+        return (points[..., 2] < self.height_at(points[..., :2])) | Solids.of(self.obstacles).contains(points)
 
     def drop_height(self, xy: Tensor) -> Tensor:
         """Returns the height (m) at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
@@ -184,3 +183,58 @@ class World:
             within = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
             height = torch.where(within, torch.full_like(height, other), height)
         return height
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the ground, the obstacles and the areas."""
+        solids = Solids.of(self.obstacles)
+        tensors = [self.terrain.heights, solids.vertices, solids.planes, solids.faces]
+        about: list[object] = [self.terrain.cell, self.terrain.origin, self.bounds, self.spawn_range, self.goal_range]
+        about += [tuple(self.terrain.heights.shape), solids.starts, solids.plane_starts]
+        for region in (self.spawn_region, self.goal_region):
+            about.append(region and (region.cell, region.origin, tuple(region.mask.shape)))
+            tensors += [] if region is None else [region.mask]
+        return content_key(repr(about), *(tensor.numpy().tobytes() for tensor in tensors))
+
+    def scaled(self, scale: float) -> World:
+        """Returns a world without movers whose layout is ``scale`` times as large, about the middle of its start area.
+
+        Passages, obstacles and areas grow along x and y. On level ground, heights stay; else, they grow as well, so
+        that slopes stay.
+
+        Raises:
+            ValueError: if something moves in the world, which knows its ways.
+        """
+        if self.movers:
+            raise ValueError(f"world {self.name!r} has movers: only its function can scale it, with a setting 'scale'")
+        upward = 1.0 if self.terrain.is_flat else scale
+        x, y = ((low + high) / 2 for low, high in self.spawn_range)
+
+        def moved(point: Range) -> Range:
+            return x + (point[0] - x) * scale, y + (point[1] - y) * scale
+
+        def grown(area: Area) -> Area:
+            (left, bottom), (right, top) = map(moved, zip(*area, strict=True))
+            return (left, right), (bottom, top)
+
+        solids, middle = Solids.of(self.obstacles), torch.tensor((x, y, 0.0), dtype=torch.float64)
+        factors = torch.tensor((scale, scale, upward), dtype=torch.float64)
+        normals = solids.planes[:, :3] / factors
+        offsets = solids.planes[:, 3:] + (solids.planes[:, :3] - normals) @ middle[:, None]
+        planes = torch.cat((normals, offsets), -1) / normals.norm(dim=-1, keepdim=True)
+        spawn_region, goal_region = (
+            region and Region(region.mask, region.cell * scale, moved(region.origin))
+            for region in (self.spawn_region, self.goal_region)
+        )
+        return replace(
+            self,
+            terrain=Terrain(self.terrain.heights * upward, self.terrain.cell * scale, moved(self.terrain.origin)),
+            obstacles=Solids(middle + (solids.vertices - middle) * factors, planes, solids.shapes),
+            spawn_range=grown(self.spawn_range),
+            goal_range=grown(self.goal_range),
+            bounds=grown(self.bounds),
+            spawn_height=self.spawn_height * upward,
+            spawn_height_areas=tuple((grown(area), height * upward) for area, height in self.spawn_height_areas),
+            spawn_region=spawn_region,
+            goal_region=goal_region,
+        )

@@ -8,8 +8,7 @@ import threading
 import pytest
 
 from rover_rl.worlds import World
-from rover_rl.worlds.ahead import WorldsAhead
-from rover_rl.worlds.pool import WorldPool
+from rover_rl.worlds.pool import WorldPool, WorldsAhead
 
 
 class Prepared:

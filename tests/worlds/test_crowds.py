@@ -52,27 +52,6 @@ def test_cylinders_of_a_yard_go_round_at_constant_speed(level, count, slowest, f
     assert env.movers.course.position.abs().max() < 9.01
 
 
-@pytest.mark.parametrize(
-    ("level", "count", "lengths", "speeds"),
-    [(0, 1, (1.5, 2.5), (0.4, 0.7)), (0.5, 2, (2.5, 3.5), (0.7, 1.1)), (1, 2, (3.5, 4.4), (1.0, 1.5))],
-)
-def test_gates_cross_the_passage_again_and_again(level, count, lengths, speeds):
-    world = get_world(f"gates:3@{level}")
-    assert len(world.movers) == count
-    assert all(lengths[0] <= mover.shape.length <= lengths[1] for mover in world.movers)
-    env = RoverEnv(world_n=world, num_envs=1, backend="warp", seed=0)
-    env.reset()
-    places = []
-    for _ in range(260):
-        env.rand_step()
-        speed = env.movers.course.velocity[..., 1].abs()
-        assert ((speeds[0] - 0.01 < speed) & (speed < speeds[1] + 0.01)).all()
-        places.append(env.movers.course.position[0, :, 1])
-    # In 13 s, each has been at both sides.
-    assert (torch.stack(places).amin(0) < -2.1).all()
-    assert (torch.stack(places).amax(0) > 2.1).all()
-
-
 @pytest.mark.usefixtures("own_registries")
 def test_walkers_are_added_to_any_world(tmp_path):
     still = World("yard", Terrain.flat((10, 10)), [box((2, 0, 0.5), (1, 1, 1))])

@@ -1,4 +1,4 @@
-"""Names of worlds, ``NAME[:SEED][@DIFFICULTY]``, and registration."""
+"""Worlds by name, and registration."""
 
 from __future__ import annotations
 
@@ -7,46 +7,12 @@ from itertools import count
 import pytest
 import torch
 
-from rover_rl.worlds import WORLDS, Terrain, World, WorldName, get_world, register_world, world_names
+from rover_rl.worlds import WORLDS, Terrain, World, get_world, register_world, world_names
 
 pytestmark = pytest.mark.usefixtures("own_registries")
 FLOOR = Terrain.flat((10, 10))
 NEW_NAMES = (f"registered-{number}" for number in count())
 """Names that no test has used: worlds are cached by name."""
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("maze", WorldName("maze")),
-        ("maze:12", WorldName("maze", 12)),
-        ("maze@0.3", WorldName("maze", None, 0.3)),
-        ("maze:12@0.3", WorldName("maze", 12, 0.3)),
-        ("forest:7@1", WorldName("forest", 7, 1.0)),
-        ("forest:7@.25", WorldName("forest", 7, 0.25)),
-        ("my_package.worlds:canyon", WorldName("my_package.worlds:canyon")),
-        ("my_package.worlds:canyon:7@0", WorldName("my_package.worlds:canyon", 7, 0.0)),
-        ("maze:x", WorldName("maze:x")),
-    ],
-)
-def test_parsed_names(text, name):
-    assert WorldName.parse(text) == name
-
-
-@pytest.mark.parametrize(
-    "level", ["", "x", "1.01", "-0.1", "2", "nan", "inf", "1e-1", "0,5", "0.5@0.5", " 0.5", "²", "1."]
-)
-def test_a_malformed_difficulty_raises(level):
-    with pytest.raises(ValueError) as error:
-        get_world(f"maze:3@{level}")
-    assert str(error.value) == f"the difficulty of world 'maze:3@{level}' must be a number from 0 to 1, got {level!r}"
-
-
-def test_the_seed_stays_before_the_difficulty():
-    with pytest.raises(ValueError, match="^unknown world 'maze:x', perhaps 'maze'; use one of"):
-        get_world("maze:x@0.5")
-    with pytest.raises(ValueError, match="must be a number from 0 to 1, got '0.5:7'$"):
-        get_world("maze@0.5:7")
 
 
 @pytest.mark.parametrize("name", ["maze", "forest"])
@@ -146,7 +112,7 @@ def test_names_that_cannot_be_registered(name, message):
 def test_get_world_returns_the_same_object_for_the_same_name():
     still, moving = (
         ("inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"),
-        ("plaza", "corridor", "crossing", "field", "yard", "gates"),
+        ("plaza", "corridor", "crossing", "field", "yard"),
     )
     assert set(WORLDS) == {*still, *moving}
     assert get_world("maze") is get_world("maze") is get_world("maze:0")

@@ -37,7 +37,7 @@ from rover_rl.envs.specs import action_bounds
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.footprint import footprint
-from rover_rl.worlds import Obstacle, Terrain, World
+from rover_rl.worlds import Solids, Terrain, World
 from rover_rl.worlds.movers import Mover
 from rover_rl.worlds.pool import WorldPool
 
@@ -71,7 +71,7 @@ class Course:
     length: float
 
 
-def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
+def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
     """Creates a world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
 
     The environment needs areas for starts and goals: these are free ground left of the course, where no run is.

@@ -30,13 +30,14 @@ from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.envs.config import RobotLike
 from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.placement import Placement
+from rover_rl.names import Name
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.robots.fleet import largest_of
 from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.free_space.paths import shortest_paths
-from rover_rl.worlds import WORLDS, World, WorldName, get_world
+from rover_rl.worlds import WORLDS, World, get_world
 from rover_rl.worlds.pool import WorldPool, WorldSource
 from rover_rl.worlds.table import WorldTable
 
@@ -200,12 +201,12 @@ def endless_episodes(
 
 def portable(world: str | World) -> str | World:
     """Returns what gives the same world in another process: the name of a built-in one, else the world."""
-    is_built_in = isinstance(world, str) and WorldName.parse(world).part in WORLDS
+    is_built_in = isinstance(world, str) and Name.parse(world).part in WORLDS
     return world if is_built_in else get_world(world)
 
 
 def _seed_of(world: str | World) -> int:
-    return WorldName.parse(world).seed or 0 if isinstance(world, str) else 0
+    return Name.parse(world).settings.get("seed", 0) if isinstance(world, str) else 0
 
 
 @single_threaded()

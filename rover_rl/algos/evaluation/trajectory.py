@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +18,7 @@ from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
-from rover_rl.worlds.obstacles import Obstacle, groups_of
+from rover_rl.worlds.solids import Solids, bounding_balls
 
 TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
 _OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
@@ -200,7 +201,7 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
     return touched
 
 
-def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
+def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Solids]:
     """Obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
     if not world.obstacles:
         return []
@@ -214,13 +215,12 @@ def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle
 @lru_cache(maxsize=64)
 def _circles(world: World) -> tuple[Tensor, Tensor]:
     """Centers ``[N, 2]`` and radii ``[N]`` of the obstacles' bounding circles, seen from above, float64, m."""
-    outlines = [torch.from_numpy(solids.outlines) for solids in groups_of(world.obstacles)]
-    centers = [group.mean(1) for group in outlines]
-    radii = [(g - c[:, None]).norm(dim=-1).amax(1) for g, c in zip(outlines, centers, strict=True)]
-    return torch.cat(centers), torch.cat(radii)
+    outlines = Solids.of(world.obstacles).outlines
+    middles, radii = bounding_balls(np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).tolist())
+    return torch.from_numpy(middles), torch.from_numpy(radii)
 
 
-def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
+def _near(path: Tensor, obstacle: Solids, reach: float) -> Tensor:
     """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
     outline = obstacle.footprint.to(path)
     near = ((path >= outline.amin(0) - reach) & (path <= outline.amax(0) + reach)).all(-1)

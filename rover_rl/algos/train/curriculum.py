@@ -18,9 +18,9 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
+from rover_rl.names import Name
 from rover_rl.robots import get_robots
 from rover_rl.sims.free_space.fitting import RobotGroups
-from rover_rl.worlds.names import WorldName
 from rover_rl.worlds.pool import WorldPool
 
 _UPDATE_ATTEMPTS = 64  # number of attempts after which the weights of the worlds are updated
@@ -55,8 +55,8 @@ class Learnability:
 
     def __init__(self, pool: WorldPool) -> None:
         sources = [pool.source(index) for index in range(len(pool))]
-        names = [WorldName.parse(source) if isinstance(source, str) else WorldName("") for source in sources]
-        difficulties = [math.nan if name.difficulty is None else name.difficulty for name in names]
+        names = [Name.parse(source) if isinstance(source, str) else Name("") for source in sources]
+        difficulties = [name.settings.get("difficulty", math.nan) for name in names]
         self.difficulty = torch.tensor(difficulties, dtype=torch.float64)
         groups: dict[tuple[str, int | None], int] = {}
         self._group = torch.tensor([groups.setdefault(_group(name), len(groups)) for name in names])
@@ -113,8 +113,8 @@ def _rate(successes: Tensor, attempts: Tensor, prior: Tensor | float) -> Tensor:
     return (successes + _PRIOR_ATTEMPTS * prior) / (attempts + _PRIOR_ATTEMPTS)
 
 
-def _group(name: WorldName) -> tuple[str, int | None]:
-    level = name.difficulty
+def _group(name: Name) -> tuple[str, int | None]:
+    level = name.settings.get("difficulty")
     return name.part, None if level is None else min(int(level * _LEVELS), _LEVELS - 1)
 
 

@@ -46,9 +46,9 @@ from rover_rl.algos.workers import default_workers
 from rover_rl.envs.goal_pay import pays_for_goals
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.specs import available_device
+from rover_rl.names import check_training_seed
 from rover_rl.robots import check_training_robots
 from rover_rl.worlds import World
-from rover_rl.worlds.names import check_training_seed
 from rover_rl.worlds.pool import WorldPool, draws_worlds
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
 from rover_rl.native.bullet import pybullet
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.shapes import make_hull, make_mesh, terrain_strips
-from rover_rl.worlds import World
+from rover_rl.worlds import Solids, World
 from rover_rl.worlds.region import expanded
 
 STATIC, ROVERS = 1, 2
@@ -130,9 +129,8 @@ def add_mesh_bodies(client: int, world: World, reach: float) -> None:
     area = expanded(world.bounds, GROUND_MARGIN + reach)
     meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain, area)]
     if world.obstacles:
-        offsets = torch.tensor([0] + [len(o.vertices) for o in world.obstacles]).cumsum(0)
-        faces = torch.cat([o.faces + offset for o, offset in zip(world.obstacles, offsets[:-1], strict=True)])
-        meshes.append((torch.cat([o.vertices for o in world.obstacles]), faces))
+        solids = Solids.of(world.obstacles)
+        meshes.append((solids.vertices, solids.faces))
     for vertices, faces in meshes:
         shape = make_mesh(client, vertices.numpy(), faces.numpy())
         pybullet.createMultiBody(0, shape, physicsClientId=client)

@@ -16,7 +16,7 @@ from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
 from rover_rl.sims.bullet.geometry import add_mesh_bodies
 from rover_rl.worlds import World
-from rover_rl.worlds.solids import SolidTest
+from rover_rl.worlds.clearance import SolidTest
 
 RAYS_PER_CALL = 1024
 """Rays per call of ``rayTestBatch``.

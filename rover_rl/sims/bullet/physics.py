@@ -18,7 +18,7 @@ from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.movers.near import NearParts, fastest_point
 from rover_rl.sims.rover_state import Force
-from rover_rl.worlds import Obstacle, World
+from rover_rl.worlds import Solids, World
 from rover_rl.worlds.movers import Part
 
 ROVERS_PER_CLIENT = 64
@@ -74,7 +74,7 @@ class RoverPhysics:
                 self._rovers += [(client, load_rover(client, urdf, settings)) for _ in rovers]
         client, body = self._rovers[0]
         corners = bounding_box(client, body)
-        self._near = NearObstacles(world.obstacles, *corners, fastest_point(robot) * settings.control_dt)
+        self._near = NearObstacles(Solids.of(world.obstacles), *corners, fastest_point(robot) * settings.control_dt)
         # Radius of a sphere around the base frame that contains the rover, m.
         self.reach = float(np.linalg.norm(np.abs(corners).max(0)))
         self._movers: MoverBodies | None = None
@@ -276,10 +276,8 @@ class NearObstacles:
     far a point of it moves in a control step, m.
     """
 
-    def __init__(self, obstacles: Sequence[Obstacle], low: np.ndarray, high: np.ndarray, way: float) -> None:
-        corners = [obstacle.vertices.numpy() for obstacle in obstacles]
-        self._low = np.array([points.min(0) for points in corners]).reshape(-1, 3)
-        self._high = np.array([points.max(0) for points in corners]).reshape(-1, 3)
+    def __init__(self, obstacles: Solids, low: np.ndarray, high: np.ndarray, way: float) -> None:
+        self._low, self._high = obstacles.bounding_boxes
         self._center, self._half = (low + high) / 2, (high - low) / 2
         self._margin = way
 

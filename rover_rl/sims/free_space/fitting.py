@@ -13,10 +13,10 @@ from itertools import pairwise
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
+from rover_rl.names import SCALES, Name
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import largest_of
-from rover_rl.worlds import World, WorldName, takes_scale
-from rover_rl.worlds.names import SCALES, WorldRange, is_world_file
+from rover_rl.worlds import World, takes_scale
 from rover_rl.worlds.pool import WorldPool, WorldSource
 
 Source = TypeVar("Source")
@@ -79,7 +79,7 @@ def _fitted(worlds: Any, scale: float) -> Any:
         return WorldPool(*fitted) if isinstance(worlds, WorldPool) else type(worlds)(fitted)
     if scale == 1 or not takes_scale(worlds):
         return worlds
-    return f"{worlds}*{scale:g}"
+    return str(Name.parse(worlds).replace(scale=scale))
 
 
 class RobotGroups:
@@ -119,7 +119,7 @@ class RobotGroups:
                 groups += [(first, end - first) for first, end in pairwise([0, *ends])]
             else:
                 entries.append(entry)
-                scale = _scale_of(entry) if isinstance(entry, str) else None
+                scale = Name.parse(entry).settings.get("scale") if isinstance(entry, str) else None
                 groups.append((0, (scale and bisect_right(self._needs, scale)) or len(self.robots)))
         largest = [largest_of(self.robots[first : first + count]) for first, count in groups]
         return _Pool(entries, largest, self._worlds), groups
@@ -145,7 +145,3 @@ class _Pool(WorldPool):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return WorldPool, self.entries
-
-
-def _scale_of(name: str) -> float | None:
-    return None if is_world_file(name) else (WorldRange.parse(name) or WorldName.parse(name)).scale

@@ -27,7 +27,7 @@ from rover_rl.sims.free_space.passages import (
     headings_of_bins,
     orientations_of_bins,
 )
-from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
+from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays
 from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.terrain import MAX_SLOPE
@@ -135,7 +135,7 @@ _CELLS = ("spawn_cells", "goal_cells")
 def _stored(world: World, robot: Robot) -> FreeSpace:
     """The free space that is stored on disk, else computed and stored. A full or read-only disk is no error."""
     folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
-    key = content_key(code_key(*folders), _description(robot), world_key(world))
+    key = content_key(code_key(*folders), _description(robot), world.key)
     grid = CellGrid(overlap(world.bounds, world.terrain.extent))
     arrays = load_arrays(_KIND, key)
     if arrays is not None:

@@ -15,7 +15,7 @@ from rover_rl.sims.movers.company import solids_of
 from rover_rl.sims.movers.outlines import corners
 from rover_rl.sims.movers.parts import Parts
 from rover_rl.worlds import World
-from rover_rl.worlds.obstacles import groups_of
+from rover_rl.worlds.solids import Solids
 
 
 def check_standing(world: World, robot: Robot, pose: tuple[float, float, float], movers: Parts | None = None) -> None:
@@ -53,10 +53,10 @@ def check_standing(world: World, robot: Robot, pose: tuple[float, float, float],
 
 def _obstacles(world: World, low: np.ndarray, high: np.ndarray) -> Iterable[np.ndarray]:
     """Returns the vertices ``[V, 3]`` of the obstacles whose bounding boxes overlap with a box by its corners."""
-    for solids in groups_of(world.obstacles):
-        vertices = solids.vertices.numpy()
-        near = ((vertices.min(1) <= high) & (vertices.max(1) >= low)).all(-1)
-        yield from vertices[near]
+    solids = Solids.of(world.obstacles)
+    lows, highs = solids.bounding_boxes
+    for index in np.flatnonzero(((lows <= high) & (highs >= low)).all(-1)).tolist():
+        yield solids[index].vertices.numpy()
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> bool:

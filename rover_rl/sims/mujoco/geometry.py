@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rover_rl.native.mujoco import mujoco
-from rover_rl.worlds import Obstacle, World
+from rover_rl.worlds import Solids, World
 from rover_rl.worlds.region import expanded
 
 GROUND_MARGIN = 3.0
@@ -121,7 +121,7 @@ def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, body: Any = None, **opt
     (body or spec.worldbody).add_geom(type=kind, **options)
 
 
-def _box_frame(obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _box_frame(obstacle: Solids) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Returns the center ``[3]``, axes (columns) ``[3, 3]`` and the half extents ``[3]`` of a box, or ``None``."""
     corners, normals = obstacle.vertices.numpy(), obstacle.planes.numpy()[:, :3]
     if len(corners) != 8 or len(normals) != 6:

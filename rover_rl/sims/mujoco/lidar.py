@@ -8,7 +8,7 @@ from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
 from rover_rl.sims.mujoco.geometry import add_ground_tiles, add_obstacles
 from rover_rl.worlds import World
-from rover_rl.worlds.solids import SolidTest
+from rover_rl.worlds.clearance import SolidTest
 
 NUDGE = np.array((1.3e-6, 0.7e-6, 0.0))
 """Shift of all rays, m. A ray exactly along the edge of two triangles may miss both, and edges are on round numbers."""

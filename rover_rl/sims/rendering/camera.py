@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,7 +13,7 @@ from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.base import View
 from rover_rl.sims.rendering.kernels import light
 from rover_rl.sims.rendering.launches import array, launch
-from rover_rl.worlds import World
+from rover_rl.worlds import Solids, World
 
 FIELD_OF_VIEW = 60.0
 """Vertical field of view, degrees."""
@@ -40,9 +39,9 @@ class Sight:
     def __init__(self, world: World) -> None:
         self._mesh: wp.Mesh | None = None
         if world.obstacles:
-            corners = [obstacle.vertices[obstacle.faces.flatten()].numpy() for obstacle in world.obstacles]
-            vertices = np.concatenate(corners)
-            self._mesh = wp.Mesh(array(vertices, wp.vec3), array(np.arange(len(vertices)), int))
+            solids = Solids.of(world.obstacles)
+            faces = solids.faces.flatten().int().numpy()
+            self._mesh = wp.Mesh(array(solids.vertices.numpy(), wp.vec3), array(faces, int))
 
     def hidden(self, eye: Tensor, points: Tensor) -> Tensor:
         """Returns whether an obstacle lies between ``eye [..., 3]`` and ``points [..., 3]`` (m): bool ``[...]``."""

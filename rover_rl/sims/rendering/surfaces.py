@@ -14,8 +14,7 @@ from trimesh.graph import smooth_shade
 from trimesh.remesh import subdivide_to_size
 
 from rover_rl.sims.rendering.scenery import GOAL, GROUND, OBSTACLE, POST_LENGTH, POST_RADIUS
-from rover_rl.worlds import Terrain, World
-from rover_rl.worlds.obstacles import groups_of
+from rover_rl.worlds import Solids, Terrain, World
 
 SEGMENTS = 48
 """Number of sides of the prisms that stand for cylinders."""
@@ -80,13 +79,13 @@ def obstacles_surface(world: World, max_edge: float = MAX_EDGE) -> Surface | Non
 
     Triangles with an edge longer than ``max_edge`` (m) are divided.
     """
-    groups = groups_of(world.obstacles)
-    if not groups:
+    solids = Solids.of(world.obstacles)
+    if not solids:
         return None
     # Separate vertices for every triangle give flat shading with visible edges.
-    corners = np.concatenate([solids.vertices[:, solids.faces].reshape(-1, 3).numpy() for solids in groups])
-    tints = np.random.default_rng(0).uniform(1 - TINT, 1 + TINT, len(world.obstacles))
-    counts = [len(solids.faces) for solids in groups for _ in range(len(solids))]
+    corners = solids.vertices[solids.faces.flatten()].numpy()
+    tints = np.random.default_rng(0).uniform(1 - TINT, 1 + TINT, len(solids))
+    counts = [len(shape.faces) for shape in solids.shapes]
     obstacle = np.arange(len(counts)).repeat(counts)
     vertices, faces = corners, np.arange(len(corners)).reshape(-1, 3)
     if max_edge < math.inf:

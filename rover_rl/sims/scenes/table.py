@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ from rover_rl import worlds
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.worlds import World
-from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
-from rover_rl.worlds.obstacles import Solids, groups_of
+from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays
+from rover_rl.worlds.solids import Solids, bounding_balls, face_polygons
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""
@@ -89,7 +88,7 @@ class PackedScene:
         """Returns the packed world that is stored on disk, or packs and stores it: see :meth:`of`."""
         here = Path(__file__).parent
         code = code_key(here, Path(worlds.__file__).parent)
-        key = content_key(code, wp.config.version, repr(reach), world_key(world))
+        key = content_key(code, wp.config.version, repr(reach), world.key)
         arrays = load_arrays(KIND, key)
         if arrays is not None:
             return cls(**arrays)
@@ -108,10 +107,10 @@ class PackedScene:
         terrain = world.terrain
         heights = terrain.heights.numpy()
         block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
-        groups = groups_of(world.obstacles)
-        grid_numbers, grid = _grid(groups, reach)
+        solids = Solids.of(world.obstacles)
+        grid_numbers, grid = _grid(solids, reach)
         arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
-        arrays |= _solids(groups) | _faces(groups) | grid
+        arrays |= _solids(solids) | _faces(solids) | grid
         sizes = [_aligned(array.nbytes) for array in arrays.values()]
         memory = np.zeros(sum(sizes) + ALIGNMENT, dtype=np.uint8)
         scene = Scene()
@@ -164,52 +163,42 @@ def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
     return np.stack(planes, -1).astype(np.float32)
 
 
-def _solids(groups: Sequence[Solids]) -> dict[str, np.ndarray]:
+def _solids(solids: Solids) -> dict[str, np.ndarray]:
     """Returns planes, vertices and bounding spheres of the obstacles, as flat lists."""
-    planes = [solids.planes.numpy().reshape(-1, 4) for solids in groups]
-    vertices = [solids.vertices.numpy().reshape(-1, 3) for solids in groups]
-    spheres = [_spheres(solids.vertices.numpy()) for solids in groups]
-    plane_counts = [solids.planes.shape[1] for solids in groups for _ in range(len(solids))]
-    vertex_counts = [solids.vertices.shape[1] for solids in groups for _ in range(len(solids))]
+    vertices = solids.vertices.numpy()
+    middles, radii = bounding_balls(vertices, solids.starts) if solids else (vertices, np.zeros(0))
     return {
-        "spheres": np.concatenate([np.zeros((0, 4)), *spheres]).astype(np.float32),
-        "planes": np.concatenate([np.zeros((0, 4)), *planes]).astype(np.float32),
-        "plane_starts": np.cumsum([0, *plane_counts], dtype=np.int32),
-        "vertices": np.concatenate([np.zeros((0, 3)), *vertices]).astype(np.float32),
-        "vertex_starts": np.cumsum([0, *vertex_counts], dtype=np.int32),
+        "spheres": np.column_stack((middles, radii + ROUNDING)).astype(np.float32),
+        "planes": solids.planes.numpy().astype(np.float32),
+        "plane_starts": np.array(solids.plane_starts, dtype=np.int32),
+        "vertices": vertices.astype(np.float32),
+        "vertex_starts": np.array(solids.starts, dtype=np.int32),
     }
 
 
-def _faces(groups: Sequence[Solids]) -> dict[str, np.ndarray]:
-    """Returns the faces of the obstacles, as flat lists. Obstacles of a group share them."""
-    polygons = [polygon for solids in groups for polygon in solids.polygons]
-    firsts = np.cumsum([0, *(len(solids.polygons) for solids in groups)])
-    first_faces = [first for first, solids in zip(firsts.tolist(), groups, strict=False) for _ in range(len(solids))]
+def _faces(solids: Solids) -> dict[str, np.ndarray]:
+    """Returns the faces of the obstacles, as flat lists. Obstacles of the same shape share them."""
+    firsts, polygons = {}, list[np.ndarray]()
+    for index, shape in enumerate(solids.shapes):
+        if shape not in firsts:
+            firsts[shape] = len(polygons)
+            polygons += face_polygons(solids[index])
     return {
-        "first_faces": np.array(first_faces, dtype=np.int32),
+        "first_faces": np.array([firsts[shape] for shape in solids.shapes], dtype=np.int32),
         "face_starts": np.cumsum([0, *map(len, polygons)], dtype=np.int32),
         "corners": np.concatenate([np.zeros(0), *polygons]).astype(np.int32),
     }
 
 
-def _spheres(points: np.ndarray) -> np.ndarray:
-    """Centers and radii of bounding spheres of points ``[N, V, 3]``, with a margin for rounding: ``[N, 4]``."""
-    centers = points.mean(1)
-    radii = np.linalg.norm(points - centers[:, None], axis=-1).max(1) + ROUNDING
-    return np.column_stack((centers, radii))
-
-
-def _grid(groups: Sequence[Solids], reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _grid(solids: Solids, reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Returns the size and the lists of the broad-phase grid.
 
     The grid lists for each cell the obstacles within reach of a rover centered in it.
     """
-    if not groups:
+    if not solids:
         lists = {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}
         return {"grid_cell": GRID_CELL, "grid_columns": 0, "grid_rows": 0}, lists
-    outlines = [solids.vertices[..., :2].numpy() for solids in groups]
-    lows = np.concatenate([outline.min(1) for outline in outlines]) - reach
-    highs = np.concatenate([outline.max(1) for outline in outlines]) + reach
+    lows, highs = (corner[:, :2] + sign * reach for corner, sign in zip(solids.bounding_boxes, (-1, 1), strict=True))
     # A margin of one cell on all sides: kernels clamp rovers outside the grid to its outermost cells.
     corner = lows.min(0) - GRID_CELL
     columns, rows = (int(n) for n in np.ceil((highs.max(0) - corner) / GRID_CELL) + 1)

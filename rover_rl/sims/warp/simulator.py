@@ -31,7 +31,7 @@ from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.worlds import Obstacle, Terrain, World
+from rover_rl.worlds import Terrain, World, hull
 from rover_rl.worlds.table import WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
@@ -158,7 +158,7 @@ class WarpSimulator(Simulator):
         if self._form_count != len(self._movers.forms):
             self._form_count = len(self._movers.forms)
             # A world of the solids of all parts, each in its own frame.
-            solids = [Obstacle(torch.from_numpy(form.corners())) for form in self._movers.forms]
+            solids = [hull(form.corners()) for form in self._movers.forms]
             with wp.ScopedStream(self._stream):
                 self._forms[0] = World("forms", Terrain.flat((4.0, 4.0)), solids)
         if self._parts is not self._movers.parts:

@@ -13,10 +13,10 @@ import torch
 
 from rover_rl.files import errors_name, written_whole
 from rover_rl.plain import from_plain, to_plain
+from rover_rl.worlds.files import ARCHIVE_SUFFIX
 from rover_rl.worlds.files.movers import mover_from_plain, mover_to_plain
-from rover_rl.worlds.names import ARCHIVE_SUFFIX
-from rover_rl.worlds.obstacles import Obstacle
 from rover_rl.worlds.region import Area, Range, Region
+from rover_rl.worlds.solids import hull
 from rover_rl.worlds.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _fields(about: _About, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     places = {name: place for name, place in about.regions.items() if name in REGIONS}
     return {
         "terrain": terrain,
-        "obstacles": [Obstacle(torch.from_numpy(part)) for part in np.split(vertices, ends[:-1]) if len(ends)],
+        "obstacles": [hull(part) for part in np.split(vertices, ends[:-1]) if len(ends)],
         "movers": tuple(map(mover_from_plain, about.movers)),
         **{name: getattr(about, name) for name in FIELDS},
         **{name: Region(torch.from_numpy(arrays[name] > 0), *place) for name, place in places.items()},

@@ -16,8 +16,8 @@ from rover_rl.option_names import written
 from rover_rl.worlds.clearance import Site, clearance_on_grid
 from rover_rl.worlds.files.enclosure import CLEARANCE, Enclosures, grid_axes, largest, region_of
 from rover_rl.worlds.files.options import ImportOptions
-from rover_rl.worlds.obstacles import Obstacle
 from rover_rl.worlds.region import Area, Region, expanded, overlap, union
+from rover_rl.worlds.solids import Solids
 from rover_rl.worlds.terrain import MAX_SLOPE, Terrain
 
 OPEN_SIDE = 20.0
@@ -28,7 +28,7 @@ MARGIN = 1.0
 
 def find_areas(
     terrain: Terrain,
-    obstacles: Sequence[Obstacle],
+    obstacles: Sequence[Solids],
     options: ImportOptions,
     limits: Area,
     known: Callable[[np.ndarray], np.ndarray] | None = None,

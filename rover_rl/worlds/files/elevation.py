@@ -13,11 +13,10 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from rover_rl.option_names import written
-from rover_rl.worlds.files import optional
+from rover_rl.worlds.files import TIFF_SUFFIXES, optional
 from rover_rl.worlds.files.contents import Contents, Grid
 from rover_rl.worlds.files.geotiff import GeoTags, is_missing, read_tags
 from rover_rl.worlds.files.options import MAX_SIZE, ImportOptions
-from rover_rl.worlds.names import TIFF_SUFFIXES
 
 MAX_PIXELS = 36_000_000
 FAR = 1000.0

@@ -10,7 +10,7 @@ import torch
 
 from rover_rl.worlds.files.contents import Piece
 from rover_rl.worlds.files.triangles import face_normals, is_closed, signed_volume, surface_heights, upward_faces
-from rover_rl.worlds.obstacles import Obstacle
+from rover_rl.worlds.solids import hull
 from rover_rl.worlds.terrain import Terrain
 
 CELLS = 256
@@ -49,7 +49,7 @@ class Surface:
         vertices, faces = piece.vertices, piece.faces
         if faces is None:
             try:
-                solid = Obstacle(torch.from_numpy(vertices))
+                solid = hull(vertices)
                 vertices, faces = solid.vertices.numpy(), solid.faces.numpy()
             except ValueError:
                 faces = np.empty((0, 3), dtype=int)

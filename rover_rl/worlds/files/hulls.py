@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from scipy.spatial import ConvexHull
 
 from rover_rl.option_names import written
@@ -18,7 +17,7 @@ from rover_rl.worlds.files.triangles import (
     signed_volume,
     surface_samples,
 )
-from rover_rl.worlds.obstacles import Obstacle, even_directions
+from rover_rl.worlds.solids import Solids, even_directions, hull
 
 FEW_VERTICES = 256
 """Number of vertices of a convex solid up to which all are kept."""
@@ -45,7 +44,7 @@ def check_triangles(triangles: int) -> None:
         )
 
 
-def obstacles_of(piece: Piece, error: float) -> list[Obstacle]:
+def obstacles_of(piece: Piece, error: float) -> list[Solids]:
     """Returns convex solids in place of a connected piece.
 
     - A convex piece, or one that differs from its convex hull by at most ``error`` (m), becomes its hull.
@@ -56,7 +55,7 @@ def obstacles_of(piece: Piece, error: float) -> list[Obstacle]:
         ValueError: if the piece has no volume and no surface, or cannot be decomposed.
     """
     turn, place = piece.pose[:3, :3], piece.pose[:3, 3]
-    return [Obstacle(torch.from_numpy(part @ turn.T + place)) for part in _convex_parts(piece, error)]
+    return [hull(part @ turn.T + place) for part in _convex_parts(piece, error)]
 
 
 def _convex_parts(piece: Piece, error: float) -> list[np.ndarray]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 import yaml
 
 from rover_rl.option_names import written
@@ -21,7 +20,7 @@ from rover_rl.worlds.files.locate import Locator
 from rover_rl.worlds.files.options import MAX_SIZE, ImportOptions
 from rover_rl.worlds.files.rectangles import cover, slanted_cover
 from rover_rl.worlds.files.terrain import Ground, make_terrain
-from rover_rl.worlds.obstacles import Obstacle, box
+from rover_rl.worlds.solids import Solids, box, hull
 
 MODES = ("trinary", "scale", "raw")
 MAX_BYTES = 2**20
@@ -184,7 +183,7 @@ def _states(settings: _Map, gray: np.ndarray, clear: np.ndarray | None) -> np.nd
     return (states if clear is None else np.where(clear[::-1], UNKNOWN, states)).astype(np.uint8)
 
 
-def _walls(path: Path, settings: _Map, walls: np.ndarray, options: ImportOptions) -> tuple[list[Obstacle], str]:
+def _walls(path: Path, settings: _Map, walls: np.ndarray, options: ImportOptions) -> tuple[list[Solids], str]:
     """Returns the walls as exact boxes, or if those are too many, as slanted pieces, and a note.
 
     If these are too many, too, walls become thicker by ``obstacle_error`` at most, if that is two cells or more.
@@ -216,12 +215,12 @@ def _slanted(walls: np.ndarray, size: int) -> np.ndarray:
     return max(1, size) * slanted_cover(walls)
 
 
-def _prism(corners: np.ndarray, height: float) -> Obstacle:
+def _prism(corners: np.ndarray, height: float) -> Solids:
     low, high = (np.column_stack((corners, np.full(len(corners), z))) for z in (0.0, height))
-    return Obstacle(torch.from_numpy(np.concatenate((low, high))))
+    return hull(np.concatenate((low, high)))
 
 
-def _box(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Obstacle:
+def _box(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Solids:
     ((x, y),) = settings.points(np.array([(column + columns / 2, row + rows / 2)]))
     sides = settings.resolution * columns, settings.resolution * rows
     return box((float(x), float(y), height / 2), (*sides, height), yaw=settings.origin[2])

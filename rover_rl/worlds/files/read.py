@@ -11,6 +11,7 @@ import numpy as np
 
 from rover_rl.option_names import written
 from rover_rl.progress import ProgressDisplay
+from rover_rl.worlds.files import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUFFIXES, SUFFIXES
 from rover_rl.worlds.files.archive import read_archive
 from rover_rl.worlds.files.areas import find_areas
 from rover_rl.worlds.files.contents import Contents, Piece, Plane, listed
@@ -23,9 +24,8 @@ from rover_rl.worlds.files.options import ImportOptions, make_options
 from rover_rl.worlds.files.sdf import read_sdf
 from rover_rl.worlds.files.terrain import Ground, make_terrain
 from rover_rl.worlds.files.triangles import split
-from rover_rl.worlds.names import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUFFIXES, SUFFIXES
-from rover_rl.worlds.obstacles import Obstacle
 from rover_rl.worlds.region import Area
+from rover_rl.worlds.solids import Solids
 from rover_rl.worlds.terrain import Terrain
 
 MAX_PIECES = 50_000
@@ -111,7 +111,7 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
 
 
 def _areas(
-    pieces: list[Piece], terrain: Terrain, obstacles: list[Obstacle], options: ImportOptions, limits: Area
+    pieces: list[Piece], terrain: Terrain, obstacles: list[Solids], options: ImportOptions, limits: Area
 ) -> tuple[dict[str, Any], list[str]]:
     """Returns the areas. If they have no free ground, the error names the pieces that may be meant as ground."""
     try:
@@ -154,9 +154,9 @@ def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
 
 def _obstacles(
     pieces: list[Piece], terrain: Terrain, options: ImportOptions, display: ProgressDisplay
-) -> tuple[list[Obstacle], int, list[str]]:
+) -> tuple[list[Solids], int, list[str]]:
     """Returns the obstacles, the number of pieces that are below the ground, and what is wrong with those left out."""
-    obstacles: list[Obstacle] = []
+    obstacles: list[Solids] = []
     bad: list[str] = []
     buried = triangles = 0
     for number, piece in enumerate(pieces):

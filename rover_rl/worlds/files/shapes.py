@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from rover_rl.worlds.files import optional
+from rover_rl.worlds.files import MESH_SUFFIXES, TIFF_SUFFIXES, optional
 from rover_rl.worlds.files.contents import Contents, Grid, Piece, Plane
 from rover_rl.worlds.files.elevation import read_elevations
 from rover_rl.worlds.files.locate import Locator
@@ -16,7 +16,6 @@ from rover_rl.worlds.files.mesh_files import read_mesh
 from rover_rl.worlds.files.options import MAX_SIZE
 from rover_rl.worlds.files.triangles import merge_triangles
 from rover_rl.worlds.files.xml_tree import is_true, numbers, text_of
-from rover_rl.worlds.names import MESH_SUFFIXES, TIFF_SUFFIXES
 
 TOLERANCE = 0.005
 """Largest distance between a round shape and the polygon in its place, m."""

@@ -1,6 +1,6 @@
 """Generators of worlds: functions from a seed and a difficulty to a layout."""
 
-from rover_rl.worlds.generators.crowds import corridor, crossing, field, gates, plaza, with_walkers, yard
+from rover_rl.worlds.generators.crowds import corridor, crossing, field, plaza, with_walkers, yard
 from rover_rl.worlds.generators.forest import forest
 from rover_rl.worlds.generators.hills import hills
 from rover_rl.worlds.generators.inspect_site import inspect
@@ -14,7 +14,6 @@ __all__ = [
     "crossing",
     "field",
     "forest",
-    "gates",
     "hills",
     "inspect",
     "maze",

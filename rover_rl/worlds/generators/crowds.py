@@ -1,9 +1,8 @@
-"""Worlds in which people and obstacles move: plaza, corridor, crossing, field, yard, gates; and walkers in any world.
+"""Worlds in which people and obstacles move: plaza, corridor, crossing, field, yard; and walkers in any world.
 
 The walking speed of people is 1.34 +- 0.26 m/s (U. Weidmann, "Transporttechnik der Fussgaenger", ETH Zurich, 1993).
 Here, it rises with the difficulty to that. The numbers and speeds of the field span those of the DynaBARN worlds, 5 to
-24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s.
-At difficulty 1, the gates are as long and as fast as its sliding walls
+24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s
 (Z. Xu et al., "Benchmarking reinforcement learning techniques for autonomous navigation", ICRA 2023).
 """
 
@@ -13,12 +12,11 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander, Waypoints
-from rover_rl.worlds.obstacles import Obstacle, boxes, cylinders
-from rover_rl.worlds.region import Area, Region, union
+from rover_rl.worlds.region import Area, union
+from rover_rl.worlds.solids import Solids, boxes, cylinders
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -40,12 +38,6 @@ FIELD, FIELD_MOVERS, FIELD_SPEEDS = 20.0, (5, 14, 24), ((0.4, 0.9), (0.5, 1.45),
 """Side of the field, m, number of obstacles that move in it, and their least and greatest speed, m/s."""
 YARD_MOVERS, YARD_SPEEDS, YARD_RADIUS = (5, 15, 24), ((0.5, 0.95), (1.0, 1.45), (1.5, 1.95)), 0.5
 """Number of cylinders in a yard, their least and greatest speed, m/s, and their radius, m."""
-GATES, GATE_LENGTHS, GATE_SPEEDS = (1, 2, 2), ((1.5, 2.5), (2.5, 3.5), (3.5, 4.4)), ((0.4, 0.7), (0.7, 1.1), (1.0, 1.5))
-"""Number of gates in a passage, and their least and greatest length, m, and speed, m/s."""
-PASSAGE, GATE_THICKNESS, GATE_YAW = (13.0, 4.5), 0.1, 0.15
-"""Length and width of the passage, thickness of a gate, m, and its largest angle to the passage, rad."""
-END_CELL = 0.1
-"""Side length of the cells of the two ends of the passage, m."""
 CORNERS = (3, 6)
 """Least and greatest number of corners of a cylinder's path."""
 WALL, HEIGHT = 0.2, 2.0
@@ -125,7 +117,7 @@ def plaza(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
     return World(
         name="plaza",
         terrain=Terrain.flat((side, side)),
-        obstacles=(*enclosing_walls(side), *columns, *planters),
+        obstacles=(enclosing_walls(side), columns, planters),
         spawn_range=task,
         goal_range=task,
         movers=movers,
@@ -191,7 +183,7 @@ def crossing(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> 
     return World(
         name="crossing",
         terrain=Terrain.flat((length, length)),
-        obstacles=(*enclosing_walls(length), *boxes(corners, (block, block, HEIGHT))),
+        obstacles=(enclosing_walls(length), boxes(corners, (block, block, HEIGHT))),
         spawn_range=((-half + scale, -half + end), (-side, side)),
         goal_range=((half - end, half - scale), (-side, side)),
         movers=movers,
@@ -215,20 +207,20 @@ def field(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Wor
     half = side / 2
     reach, free = half - 2 * scale, half - scale
     inner: Area = ((-half + 0.7 * scale, half - 0.7 * scale),) * 2
-    movers, rest = [], list[Obstacle]()
+    movers, rest = [], list[Solids]()
     for number in range(round(scaled(difficulty, *FIELD_MOVERS))):
         length, width = rng.uniform(0.3, 1.0, 2).round(2).tolist()
         shape = Cylinder(length / 2, 1.0) if rng.random() < 0.7 else Box(length, width, 1.0)
         speed, turn_time = round(rng.uniform(low, high), 3), round(rng.uniform(2.0, 8.0), 1)
         if number % 10 == 9:
-            rest += cylinders(_raised(rng.uniform(-reach, reach, (1, 2)), 0.5), length / 2, 1.0, 16)
+            rest.append(cylinders(_raised(rng.uniform(-reach, reach, (1, 2)), 0.5), length / 2, 1.0, 16))
         else:
             movers.append(Mover(Wander(speed, turn_time, inner), shape, f"obstacle {number}"))
     task: Area = ((-free, free),) * 2
     return World(
         name="field",
         terrain=Terrain.flat((side, side)),
-        obstacles=(*enclosing_walls(side), *rest),
+        obstacles=(enclosing_walls(side), *rest),
         spawn_range=task,
         goal_range=task,
         movers=movers,
@@ -263,47 +255,6 @@ def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Worl
         obstacles=enclosing_walls(side),
         spawn_range=task,
         goal_range=task,
-        movers=movers,
-    )
-
-
-def gates(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
-    """Creates a passage along x that gates cross: long walls, which come out of one side and go into the other.
-
-    A gate lies along the passage and begins again at once: a rover has to be past it before it is back. Episodes start
-    at both ends, and half of the goals are at the other one.
-
-    Args:
-        seed: seed of the gates.
-        difficulty: difficulty in [0, 1]: 1, 2 (at 0.5) or 2 gates of 1.5 to 4.4 m, which slide at 0.4 to 1.5 m/s. At 1,
-            a rover needs about 2 m/s.
-        scale: factor of the lengths, for larger robots.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
-    """
-    rng = np.random.default_rng(seed)
-    (shortest, longest), (slowest, fastest) = (
-        [scale * scaled(difficulty, *ends) for ends in zip(*values, strict=True)]
-        for values in (GATE_LENGTHS, GATE_SPEEDS)
-    )
-    length, width = (round(scale * side, 1) for side in PASSAGE)
-    reach, side, end = length / 2 - scale, width / 2 - 0.6 * scale, 2 * scale
-    places = torch.arange(-reach + END_CELL / 2, reach, END_CELL)
-    ends = (places.abs() > reach - end).expand(round(2 * side / END_CELL), -1)
-    movers = []
-    for number in range(round(scaled(difficulty, *GATES))):
-        x, yaw = rng.uniform(-0.5, 0.5) * scale, rng.uniform(-GATE_YAW, GATE_YAW)
-        start = width / 2 * rng.choice((-1.0, 1.0))
-        period = round(width / rng.uniform(slowest, fastest), 2)
-        path = Waypoints([(0.0, x, start, yaw), (period, x, -start, yaw)], "loop", random_start=True)
-        movers.append(Mover(path, Box(round(rng.uniform(shortest, longest), 2), GATE_THICKNESS, 1.0), f"gate {number}"))
-    middle = (width + WALL) / 2
-    return World(
-        name="gates",
-        terrain=Terrain.flat((length, width + 2)),
-        obstacles=boxes([(0, y, HEIGHT / 2) for y in (-middle, middle)], (length, WALL, HEIGHT)),
-        spawn_region=Region(ends, END_CELL, (-reach, -side)),
         movers=movers,
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from rover_rl.worlds.generators.layouts import DEFAULT, largest_part, scaled
-from rover_rl.worlds.obstacles import cylinders
+from rover_rl.worlds.solids import cylinders
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -52,7 +52,7 @@ def forest(seed: int = 0, difficulty: float = DEFAULT) -> World:
     centers = _AXIS[np.argwhere(filled)[:, ::-1]]
     low = cylinders(_at_height(centers, HEIGHT / 2), RADIUS, HEIGHT, SIDES)
     tall = cylinders(_at_height(trunks[:, :2], TRUNK_HEIGHT / 2), trunks[:, 2], TRUNK_HEIGHT, TRUNK_SIDES)
-    return World(name="forest", terrain=Terrain.flat((SIDE, SIDE)), obstacles=(*tall, *low), spawn_range=TASK_AREA)
+    return World(name="forest", terrain=Terrain.flat((SIDE, SIDE)), obstacles=(tall, low), spawn_range=TASK_AREA)
 
 
 def _clutter(rng: np.random.Generator, difficulty: float) -> np.ndarray:

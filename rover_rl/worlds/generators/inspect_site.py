@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from rover_rl.worlds.generators.layouts import DEFAULT, relief, scaled, smoothstep
-from rover_rl.worlds.obstacles import Obstacle, box
+from rover_rl.worlds.solids import Solids, box, hull
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -93,7 +93,7 @@ def _crates(rng: np.random.Generator, count: int) -> list[tuple[float, float, fl
     return crates
 
 
-def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obstacle]:
+def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Solids, Solids]:
     """Creates a tilted panel and a closed stand below it, without an overhang that could trap a rover."""
     length, depth = PANEL[0], PANEL[1] * math.cos(TILT)
     low, high = _ground_below(terrain, x, y, length, depth)
@@ -103,10 +103,10 @@ def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obs
     top = [(u, v, z) for u in across for v, z in zip(along, (front, back), strict=True)]
     lift = PANEL[2] / 2
     center = (x, y - lift * math.sin(TILT), (front + back) / 2 + lift * math.cos(TILT))
-    return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(center, PANEL, roll=TILT)
+    return hull(np.array(bottom + top)), box(center, PANEL, roll=TILT)
 
 
-def _block(terrain: Terrain, x: float, y: float, length: float, depth: float) -> Obstacle:
+def _block(terrain: Terrain, x: float, y: float, length: float, depth: float) -> Solids:
     """Creates a wall or crate that stands on the ground."""
     low, high = _ground_below(terrain, x, y, length, depth)
     bottom, top = low - DEPTH_BELOW, high + HEIGHT_ABOVE

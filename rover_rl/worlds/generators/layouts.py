@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
-from rover_rl.worlds.obstacles import Obstacle, boxes
+from rover_rl.worlds.solids import Solids, boxes
 from rover_rl.worlds.terrain import MAX_SLOPE
 
 DEFAULT = 0.5
@@ -74,7 +74,7 @@ def gentle_cells(heights: np.ndarray, cell: float) -> np.ndarray:
     return np.maximum(lower, upper) <= math.tan(MAX_SLOPE) * cell
 
 
-def enclosing_walls(side: float) -> tuple[Obstacle, ...]:
+def enclosing_walls(side: float) -> Solids:
     """Creates four walls just outside a square floor around the origin, so that all of the floor is free."""
     middle, length = (side + WALL_THICKNESS) / 2, side + 2 * WALL_THICKNESS
     centers = np.array([(0, -middle), (0, middle), (-middle, 0), (middle, 0)])

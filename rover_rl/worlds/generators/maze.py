@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
-from rover_rl.worlds.obstacles import Obstacle, boxes
+from rover_rl.worlds.solids import Solids, boxes
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -58,7 +58,7 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     return World(
         name="maze",
         terrain=Terrain.flat((SIDE, SIDE)),
-        obstacles=(*enclosing_walls(SIDE), *_solid(blocks, difficulty)),
+        obstacles=(enclosing_walls(SIDE), _solid(blocks, difficulty)),
         spawn_range=TASK_AREA,
         bounds=((-30.0, 30.0), (-30.0, 30.0)),
     )
@@ -178,7 +178,7 @@ _WALLS = ((1 << _WIDTH * _WIDTH) - 1) & ~_FLOOR
 _MIDDLE = _squares(Block(MIDDLE[0], MIDDLE[0], len(MIDDLE), len(MIDDLE)))
 
 
-def _solid(blocks: list[Block], difficulty: float) -> tuple[Obstacle, ...]:
+def _solid(blocks: list[Block], difficulty: float) -> Solids:
     """Creates the blocks, thinner than their squares if the difficulty is below 0.5."""
     row, column, rows, columns = np.array(blocks, dtype=float).T
     low, high = np.stack((column, row)) - SIDE / 2, np.stack((column + columns, row + rows)) - SIDE / 2

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from rover_rl.worlds.generators.layouts import DEFAULT, relief, scaled
-from rover_rl.worlds.obstacles import Obstacle, boulder
+from rover_rl.worlds.solids import Solids, boulder
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -107,7 +107,7 @@ def _crater(distance: np.ndarray) -> np.ndarray:
     return np.where(distance < 1, bowl, rim)
 
 
-def _boulders(rng: np.random.Generator, terrain: Terrain, half: float, difficulty: float) -> list[Obstacle]:
+def _boulders(rng: np.random.Generator, terrain: Terrain, half: float, difficulty: float) -> list[Solids]:
     """Places boulders at random positions that keep the minimum gap."""
     placed: list[tuple[float, float, float]] = []
     gap = scaled(difficulty, *GAP)

@@ -7,7 +7,7 @@ import torch
 from scipy.ndimage import binary_erosion
 
 from rover_rl.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, scaled
-from rover_rl.worlds.obstacles import boxes
+from rover_rl.worlds.solids import boxes
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 

@@ -7,7 +7,7 @@ from scipy.ndimage import label
 
 from rover_rl.worlds.generators.floor_plan import WALL, FloorPlan, Rect, floor_plan
 from rover_rl.worlds.generators.layouts import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
-from rover_rl.worlds.obstacles import Obstacle, boxes
+from rover_rl.worlds.solids import Solids, boxes
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -58,7 +58,7 @@ def rooms(seed: int = 0, difficulty: float = DEFAULT) -> World:
     return World(
         name="rooms",
         terrain=Terrain.flat((SIDE / 10, SIDE / 10)),
-        obstacles=(*enclosing_walls(SIDE / 10), *_solids(plan, furniture)),
+        obstacles=(enclosing_walls(SIDE / 10), _solids(plan, furniture)),
         spawn_range=area,
         bounds=((-half - 1, half + 1), (-half - 1, half + 1)),
     )
@@ -129,7 +129,7 @@ def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
     return len(reached) == 1 and 0 not in reached
 
 
-def _solids(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> tuple[Obstacle, ...]:
+def _solids(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> Solids:
     """Creates the inner walls and the furniture."""
     parts = [(*wall, 0.0, WALL_HEIGHT) for wall in plan.walls]
     for piece, height in furniture:

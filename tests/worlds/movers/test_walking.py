@@ -13,7 +13,6 @@ from torch import Tensor
 from rover_rl.worlds import World, box, get_world
 from rover_rl.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, Person, SocialForce, Wander
 from rover_rl.worlds.movers.motions import Walk
-from rover_rl.worlds.obstacles import groups_of
 from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, walk, yard
 
 MOTIONS = [Wander(), Cross(), SocialForce(), Orca()]
@@ -23,15 +22,14 @@ CENTER = ((-4.0, 4.0), (-3.0, 3.0))
 def distance_to_obstacles(world: World, points: Tensor) -> Tensor:
     """Returns the horizontal distance of points outside obstacles to their outlines, 0 inside a box, ``[P]``, m."""
     nearest = torch.full_like(points[:, 0], math.inf)
-    for solids in groups_of(world.obstacles):
-        for outline in torch.as_tensor(solids.outlines, dtype=points.dtype):
-            inside = torch.ones_like(nearest, dtype=torch.bool)
-            for a, b in zip(outline, outline.roll(-1, 0), strict=True):
-                edge, offset = b - a, points - a
-                share = ((offset @ edge) / (edge @ edge)).clamp(0, 1)
-                nearest = torch.minimum(nearest, (offset - share[:, None] * edge).norm(dim=-1))
-                inside &= edge[0] * offset[:, 1] - edge[1] * offset[:, 0] > 0
-            nearest = nearest.masked_fill(inside, 0.0)
+    for obstacle in world.obstacles:
+        outline, inside = obstacle.footprint.to(points), torch.ones_like(nearest, dtype=torch.bool)
+        for a, b in zip(outline, outline.roll(-1, 0), strict=True):
+            edge, offset = b - a, points - a
+            share = ((offset @ edge) / (edge @ edge)).clamp(0, 1)
+            nearest = torch.minimum(nearest, (offset - share[:, None] * edge).norm(dim=-1))
+            inside &= edge[0] * offset[:, 1] - edge[1] * offset[:, 0] > 0
+        nearest = nearest.masked_fill(inside, 0.0)
     return nearest
 
 

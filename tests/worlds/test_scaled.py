@@ -7,8 +7,6 @@ import torch
 
 from rover_rl import World
 from rover_rl.worlds import Terrain, get_world, takes_scale
-from rover_rl.worlds.names import WorldName, WorldRange, unseen
-from rover_rl.worlds.widened import widened
 
 UNSCALED = f"{__name__}:unscaled"
 
@@ -57,7 +55,7 @@ def test_people_stay_as_large_as_they_are_where_ways_are_wider():
             assert wide_high - wide_low == pytest.approx(1.5 * (high - low))
     assert len(get_world("maze+walkers:3*1.5").movers) > len(get_world("maze+walkers:3").movers)
     with pytest.raises(ValueError, match="has movers: only its function can scale it"):
-        widened(get_world("maze+walkers:3"), 1.5)
+        get_world("maze+walkers:3").scaled(1.5)
 
 
 def test_a_scale_of_1_is_the_world_itself_and_a_scale_that_a_world_does_not_take_is_refused():
@@ -65,24 +63,12 @@ def test_a_scale_of_1_is_the_world_itself_and_a_scale_that_a_world_does_not_take
     assert get_world(f"{UNSCALED}:3*1") is get_world(f"{UNSCALED}:3")
     for name, message in {
         f"{UNSCALED}:3*2": f"world '{UNSCALED}' takes no scale, got 2",
-        "yard.yaml*2": "'yard.yaml' is a file, whose world has no scale, got 2",
-        "maze:3*0.1": "the scale of world 'maze:3\\*0.1' must be a number from 0.5 to 10, got '0.1'",
-        "maze:3*wide": "the scale of world 'maze:3\\*wide' must be a number from 0.5 to 10, got 'wide'",
-        "maze:*1.6": "lacks a '\\*': that of all seeds, and that of the scale, as in 'maze:\\*\\*1.6'",
+        "yard.yaml*2": "world 'yard.yaml' takes no scale, got 2",
     }.items():
         with pytest.raises(ValueError, match=message):
             get_world(name)
 
 
-def test_names_with_a_scale():
-    assert WorldName.parse("my_package:canyon:7@0.3*1.6") == WorldName("my_package:canyon", 7, 0.3, 1.6)
-    assert str(WorldName.parse("maze:7*1.6")) == "maze:7*1.6"
-    assert WorldRange.parse("maze:**1.6") == WorldRange("maze", 0, 9999, None, 1.6)
-    assert WorldRange.parse("maze:0-99@0.2-0.8*1.6").name(7) == "maze:7@0.396*1.6"
-    assert unseen("maze:**1.6") == "maze:10000*1.6"
-    assert [takes_scale(name) for name in ("maze:*", "maze:3*2", f"{UNSCALED}:3", "a/b.sdf")] == [
-        True,
-        False,
-        False,
-        False,
-    ]
+def test_only_worlds_whose_layout_can_be_larger_take_a_scale():
+    names = {"maze:*": True, "maze:3*2": False, f"{UNSCALED}:3": False, "a/b.sdf": False}
+    assert {name: takes_scale(name) for name in names} == names
