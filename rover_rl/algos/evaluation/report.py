@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
@@ -33,8 +32,8 @@ def print_table(
     """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
 
     Columns that do not fit into the width of the terminal, by default 80, go into a further table. Below, for ranges of
-    worlds, the worlds with the lowest success rates, and for policies in several backends, the first 20 episodes that
-    reach their goal in one backend and not in another. A last paragraph explains the columns.
+    worlds, the worlds with the lowest success rates, and for policies in several backends, the episodes that reach
+    their goal in one backend and not in another. A last paragraph explains the columns.
 
     Args:
         groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
@@ -61,8 +60,8 @@ def print_table(
     for evaluation in evaluations:
         if evaluation.episodes.several_worlds:
             console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
-    if comparable := _comparable(evaluations):
-        _print_disagreements([one for group in comparable for one in find_disagreements(group)], console)
+    for line in _disagreements(evaluations):
+        console.print(escape(line), highlight=False, soft_wrap=True)
     console.print(_legend([*shown], evaluations, grouped), style="dim", highlight=False)
 
 
@@ -152,20 +151,11 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
 
     ``evaluation.csv`` has a row for each episode, ``evaluation-summary.csv`` a row for each evaluation with all
     metrics and their intervals, and with several worlds, ``evaluation-worlds.csv`` a row for each world.
-
-    Evaluations of a policy in several backends also list ``disagreements``: the episodes that reach their goal in one
-    backend and not in another. The summary has their indices.
     """
-    found = {id(one): find_disagreements(group) for group in _comparable(evaluations) for one in group}
     results, summaries, by_world = [], [], []
     for one in evaluations:
-        result, row = MADE_BY | one.to_json(), one.summary()
-        if (disagreements := found.get(id(one))) is not None:
-            keys = ("episode", "start", "goal", "endings")
-            result["disagreements"] = [{key: getattr(each, key) for key in keys} for each in disagreements]
-            row["disagreements"] = " ".join(str(each.episode) for each in disagreements)
-        results.append(result)
-        summaries.append(row | estimate_row(one.metrics))
+        results.append(MADE_BY | one.to_json())
+        summaries.append(one.summary() | estimate_row(one.metrics))
         if one.episodes.several_worlds:
             head = {"policy": one.name, "backend": one.backend, "worlds": one.world_name}
             by_world += [head | world for world in one.by_world]
@@ -176,72 +166,26 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
         write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)
 
 
-@dataclass(frozen=True)
-class Disagreement:
-    """An episode (index in its set) that reaches its goal in one backend and not in another."""
-
-    policy: str
-    world: str
-    episode: int
-    start: list[float]
-    goal: list[float]
-    endings: dict[str, str]
-
-
-def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
-    reached, episodes = torch.stack([evaluation.reached for evaluation in group]), group[0].episodes
-    return [
-        Disagreement(
-            group[0].name,
-            episodes.world_name(episode),
-            episode,
-            episodes.start[episode].tolist(),
-            episodes.goal[episode].tolist(),
-            {evaluation.backend: evaluation.endings[episode] for evaluation in group},
-        )
-        for episode in (reached.any(0) & ~reached.all(0)).nonzero().squeeze(-1).tolist()
-    ]
-
-
-def _comparable(evaluations: Sequence[Evaluation]) -> list[list[Evaluation]]:
-    groups: dict[tuple[object, ...], list[dict[str, Evaluation]]] = {}
+def _disagreements(evaluations: Sequence[Evaluation]) -> Iterator[str]:
+    """Tells which episodes of a policy reach their goal in one backend and not in another."""
+    groups: dict[tuple[object, ...], dict[str, Evaluation]] = {}
     for one in evaluations:
         if not one.endless:
-            places = (one.episodes.start, one.episodes.goal, one.episodes.world_index)
-            same = (
-                one.name,
-                one.title,
-                one.imperfection,
-                one.action_repeat,
-                *(place.numpy().tobytes() for place in places),
-            )
-            fitting = groups.setdefault(same, [])
-            if (group := next((group for group in fitting if one.backend not in group), None)) is None:
-                fitting.append(group := {})
-            group[one.backend] = one
-    return [[*group.values()] for fitting in groups.values() for group in fitting if len(group) > 1]
-
-
-def _print_disagreements(disagreements: Sequence[Disagreement], console: Console) -> None:
-    if not disagreements:
-        console.print("The backends agree on which episodes reach their goal.")
-        return
-
-    def numbers(values: Sequence[float]) -> str:
-        return ", ".join(f"{value:.2f}" for value in values)
-
-    shown = disagreements[:LISTED]
-    columns = [
-        Column("episode", "", [str(one.episode) for one in shown]),
-        Column("start", "x, y, yaw", [numbers(one.start) for one in shown]),
-        Column("goal", "x, y", [numbers(one.goal) for one in shown]),
-    ]
-    for backend in dict.fromkeys(backend for one in shown for backend in one.endings):
-        columns.append(Column(backend, "", [one.endings.get(backend, "-") for one in shown]))
-    title = "Episodes that reach their goal in one backend and not in another"
-    print_tables(title, [f"{one.policy}\n{one.world}" for one in shown], columns, console)
-    if len(disagreements) > LISTED:
-        console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
+            same = one.name, one.imperfection, one.action_repeat, one.seconds, id(one.episodes)
+            groups.setdefault(same, {})[one.backend] = one
+    for by_backend in (group for group in groups.values() if len(group) > 1):
+        name, endings = (
+            next(iter(by_backend.values())).name,
+            zip(*(one.endings for one in by_backend.values()), strict=True),
+        )
+        differ = {number: each for number, each in enumerate(endings) if 0 < each.count("goal") < len(each)}
+        told = [
+            f"{number} ({', '.join(map(' '.join, zip(by_backend, each, strict=True)))})"
+            for number, each in differ.items()
+        ]
+        more = f" and {len(told) - LISTED} more" if len(told) > LISTED else ""
+        which = f"Reach their goal in one backend and not in another: episodes {', '.join(told[:LISTED])}{more}"
+        yield f"{name}: {which}" if told else f"{name}: the backends agree on which episodes reach their goal"
 
 
 def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console: Console) -> None:
