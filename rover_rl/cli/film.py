@@ -197,20 +197,8 @@ class Film:
             _write_page(recording, self.html)
             print(f"Page: {self.html}")
             return
-        rollout = film(
-            policy.module,
-            self.out,
-            world=world,
-            view=self.view,
-            seconds=seconds,
-            seed=self.seed or 0,
-            rows=rows,
-            width=self.width,
-            height=self.height,
-            fps=self.fps,
-            speed=self.speed,
-            env=env,
-        )
+        drive = {"world": world, "seconds": seconds, "seed": self.seed or 0, "rows": rows, "env": env}
+        rollout = film(policy.module, self.out, self._style, **drive)  # type: ignore[arg-type]
         print(f"Film: {self.out}")
         if self.rewards is not None:
             draw_reward_components(rollout, self.rewards)

@@ -8,7 +8,7 @@ import webbrowser
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -69,14 +69,14 @@ class Play:
         return path, drive
 
     def _film_policy(self) -> tuple[Path, Recording]:
-        from rover_rl.algos.video.film import CANDIDATES, film_to_goal
+        from rover_rl.algos.video.film import CANDIDATES, Style, film_to_goal
 
         policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
         world = policy.worlds[0] if policy.worlds else "moon"
         path = (policy.folder or FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-").replace("*", "x")
         check_outputs(path, force=self.force, option="rover-rl film --out")
-        size: dict[str, Any] = {"width": WIDTH, "height": HEIGHT}
-        drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
+        style = Style(width=WIDTH, height=HEIGHT)
+        drive = film_to_goal(policy.module, path, style, world=world, seconds=self.seconds, seed=self.seed)
         if drive.ending != "goal":
             print(f"From none of {CANDIDATES} starts, a goal was reached within {self.seconds:g} s: this is the first")
         return path, drive

@@ -41,7 +41,11 @@ _COLORS = 128
 
 @dataclass(frozen=True)
 class Style:
-    """How a film shows a drive: camera, size in pixels, frames per second (``None``: 20 for MP4, 10 for GIF), speed."""
+    """How a film shows a drive.
+
+    ``view`` is ``"chase"``, which follows the first rover, or ``"top"``, which shows all rovers from above. The size is
+    in pixels, ``fps=None`` is 20 for MP4 and 10 for GIF, and a ``speed`` of 2 is twice as fast as real time.
+    """
 
     view: View = "chase"
     width: int = 480
@@ -61,16 +65,12 @@ class Style:
 def film(
     policy: Policy | None,
     path: Path,
+    style: Style = Style(),
     *,
     world: str | World = "maze",
-    view: View = "chase",
     seconds: float = 20.0,
     seed: int = 0,
     rows: int = 1,
-    width: int = 480,
-    height: int = 360,
-    fps: int | None = None,
-    speed: float = 1.0,
     env: EnvConfig | None = None,
 ) -> TensorDictBase:
     """Films rovers in endless mode: a reached goal is followed by a new goal, an ended episode by a new start.
@@ -79,14 +79,8 @@ def film(
         policy: module that maps observations to actions, used without exploration at 20 Hz, with memory as often as in
             training; ``None`` acts at random.
         path: path of the video, ``.mp4`` or ``.gif``. GIFs have fewer colors.
-        world: world to drive in.
-        view: ``"chase"`` follows the first rover, ``"top"`` shows all rovers from above.
         seconds: duration of the drive, s.
-        seed: seed of starts and goals.
         rows: number of rovers.
-        width, height: size of the video, pixels.
-        fps: frames per second; ``None``: 20 for MP4, 10 for GIF.
-        speed: playback speed; 2 is twice as fast as real time.
         env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`. Its reward is
             recorded.
 
@@ -96,7 +90,6 @@ def film(
     Raises:
         ValueError: for another suffix, MP4 without the extra, an unknown view or world, or a number out of range.
     """
-    style = Style(view, width, height, fps, speed)
     style.check(path)
     check_positive(MAX_SECONDS, seconds=seconds)
     check_at_least(1, MAX_ROVERS, rows=rows)
@@ -108,32 +101,22 @@ def film(
 def film_to_goal(
     policy: Policy | None,
     path: Path,
+    style: Style = Style(),
     *,
     world: str = "maze",
     seconds: float = 20.0,
     seed: int | None = None,
-    width: int = 480,
-    height: int = 360,
     env: EnvConfig | None = None,
 ) -> Recording:
     """Films a drive that reaches its goal: the first of several, driven at the same time from different starts.
 
-    If none reaches its goal, the first drive is filmed, however it ends.
-
-    Args:
-        policy, path, world: as for :func:`film`.
-        seconds: time limit of a drive, s.
-        seed: seed of starts and goals; ``None``: the stored ones if the world has them.
-        width, height, env: as for :func:`film`.
+    If none reaches its goal, the first drive is filmed, however it ends. Arguments and errors are those of
+    :func:`film`; ``seed=None`` takes the stored starts and goals if the world has them.
 
     Returns:
         The drive that is filmed. Its ``ending`` is ``"goal"``, or how it failed; its ``episode`` is the index of its
         start among those of ``rover-rl evaluate``.
-
-    Raises:
-        ValueError: as for :func:`film`.
     """
-    style = Style(width=width, height=height)
     style.check(path)
     episodes = choose_episodes(world, CANDIDATES, seed, robot=environment_for(policy, env).robot)
     drives = record_episodes(policy, episodes, seconds=seconds, name="driving", env=env)

@@ -4,6 +4,7 @@ import math
 import sys
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from PIL import Image
 
 from rover_rl import RoverEnv, World, make_env
-from rover_rl.algos.video.film import film
+from rover_rl.algos.video.film import Style, film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.sims.rendering.camera import Camera, Sight
@@ -73,14 +74,16 @@ def test_lidar_beams_end_where_they_meet_something() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "duration"),
-    [({"view": "chase", "seconds": 1.0}, 100), ({"view": "top", "seconds": 2.0, "speed": 4, "fps": 20}, 50)],
+    ("style", "seconds", "duration"),
+    [({"view": "chase"}, 1.0, 100), ({"view": "top", "speed": 4, "fps": 20}, 2.0, 50)],
     ids=["chase", "fast"],
 )
-def test_a_gif_has_the_size_and_the_time_asked_for(settings: dict, duration: int, tmp_path: Path) -> None:
+def test_a_gif_has_the_size_and_the_time_asked_for(
+    style: dict[str, Any], seconds: float, duration: int, tmp_path: Path
+) -> None:
     path, before = tmp_path / "new" / "film.gif", b""
     for _ in range(2):
-        film(straight, path, world=FIELD, width=99, height=64, seed=3, **settings)
+        film(straight, path, Style(width=99, height=64, **style), world=FIELD, seconds=seconds, seed=3)
         assert before in (b"", path.read_bytes())
         before = path.read_bytes()
     with Image.open(path) as picture:
@@ -92,14 +95,14 @@ def test_a_gif_has_the_size_and_the_time_asked_for(settings: dict, duration: int
 def test_an_mp4_is_a_film(tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg")
     path = tmp_path / "film.mp4"
-    film(None, path, world=FIELD, view="top", rows=2, seconds=0.5, width=96, height=64)
+    film(None, path, Style("top", 96, 64), world=FIELD, rows=2, seconds=0.5)
     pictures = [np.asarray(picture) for picture in imageio.get_reader(path)]
     assert len(pictures) == 10
     assert pictures[0].shape == (64, 96, 3)
 
 
 def test_the_first_rover_is_told_of(tmp_path: Path) -> None:
-    told = film(straight, tmp_path / "film.gif", world=WALL, view="top", rows=2, seconds=8, seed=1, width=64, height=48)
+    told = film(straight, tmp_path / "film.gif", Style("top", 64, 48), world=WALL, rows=2, seconds=8, seed=1)
     env = make_env(world_n=WALL, num_envs=2, seed=1)
     expected = env.rollout(160, straight, break_when_any_done=False)[0]
     env.close()
@@ -109,18 +112,20 @@ def test_the_first_rover_is_told_of(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "message"),
+    ("name", "style", "seconds", "message"),
     [
-        ("film.avi", {}, r"must be \.mp4 or \.gif, got .*film\.avi"),
-        ("film.gif", {"seconds": 0}, "seconds must be positive"),
-        ("film.gif", {"view": "side"}, "unknown view 'side'"),
-        ("film.mp4", {}, r'pip install "rover_rl\[video\]"'),
+        ("film.avi", Style(), 1.0, r"must be \.mp4 or \.gif, got .*film\.avi"),
+        ("film.gif", Style(), 0.0, "seconds must be positive"),
+        ("film.gif", Style("side"), 1.0, "unknown view 'side'"),
+        ("film.mp4", Style(), 1.0, r'pip install "rover_rl\[video\]"'),
     ],
 )
-def test_what_cannot_be_filmed_is_refused(name, settings, message, tmp_path, monkeypatch) -> None:
+def test_what_cannot_be_filmed_is_refused(
+    name: str, style: Style, seconds: float, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(ValueError, match=message):
-        film(None, tmp_path / name, **settings)
+        film(None, tmp_path / name, style, seconds=seconds)
     assert not list(tmp_path.iterdir())
 
 

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.video.film import film
+from rover_rl.algos.video.film import Style, film
 from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides
 from rover_rl.envs import EnvConfig
@@ -38,7 +38,7 @@ def frames(path: Path) -> list[np.ndarray]:
 def test_a_film_shows_movers(view, tmp_path: Path) -> None:
     def violet(world: World) -> list[int]:
         path = tmp_path / "film.gif"
-        film(straight, path, world=world, view=view, seconds=0.6, seed=2, width=240, height=180, env=WARP)
+        film(straight, path, Style(view, 240, 180), world=world, seconds=0.6, seed=2, env=WARP)
         return [((p[..., 2] > 1.2 * p[..., 0]) & (p[..., 0] > 1.2 * p[..., 1])).sum() for p in frames(path)]
 
     around = [Waypoints([(0.0, 4 * math.cos(k), 4 * math.sin(k), 0.0)]) for k in range(6)]
