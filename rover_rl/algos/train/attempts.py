@@ -81,11 +81,7 @@ class AttemptCounter(AttemptEntries):
 
     Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` and the transform that truncates.
 
-    Args:
-        ends: transform that truncates the episodes.
-        action_repeat: number of steps of a decision.
-        length: number of steps of the longest episode.
-        dt: duration of a step, s.
+    ``length`` is the number of steps of the longest episode, and ``dt`` the duration of a step, s.
     """
 
     key, entries = "attempts", ("begun", "reached", "failed")

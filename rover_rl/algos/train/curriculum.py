@@ -41,10 +41,8 @@ class Learnability:
     same tenth of the range from 0 to 1. The estimate of a group starts from that of the pool, and that of the pool from
     0.5. Each of them counts as four attempts.
 
-    Attributes:
-        attempts: number of attempts in each world of the ``pool``, with their weights, float64 ``[len(pool)]``.
-        successes: number of successful ones of them, float64 ``[len(pool)]``.
-        difficulty: difficulty of each world, nan for those named without one, float64 ``[len(pool)]``.
+    ``attempts`` and ``successes`` are those in each world, with their weights, and ``difficulty`` is nan for worlds that
+    are named without one; all float64 ``[len(pool)]``.
 
     Example:
         >>> learnability = Learnability(WorldPool("maze:0-99@0-1"))
@@ -93,9 +91,8 @@ class Learnability:
         A part ``1 - share`` of the draws is even. In the other part, the weight of a world is its learnability to the
         power of ``1 / temperature``: low temperatures draw only the most learnable worlds.
 
-        SFL draws evenly from a buffer of the most learnable worlds instead, whose estimates come from separate rollouts
-        in a random sample. Weights need neither a size of the buffer for each size of a pool, nor a ranking of
-        estimates that hardly differ.
+        SFL draws evenly from a buffer of the most learnable worlds instead. Weights need neither a size of the buffer
+        for each size of a pool, nor a ranking of estimates that hardly differ.
         """
         values = self.values
         # Relative to the largest value, so that powers do not underflow everywhere.
@@ -133,15 +130,10 @@ class Curriculum(AttemptEntries):
     episodes.
 
     Args:
-        env (rover_rl.RoverEnv): environment that draws worlds.
-        share: part of the episodes that draws by learnability, from 0 to 1. The others draw evenly.
-        temperature: temperature of these draws: see :meth:`Learnability.probabilities`.
-        estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
+        share, temperature: see :meth:`Learnability.probabilities`.
+        estimates: state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
         per_batch: whether the estimates learn from whole batches, with ``batch_collected()``, instead of from each
             step. On a GPU, the host waits for the device each time they learn.
-
-    Attributes:
-        learnability: estimates of the worlds.
 
     Raises:
         ValueError: if the environment does not draw a world for each episode.
@@ -195,11 +187,7 @@ class Curriculum(AttemptEntries):
 
 
 class CurriculumRecord:
-    """Worlds that a training run has drawn, and what the policy did in them, in all workers and sessions.
-
-    Attributes:
-        learnability: estimates from the attempts of all workers.
-    """
+    """Worlds that a training run has drawn, and what the policy did in them, in all workers and sessions."""
 
     def __init__(self, config: TrainingConfig) -> None:
         self._names = config.env.world_names

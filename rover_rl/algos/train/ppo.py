@@ -1,15 +1,8 @@
 """PPO with TorchRL: collect decisions of a batch of rovers, estimate advantages, take gradient steps.
 
-:func:`rover_rl.algos.train.train` is the training loop and :class:`PPOLearner` the update.
-:mod:`rover_rl.algos.train.collectors` collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and
-:mod:`rover_rl.algos.train.run` handles the run's folder, log, checkpoints and Ctrl-C.
-
-The loop is explicit instead of using TorchRL 0.14's experimental ``PPOTrainer``. With hooks for reward scale, one GAE
-per batch, annealing, mirror augmentation, imitation, log and time limit, ``PPOTrainer`` trains equally well and fast
-(inspect, one seed, 123,000 steps: 64 of 64 stored episodes reach the goal with both). Its drawbacks: without an
-additional handler, Ctrl-C and SIGTERM end it without a checkpoint; by default, its files lack the state of PyTorch's
-random generator; with a fixed number of gradient steps per epoch it skips every second epoch; and the losses that it
-logs are means over the last epoch only.
+The loop is explicit instead of TorchRL 0.14's experimental ``PPOTrainer``, which trains equally well and fast, but ends
+without a checkpoint at Ctrl-C, saves no state of PyTorch's random generator, and with a fixed number of gradient steps
+skips every second epoch.
 """
 
 from __future__ import annotations

@@ -95,16 +95,10 @@ class Learner(ABC):
 
 @dataclass(frozen=True)
 class TrainingSummary:
-    """Summary of a training run.
+    """Summary of a training run, with the steps of all rovers and the minutes of all sessions together.
 
-    Attributes:
-        folder: folder of the run.
-        steps: number of steps, all rovers together.
-        minutes: duration of all sessions together.
-        interrupted: whether the user stopped the run.
-        shares: shares of this session's wall-clock time, by activity: see :class:`Stopwatch`.
-        reached_before: limits that the run had reached before this session, which therefore trained nothing:
-            ``"total_steps"``, ``"max_minutes"`` or both.
+    ``shares`` are those of this session's wall-clock time, by activity. ``reached_before`` names the limits that the run
+    had reached before this session, which therefore trained nothing: ``"total_steps"``, ``"max_minutes"`` or both.
     """
 
     folder: Path

@@ -1,12 +1,8 @@
 """SAC with TorchRL: collect decisions of a batch of rovers into a replay buffer, take gradient steps on samples of it.
 
 With several workers, collection continues during the gradient steps, with a policy that is one batch old. SAC is
-off-policy and learns from data of older policies. For what is around the update see :mod:`rover_rl.algos.train.ppo`.
-
-The loop is explicit instead of using TorchRL 0.14's ``SACTrainer``, which learns with the same losses (inspect, 102,000
-steps). Its default file lacks the replay buffer. ``torchrl.checkpoint.Checkpoint`` saves the buffer, but a process that
-is killed between its two renames leaves no checkpoint. ``init_random_frames`` counts steps in the trainer and decisions
-in the collector.
+off-policy and learns from data of older policies. The loop is explicit instead of TorchRL 0.14's ``SACTrainer``, whose
+file lacks the replay buffer.
 """
 
 from __future__ import annotations

@@ -21,28 +21,17 @@ PROJECT = "rover_rl"  # default name of the project in Weights & Biases, Trackio
 class Trackers:
     """Sends rows of values to experiment trackers.
 
-    A tracker that fails during training is reported once and left out from then on: training is worth more than its
-    record, which ``progress.csv`` holds anyway.
-
-    Args:
-        names: names of the trackers: see ``rover_rl.algos.config.TrackerName``.
-        folder: folder of the run. Weights & Biases, TensorBoard and CSV files are in it, the database of MLflow is
-            beside it, and Trackio has a folder of its own (environment variable ``TRACKIO_DIR``).
-        config: settings of the run, which the trackers that have a place for them show.
-        resumed_at: number of steps that a resumed run goes on from; ``None``: a new run.
-        say: function that reports a tracker that fails.
+    A tracker that fails during training is reported once with ``say`` and left out from then on: training is worth more
+    than its record, which ``progress.csv`` holds anyway. The files of Weights & Biases, TensorBoard and CSV are in the
+    folder of the run, the database of MLflow is beside it, and Trackio has a folder of its own (environment variable
+    ``TRACKIO_DIR``). ``resumed_at`` is the number of steps that a resumed run goes on from; ``None``: a new run.
 
     Raises:
         ValueError: if a tracker cannot be opened, for example because nobody is logged in.
     """
 
     def __init__(
-        self,
-        names: Sequence[str],
-        folder: Path,
-        config: TrainingConfig,
-        resumed_at: int | None,
-        say: Callable[[str], None],
+        self, names: Sequence[str], folder: Path, config: TrainingConfig, resumed_at: int | None, say: Callable
     ) -> None:
         self._say = say
         self._open: dict[str, Logger] = {}
