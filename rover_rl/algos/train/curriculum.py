@@ -41,7 +41,7 @@ class Learnability:
     same tenth of the range from 0 to 1. The estimate of a group starts from that of the pool, and that of the pool from
     0.5. Each of them counts as four attempts.
 
-    ``attempts`` and ``successes`` are those in each world, with their weights, and ``difficulty`` is nan for worlds that
+    ``attempts`` and ``successes`` are those in each world, with their weights; ``difficulty`` is nan for worlds that
     are named without one; all float64 ``[len(pool)]``.
 
     Example:

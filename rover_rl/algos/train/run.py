@@ -97,7 +97,7 @@ class Learner(ABC):
 class TrainingSummary:
     """Summary of a training run, with the steps of all rovers and the minutes of all sessions together.
 
-    ``shares`` are those of this session's wall-clock time, by activity. ``reached_before`` names the limits that the run
+    ``shares`` are those of this session's time, by activity. ``reached_before`` names the limits that the run
     had reached before this session, which therefore trained nothing: ``"total_steps"``, ``"max_minutes"`` or both.
     """
 
