@@ -120,11 +120,6 @@ class Evaluation:
     def success_rate(self) -> float:
         return self.reached.double().mean().item()
 
-    @property
-    def goals_per_2000_steps(self) -> float:
-        """Number of goals reached per 2,000 steps, the length of a full episode."""
-        return int(self.reached.sum()) * EnvConfig.length / sum(map(len, self.trajectories))
-
     @cached_property
     def by_world(self) -> list[dict[str, Any]]:
         """Results in each world, in the order of the pool.

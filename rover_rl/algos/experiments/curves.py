@@ -17,7 +17,6 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from scipy.stats import trim_mean
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, style_axes
-from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.experiments.runs import WINDOW, Against, Experiment, Measure, Run, group
 from rover_rl.algos.experiments.statistics import interval
 from rover_rl.files import written_whole
@@ -35,9 +34,7 @@ _PALETTES = {"ppo": (BLUE, GREEN, SKY, PURPLE, ORANGE, RED), "sac": (RED, ORANGE
 _LINES = ("-", "--", ":", "-.")  # styles of the lines, one for each turn through the colors
 
 
-def draw_learning_curve(
-    runs: Sequence[str | Path], path: Path, baseline: Evaluation | None = None, panels: Panels = OF_A_RUN
-) -> None:
+def draw_learning_curve(runs: Sequence[str | Path], path: Path, panels: Panels = OF_A_RUN) -> None:
     """Draws success rate and goals against training steps or training time, with a row of panels for each world.
 
     Each point is a ratio of sums over a window of a twelfth of the run, so that it does not depend on the number of
@@ -46,7 +43,6 @@ def draw_learning_curve(
 
     Args:
         runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
-        baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
         panels: what each column of panels shows.
 
     Raises:
@@ -63,11 +59,9 @@ def draw_learning_curve(
         for ax, (measure, against) in zip(row, panels, strict=True):
             for curve in here:
                 curve.draw(ax, measure, against)
-            if baseline is not None and baseline.episodes.name == world:
-                _draw_baseline(ax, measure, baseline)
             _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
         row[0].set_title(world, loc="left", fontweight="bold")
-    handles = _legend(curves, baseline)
+    handles = _legend(curves)
     # Two long labels do not fit side by side.
     columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
@@ -126,20 +120,11 @@ def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
     style_axes(ax)
 
 
-_BASELINE: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1.8}
-
-
-def _draw_baseline(ax: Axes, measure: Measure, baseline: Evaluation) -> None:
-    level = baseline.success_rate if measure == "success" else baseline.goals_per_2000_steps
-    # Drawn above the axes and not clipped, since a level of 0 is on the x axis.
-    ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
-
-
 _LABEL = 96  # largest number of characters in a line of the legend
 _LONG_LABEL = 48  # largest number of characters of a label in a legend with two columns
 
 
-def _legend(curves: Sequence[_Curve], baseline: Evaluation | None) -> list[Line2D | Patch]:
+def _legend(curves: Sequence[_Curve]) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [Line2D([], [], linewidth=2.2, label=one.label, **one.style) for one in curves]
     if any(len(one.experiment.runs) > 1 for one in curves):
         label = "lines: interquartile mean of the runs; areas: its 95 % interval"
@@ -147,6 +132,4 @@ def _legend(curves: Sequence[_Curve], baseline: Evaluation | None) -> list[Line2
     if any(len(one.experiment.runs) == 1 for one in curves):
         label = f"averaged over {_NARROW:.0%} of the run instead of {WINDOW:.0%}"
         handles.append(Line2D([], [], color=GREY, alpha=0.4, linewidth=1, label=label))
-    if baseline is not None and any(one.experiment.world == baseline.episodes.name for one in curves):
-        handles.append(Line2D([], [], label=f"{baseline.name} policy", **_BASELINE))
     return handles

@@ -46,7 +46,6 @@ def test_driving_at_the_goal_reaches_it_on_open_ground(driven: Evaluation) -> No
         torch.testing.assert_close(path[0], start[:2], atol=0.02, rtol=0)
         assert torch.dist(path[-1], goal) < 0.5
     assert driven.metrics["mean_time_to_traverse"].value > EPISODES.shortest.mean()
-    assert driven.goals_per_2000_steps == pytest.approx(3 * 2000 / sum(map(len, driven.trajectories)))
 
 
 @pytest.mark.parametrize("kind", ["random", "gru"])

@@ -48,14 +48,3 @@ def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
     labels |= {"sac-maze-0 (SAC in maze): 81,920 steps in 2.0 min": 1, "training time (min)": 2}
     labels |= {"lines: interquartile mean of the runs; areas: its 95 % interval": 1}
     assert {label: text.count(f"<!-- {label} -->") for label in labels} == labels
-
-
-def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", training_config("ppo", world="field"))
-    draw_learning_curve([run], tmp_path / "without.svg")
-    draw_learning_curve([run], tmp_path / "with.svg", scripted())
-    assert "scripted policy" in texts(tmp_path / "with.svg")
-    assert "policy" not in texts(tmp_path / "without.svg")
-    elsewhere = write_run(tmp_path / "elsewhere", training_config("ppo", world="moon"))
-    draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", scripted())
-    assert "policy" not in texts(tmp_path / "elsewhere.svg")
