@@ -47,9 +47,7 @@ def lines(evaluations: list[Evaluation], width: int, terminal: bool, columns: li
     yield from text.splitlines()
 
 
-@pytest.mark.parametrize("width", [80, 120])
-@pytest.mark.parametrize("terminal", [False, True])
-@pytest.mark.parametrize("columns", [[], ["all"]], ids=["default", "all"])
+@pytest.mark.parametrize(("width", "terminal", "columns"), [(80, True, ["all"]), (120, False, [])])
 def test_no_line_is_too_wide_and_no_name_or_number_is_cut(
     evaluations: list[Evaluation], width: int, terminal: bool, columns: list[str]
 ) -> None:
