@@ -112,7 +112,7 @@ class ChaseView:
         pose = rover.position.double(), rover.orientation.double()
         camera = Camera.on(*pose, renderer.sight, "chase")
         image = renderer.render_from(camera, *pose, *self._size, moment.goal[0], moment.movers).numpy()
-        start, hits = lidar_hits(rover, moment.scan[0], self._recording.robot, self._recording.ray_angles)
+        start, hits = lidar_hits(moment.rover, moment.scan, self._recording.robot, self._recording.ray_angles)
         points = _points(start, hits)
         pixels, seen = camera.see(points, *self._size)
         if moment.movers is not None:
@@ -148,15 +148,6 @@ _ARROWS = "↑↖←↙↓↘→↗"
 """Arrows for directions relative to the rover, counterclockwise from straight ahead."""
 
 
-def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes the origin ``[3]`` and the hit points ``[hits, 3]`` of the lidar beams of one rover, m."""
-    hit = torch.isfinite(ranges)
-    rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * ranges[hit, None]
-    mount = torch.tensor(robot.lidar_position)
-    points = rover.position + rotate(rover.orientation, torch.cat((mount[None], mount + rays)))
-    return points[0], points[1:]
-
-
 def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
     """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
     ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
@@ -165,6 +156,12 @@ def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor)
     position, orientation = rover.position.cpu()[:, None], rover.orientation.cpu()[:, None]
     start = position + rotate(orientation, mount.expand(len(position), 1, 3))
     return start, position + rotate(orientation, mount + directions * ranges)
+
+
+def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes the origin ``[3]`` and the hit points ``[hits, 3]`` of the lidar beams of the first rover, m."""
+    start, ends = lidar_beams(rover[:1], ranges[:1], robot, angles)
+    return start[0, 0], ends[0][ends[0].isfinite().all(-1)]
 
 
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
@@ -216,7 +213,7 @@ class TopView:
         rover, recording = moment.rover, self._recording
         self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
         self._draw_trails()
-        start, hits = lidar_hits(rover[0], moment.scan[0], recording.robot, recording.ray_angles)
+        start, hits = lidar_hits(rover, moment.scan, recording.robot, recording.ray_angles)
         self._beams.set_segments(torch.stack((start.expand_as(hits), hits), 1)[..., :2].tolist())
         self._hits.set_offsets(hits[:, :2].numpy())
         self._goals.set_offsets(moment.goal.numpy())

@@ -66,7 +66,7 @@ def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
 def test_lidar_beams_end_where_they_meet_something() -> None:
     with closing(RoverEnv(world_n=WALL, seed=0)) as env:
         env.reset(start=torch.tensor([[0.0, 0.5, 1.0]]))
-        start, hits = lidar_hits(env.rover_state[0], env.scan[0], env.robot, env.scanner.angles)
+        start, hits = lidar_hits(env.rover_state, env.scan, env.robot, env.scanner.angles)
     assert len(hits) > 10
     torch.testing.assert_close(hits[:, 0], torch.full((len(hits),), 1.8), atol=0.01, rtol=0)
     assert hits[:, 1].abs().max() < 2.01
