@@ -131,7 +131,7 @@ LEARNERS = {
 }
 
 
-COLLECTED = {**LEARNERS, "pool": training_config("ppo", world=POOL)}
+COLLECTED = {"sac": LEARNERS["sac"], "pool": training_config("ppo", world=POOL)}
 """Trainings whose actors collect batches."""
 
 
