@@ -96,7 +96,6 @@ nitpick_ignore = [
         *(
             "Area",
             "AutoresetMode",
-            "Company",
             "EnvBase",
             "Missing",
             "Path",

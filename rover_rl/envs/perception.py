@@ -19,7 +19,7 @@ from rover_rl.envs.config import PoseConfig, Randomization
 from rover_rl.rng import between, random_bits, to_normal, to_unit
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds.movers.motions.base import Others
+from rover_rl.worlds.movers import Rovers
 
 _DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE = 7, 8, 9, 23, 24
 """Streams of random numbers."""
@@ -45,10 +45,10 @@ class Perception:
         self.readings = pooling(ranges)
 
 
-def rovers_of(truth: Perception, radius: float) -> Others:
+def rovers_of(truth: Perception, radius: float) -> Rovers:
     """Returns the rovers as movers see them, with the velocity of their wheels."""
     heading = torch.cat((truth.yaw.cos(), truth.yaw.sin()), -1)
-    return Others(truth.position[:, None], (truth.rover.linear_velocity * heading)[:, None], radius)
+    return Rovers(truth.position[:, None], (truth.rover.linear_velocity * heading)[:, None], radius)
 
 
 class SensedPose(NamedTuple):

@@ -43,9 +43,9 @@ from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import MAX_AGE, Feature, Scanner, View
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.fitting import RobotGroups
-from rover_rl.sims.movers import MoverField
-from rover_rl.sims.movers.company import Company
-from rover_rl.sims.movers.rays import MoverScanner
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.other_rovers import OtherRovers
+from rover_rl.sims.movers.scanner import MoverScanner
 from rover_rl.sims.rays import in_view
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.torch_defaults import with_torch_defaults
@@ -418,10 +418,10 @@ class RoverEnv(EnvBase):
     def _meet_movers(self) -> None:
         """Lets lidar and simulator meet the movers of the worlds. Those around a live rover move on their own."""
         live = self.simulator.live
-        company, agents = None, self.config.agents
+        others, agents = None, self.config.agents
         if agents > 1:
-            company = Company(self.robot, agents, self.num_envs, self.control_dt, self._tensor_device)
-        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, live is not None, company)
+            others = OtherRovers(self.robot, agents, self.num_envs, self.control_dt, self._tensor_device)
+        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, live is not None, others)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
         self._surroundings.live = live
         lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.fleet)

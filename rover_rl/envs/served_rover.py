@@ -23,8 +23,8 @@ from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
-from rover_rl.sims.movers.overlap import check_standing
-from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.movers.field import shown_parts
+from rover_rl.sims.movers.standing import check_standing
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.sensor_report import ElevationMap, SensorReport
 
@@ -78,7 +78,7 @@ class ServedRover:
         x, y, yaw = (*state.position[0, :2].tolist(), quaternion_to_euler(state.orientation)[0, 2].item())
         self.reset(pose)
         try:
-            check_standing(env.worlds[0], env.robot, pose, parts_of(env.movers, 0))
+            check_standing(env.worlds[0], env.robot, pose, shown_parts(env.movers, 0))
         except ValueError:
             self.reset((x, y, yaw))
             raise

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.worlds.cache import content_key
-from rover_rl.worlds.movers.motions.waypoints import Waypoints
 from rover_rl.worlds.movers.mover import MAX_MOVERS, Mover
+from rover_rl.worlds.movers.waypoints import Waypoints
 from rover_rl.worlds.region import Area, Range, Region, expanded, overlap
 from rover_rl.worlds.solids import Solids
 from rover_rl.worlds.terrain import Terrain

@@ -284,7 +284,7 @@ def test_movers_are_the_same_for_the_rovers_of_a_group() -> None:
         if step == 5:
             reset = (torch.arange(6) == 1)[:, None]
             td = env.reset(td.set("_reset", reset))
-        course = env.movers.course.position.reshape(2, 3, 2)
+        course = env.movers.state.position.reshape(2, 3, 2)
         assert torch.equal(course, course[:, :1].expand_as(course))
     assert not torch.equal(course[0], course[1])
 

@@ -44,12 +44,12 @@ def test_cylinders_of_a_yard_go_round_at_constant_speed(level, count, slowest, f
     env = RoverEnv(world_n=world, num_envs=2, backend="warp", seed=0)
     env.reset()
     # Each episode begins elsewhere on the paths.
-    assert not torch.isclose(env.movers.course.position[0], env.movers.course.position[1]).any()
+    assert not torch.isclose(env.movers.state.position[0], env.movers.state.position[1]).any()
     for _ in range(20):
         env.rand_step()
-        speed = env.movers.course.velocity.norm(dim=-1)
+        speed = env.movers.state.velocity.norm(dim=-1)
         assert ((slowest - 0.01 < speed) & (speed < fastest + 0.01)).all()
-    assert env.movers.course.position.abs().max() < 9.01
+    assert env.movers.state.position.abs().max() < 9.01
 
 
 @pytest.mark.usefixtures("own_registries")
@@ -96,7 +96,7 @@ def test_walkers_stay_where_episodes_start_and_end():
     (x_low, x_high), (y_low, y_high) = world.spawn_range
     for _ in range(100):
         env.rand_step()
-        x, y = env.movers.course.position.unbind(-1)
+        x, y = env.movers.state.position.unbind(-1)
         assert ((x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)).all()
 
 
@@ -104,11 +104,11 @@ def test_walkers_stay_where_episodes_start_and_end():
 def test_people_walk_to_their_goals_and_come_by(name):
     env = RoverEnv(world_n=f"{name}@1", num_envs=4, backend="warp", seed=0, length=2000)
     env.reset()
-    began = env.movers.course.position.clone()
+    began = env.movers.state.position.clone()
     farthest = torch.zeros_like(began[..., 0])
     for _ in range(300):
         env.rand_step()
-        farthest = torch.maximum(farthest, (env.movers.course.position - began).norm(dim=-1))
+        farthest = torch.maximum(farthest, (env.movers.state.position - began).norm(dim=-1))
     # A way of 8 m and more; a fifth of the people may have a short one.
     assert (farthest > 5).float().mean() > 0.8
 

@@ -35,8 +35,8 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import passage_scale
-from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.settings import CONTROL_DT
+from rover_rl.worlds.movers.parts import Parts
 
 Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
 """Function that watches an evaluation: see :func:`evaluate`."""

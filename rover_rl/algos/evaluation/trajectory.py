@@ -47,7 +47,7 @@ class MoverTrack(NamedTuple):
     A track of the last seconds of an episode begins later.
 
     Attributes:
-        kind: index in ``rover_rl.worlds.movers.shapes.KINDS``, int32 ``[P]``.
+        kind: index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
         half: half of the length, width and height, float32 ``[P, 3]``, m.
         mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
         position: centers, float32 ``[T + 1, P, 3]``, m.

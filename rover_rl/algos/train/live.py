@@ -19,7 +19,7 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.files import written_whole
-from rover_rl.sims.movers.parts import Parts
+from rover_rl.worlds.movers.parts import Parts
 
 ROVERS = 4
 """Number of rovers that are written; with groups, at least one group."""

@@ -12,10 +12,9 @@ from torch import Tensor
 from rover_rl.algos.archives import read_archive
 from rover_rl.algos.train.live import FILE, FOLDER, FORMAT, WATCHED
 from rover_rl.algos.video.recording import Moment
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.shown import parts_in
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World, get_world
+from rover_rl.worlds.movers.parts import Parts
 
 STALE = 30.0
 """Age from which on what is written is no longer live, s. Updates of the policy take some seconds."""
@@ -30,7 +29,7 @@ class LiveMoment:
     movers: Parts | None
 
     def of(self, row: int) -> tuple[World, Moment, Tensor]:
-        movers = None if self.movers is None else parts_in(self.movers, row)
+        movers = None if self.movers is None else self.movers.of_row(row)
         rows = torch.tensor([one for one, name in enumerate(self.worlds) if name == self.worlds[row]])
         return get_world(self.worlds[row]), replace(self.moment, movers=movers), rows
 

@@ -29,10 +29,10 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.movers.field import shown_parts
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import Terrain, World, get_world
+from rover_rl.worlds.movers.parts import Parts
 
 NO_WORLD = "none"
 """Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
@@ -140,7 +140,7 @@ class Tally:
 
     def moment(self, seconds: float, rovers: RoverEnv, row: int = 0) -> Moment:
         seen, endings = (rovers.rover_state, rovers.scan, rovers.goal), [one.ending for one in self.ended]
-        return Moment(seconds, *seen, self.goals, self.episodes, endings, self.event, parts_of(rovers.movers, row))
+        return Moment(seconds, *seen, self.goals, self.episodes, endings, self.event, shown_parts(rovers.movers, row))
 
 
 @single_threaded()
@@ -189,7 +189,7 @@ def record_episodes(
         for row in rows.nonzero().squeeze(-1).tolist():
             if (index := int(episode[row])) in states:
                 seen = rovers.rover_state[row : row + 1].cpu(), rovers.scan[row : row + 1].cpu()
-                states[index].append((*seen, parts_of(rovers.movers, row)))
+                states[index].append((*seen, shown_parts(rovers.movers, row)))
 
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS

@@ -24,13 +24,12 @@ from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.robots import Robot
 from rover_rl.rotations import quaternion_to_euler, rotate
 from rover_rl.sims.movers.draw import parts_from_above
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.rays import cast_at_movers
-from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
 from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
+from rover_rl.worlds.movers.part_kernels import cast_at_movers
+from rover_rl.worlds.movers.parts import Parts
 from rover_rl.worlds.world import Area
 
 _INCHES = 3.75
@@ -176,7 +175,7 @@ def hides(movers: Parts, eye: Tensor, points: Tensor) -> Tensor:
     """Returns whether a mover lies between ``eye [3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
     sight = (points - eye).reshape(1, -1, 3)
     far = torch.full(sight.shape[:2], math.inf)
-    shown = chosen(movers, 0, torch.from_numpy(in_view(movers, eye.numpy())))
+    shown = movers.chosen(0, torch.from_numpy(movers.in_view(eye.numpy())))
     ranges = cast_at_movers(shown, eye.expand_as(sight), sight, far)
     return (ranges < FREE_FRACTION * sight.norm(dim=-1)).reshape(points.shape[:-1])
 

@@ -21,8 +21,7 @@ from rover_rl.envs.specs import Bounds
 from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import LiveRover
-from rover_rl.sims.movers import MoverField
-from rover_rl.sims.movers.rays import cast_at_movers
+from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.rover_state import Force, RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.table import TerrainTable, WorldTable
@@ -57,7 +56,12 @@ class Surroundings:
         """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
         self._require_simulated()
         ranges, parts = self._caster.cast(origins, directions, farthest), self._movers.parts
-        return ranges, ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
+        if parts is None:
+            return ranges, ranges
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.worlds.movers.part_kernels import cast_at_movers
+
+        return ranges, cast_at_movers(parts, origins, directions, ranges)
 
     def rays_from(self, rover: RoverState, mount: Sequence[float], directions: Directions) -> tuple[Tensor, Tensor]:
         """Returns origins and directions of rays in the world frame: see :meth:`SensorInput.rays`."""

@@ -19,9 +19,8 @@ from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
-from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles, no_forces, of_rows
 from rover_rl.sims.simulated_drives import SimulatedDrives
@@ -125,7 +124,7 @@ class BulletSimulator(Simulator):
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         world = next(group.world for group in self._groups if row in group.rows)
-        pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
+        pose, movers = torch.from_numpy(self._body[row, :7]), shown_parts(self._movers, row)
         return self._renderers.render(world, pose, view, width, height, goal, movers)
 
     def close(self) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -14,15 +13,12 @@ from matplotlib.patches import Rectangle
 from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.sims.movers.field import MoverField
-from rover_rl.sims.movers.outlines import outlines
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
-from rover_rl.worlds.movers import Door, Motion, Slider, Waypoints
-from rover_rl.worlds.movers.motions.base import Others
+from rover_rl.worlds.movers import Motion, Rovers, Waypoints
+from rover_rl.worlds.movers.parts import Parts, outlines
 from rover_rl.worlds.region import Area
 from rover_rl.worlds.table import WorldTable
 
@@ -67,7 +63,7 @@ def seen_from_above(
 ) -> dict[str, Any]:
     """Returns the outlines and the colors of parts as arguments of a ``PolyCollection``, the lowest first.
 
-    Shapes are those of :func:`~rover_rl.sims.movers.outlines.outlines`, with a look for each part.
+    Shapes are those of :func:`~rover_rl.worlds.movers.parts.corners`, with a look for each part.
     """
     order = position[:, 2].argsort(stable=True)
     shapes = (values[order] for values in (kind, half, position, orientation))
@@ -86,10 +82,10 @@ def _drive(world: World, seed: int) -> tuple[Parts | None, np.ndarray]:
     field = MoverField(WorldTable([world]), CONTROL_DT, 0.0)
     rover, every = torch.full((1, 2), AWAY), torch.ones(1, 1, dtype=torch.bool)
     field.reset(every, episode_keys(row_keys(seed, 1, device), torch.ones(1, 1, dtype=torch.int64)), rover)
-    start, ways = parts_of(field, 0), [field.course.position[0]]
+    start, ways = shown_parts(field, 0), [field.state.position[0]]
     for _ in range(round(SECONDS / CONTROL_DT)):
-        field.advance(None, Others(rover[:, None], torch.zeros(1, 1, 2), 0.0))
-        ways.append(field.course.position[0])
+        field.advance(None, Rovers(rover[:, None], torch.zeros(1, 1, 2), 0.0))
+        ways.append(field.state.position[0])
     return start, torch.stack(ways, 1).numpy()
 
 
@@ -105,7 +101,6 @@ def _heads(ways: np.ndarray) -> list[np.ndarray]:
 
 
 def _areas(motion: Motion, names: Sequence[str]) -> list[Area]:
-    """Returns the areas among settings of a motion."""
     places = [getattr(motion, name, None) for name in names]
     return [cast(Area, place) for place in places if place is not None and isinstance(place[0], Sequence)]
 
@@ -114,11 +109,6 @@ def _path(motion: Motion) -> np.ndarray | None:
     """Returns the path of a motion that has one, ``[points, 2]``, m."""
     if isinstance(motion, Waypoints):
         return np.array(motion.keys)[:, 1:3]
-    if isinstance(motion, Slider):
-        return np.array((motion.start, motion.to))
-    if isinstance(motion, Door):
-        angles = motion.closed + np.linspace(0, motion.opening, 1 + math.ceil(abs(motion.opening) / 0.1))
-        return np.array(motion.hinge) + motion.width * np.column_stack((np.cos(angles), np.sin(angles)))
     ends = [getattr(motion, name, None) for name in ("start", "goal")]
     if any(end is None or isinstance(end[0], Sequence) for end in ends):
         return None

@@ -12,13 +12,12 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.rng import random_bits
-from rover_rl.sims.movers.company import Company, Solids
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.walls import WallTable
+from rover_rl.sims.movers.other_rovers import OtherRovers, Solids
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds.movers.motions.base import Courses, Motion, Others, Scene
-from rover_rl.worlds.movers.mover import Mover
-from rover_rl.worlds.movers.shapes import KINDS, Part, radius_of
+from rover_rl.worlds.movers.motion import Motion, MotionInput, MoverState, Rovers
+from rover_rl.worlds.movers.mover import KINDS, Mover, Part, radius_of
+from rover_rl.worlds.movers.parts import Parts
+from rover_rl.worlds.movers.walls import WallTable
 from rover_rl.worlds.region import union
 from rover_rl.worlds.table import SlotTable, TerrainTable, WorldTable
 from rover_rl.worlds.world import World
@@ -42,11 +41,11 @@ class MoverField:
         dt: duration of a step, s.
         rover_radius: radius of a rover, m.
         is_live: whether the movers are those around a live rover, of which nothing is known.
-        company: the other rovers of each row's group, which are movers, too. ``None`` if each rover is on its own.
+        others: the other rovers of each row's group, which are movers, too. ``None`` if each rover is on its own.
 
     Attributes:
         parts: solids of the movers. ``None`` as long as no row has had movers: nothing else takes time then.
-        course: courses of the movers, ``[N, M]``.
+        state: state of the movers, ``[N, M]``.
         radius: radius of each mover, ``[N, M]``, m.
         present: which movers exist, bool ``[N, M]``.
         keys: random keys of the next episodes in place of those of the environment, int64 ``[N, 1]``. ``None``: those
@@ -54,17 +53,22 @@ class MoverField:
     """
 
     def __init__(
-        self, worlds: WorldTable, dt: float, rover_radius: float, is_live: bool = False, company: Company | None = None
+        self,
+        worlds: WorldTable,
+        dt: float,
+        rover_radius: float,
+        is_live: bool = False,
+        others: OtherRovers | None = None,
     ) -> None:
         self._worlds, self._entered, self._dt, self._rover_radius = worlds, worlds.follow(), dt, rover_radius
-        self._is_live, self._company = is_live, company
+        self._is_live, self._others = is_live, others
         count, device = len(worlds), worlds.slots.device
-        self._tables, self._terrains, self._walls = MoverTables(device), TerrainTable(device), WallTable(worlds)
+        self._tables, self._terrains, self._walls = MoverTables(device), TerrainTable(device), WallTable(device)
         self._areas = SlotTable((8,), torch.float32, device)
         self._slots: Tensor | None = None
         self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
         self._keys = torch.zeros_like(self._steps)
-        self.course = Courses.at_rest(count, 0, device)
+        self.state = MoverState.at_rest(count, 0, device)
         # Way that each mover has gone, from which its legs swing, [N, M], m.
         self._walked = torch.zeros(count, 0, device=device)
         self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
@@ -84,8 +88,8 @@ class MoverField:
         return self._tables.forms
 
     def parts_of(self, world: World) -> list[Part]:
-        """Returns what rows in a world meet, by its index in :attr:`parts`: other rovers, then movers of the world."""
-        rovers = [] if self._company is None else [*self._company.parts] * (self._company.agents - 1)
+        """Returns the parts of rows in a world, by their index in :attr:`parts`: other rovers, then its movers."""
+        rovers = [] if self._others is None else [*self._others.parts] * (self._others.agents - 1)
         return rovers + [part for mover in world.movers for part in mover.shape.parts()]
 
     def enter_worlds(self) -> None:
@@ -99,7 +103,7 @@ class MoverField:
                 self._walls[slot] = world
         if self._slots is not self._worlds.slots:
             self._slots = self._worlds.slots
-            if self._tables.motions or self._company is not None:
+            if self._tables.motions or self._others is not None:
                 self._select(self._slots)
 
     def _select(self, slots: Tensor) -> None:
@@ -108,9 +112,9 @@ class MoverField:
         self._motion, self.radius = tables.motion.values[slots], tables.radius.values[slots]
         self.present = self._motion >= 0
         self._settings = {motion: tables.settings_of(motion, slots) for motion in tables.motions}
-        self._corners = self._areas.values[slots, 0]
+        self._corners, self._wall_distances = self._areas.values[slots, 0], self._walls.of(slots)
         added = self.radius.shape[1] - self._walked.shape[1]
-        self.course, self._walked = self.course.padded(added), pad(self._walked, (0, added))
+        self.state, self._walked = self.state.padded(added), pad(self._walked, (0, added))
         self._local = {name: table.values[slots] for name, table in tables.parts.items()}
         shape = self._local["kind"].shape
         last = self._own
@@ -128,30 +132,29 @@ class MoverField:
 
     def _reserve(self, rows: int, own: int) -> Parts:
         """Makes new :attr:`parts`, and returns those of the movers of the worlds, ``own`` in each row."""
-        company, device = self._company, self._worlds.slots.device
-        if company is None:
+        others, device = self._others, self._worlds.slots.device
+        if others is None:
             self.parts = Parts.zeros((rows, own), device)
             return self.parts
-        self.parts = Parts.zeros((rows, own + company.count), device)
-        solids, rovers = company.parts, company.agents - 1
+        self.parts = Parts.zeros((rows, own + others.count), device)
+        solids, rovers = others.parts, others.agents - 1
         # First, so that parts of movers have the same indices in all worlds: see parts_of.
-        self._theirs = theirs = self.parts.columns(0, company.count)
+        self._theirs = theirs = self.parts.columns(0, others.count)
         theirs.kind.copy_(torch.tensor([KINDS.index(part.kind) for part in solids] * rovers))
         theirs.form.copy_(torch.tensor([self._tables.form(part) for part in solids] * rovers))
         theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
         numbers = torch.arange(rovers).repeat_interleave(len(solids))
         theirs.mover.copy_(numbers + self.radius.shape[1])
-        self._show_rovers(company.seen())
-        return self.parts.columns(company.count, company.count + own)
+        self._show_rovers(others.seen())
+        return self.parts.columns(others.count, others.count + own)
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers of groups where they are, for the others of their groups."""
-        if self._company is not None:
-            self._company.follow(rover, moved, begins)
-            self._show_rovers(self._company.seen())
+        if self._others is not None:
+            self._others.follow(rover, moved, begins)
+            self._show_rovers(self._others.seen())
 
     def _show_rovers(self, solids: Solids) -> None:
-        """Places the solids of the other rovers of each row."""
         for name, values in solids._asdict().items():
             getattr(self._theirs, name).copy_(values)
 
@@ -169,14 +172,14 @@ class MoverField:
             return
         count, movers = self.radius.shape
         self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
-        blank = Courses.at_rest(count, movers, mask.device)
-        self.course = blank.where(mask.expand_as(self.present), self.course)
-        still = self._together(Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius))
+        blank = MoverState.at_rest(count, movers, mask.device)
+        self.state = blank.where(mask.expand_as(self.present), self.state)
+        still = self._together(Rovers(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius))
         self._change("begin", mask, still)
         self._walked = self._walked.masked_fill(mask, 0.0)
         self._place(mask, begins=True)
 
-    def advance(self, active: Tensor | None, rovers: Others, driving: Tensor | None = None) -> None:
+    def advance(self, active: Tensor | None, rovers: Rovers, driving: Tensor | None = None) -> None:
         """Moves the movers of the rows of ``active`` (bool ``[N, 1]``; ``None``: all) by one step.
 
         Args:
@@ -184,30 +187,30 @@ class MoverField:
             rovers: rovers before the step, to which movers may react.
             driving: rovers of groups that drive, bool ``[N, 1]``; ``None``: all.
         """
-        if self._company is not None:
-            self._show_rovers(self._company.advance(driving))
+        if self._others is not None:
+            self._show_rovers(self._others.advance(driving))
         if not self._tables.motions:
             return
         rovers = self._together(rovers)
         rows = torch.ones_like(self._steps, dtype=torch.bool) if active is None else active
         self._steps = self._steps + rows
-        before = self.course.position
+        before = self.state.position
         self._change("advance", rows, rovers)
-        self._walked = self._walked + _length(self.course.position - before)
+        self._walked = self._walked + _length(self.state.position - before)
         self._place(active)
 
-    def ahead(self, seconds: float) -> Courses:
+    def ahead(self, seconds: float) -> MoverState:
         """Returns where the movers will be after some time, as far as that is known.
 
         Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
         move at random, the velocity is taken to stay the same.
         """
-        later, course = copy(self), self.course
-        later.course = replace(course, position=course.position + seconds * course.velocity)
+        later, state = copy(self), self.state
+        later.state = replace(state, position=state.position + seconds * state.velocity)
         if self._tables.motions:
-            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
+            nobody = Rovers(state.position[:, :0], state.velocity[:, :0], self._rover_radius)
             later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
-        return later.course
+        return later.state
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
@@ -216,13 +219,12 @@ class MoverField:
             Distances to the surface, 0 inside, ``inf`` without movers, ``[N, 1]``, m; and speeds, ``[N, 1]``, m/s.
         """
         least, speed = self._nearest_mover(points)
-        if self._company is None:
+        if self._others is None:
             return least, speed
-        to_rover, of_rover = self._company.nearest(points)
+        to_rover, of_rover = self._others.nearest(points)
         return torch.minimum(least, to_rover), torch.where(to_rover < least, of_rover, speed)
 
     def _nearest_mover(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns what :meth:`nearest` does, without the other rovers."""
         if self._own is None or not self._tables.motions:
             return torch.full_like(points[:, :1], math.inf), torch.zeros_like(points[:, :1])
         parts = self._own
@@ -237,56 +239,55 @@ class MoverField:
         around = (_length(offset) - parts.half[..., 0]).clamp(min=0)
         distance = torch.where(parts.kind == KINDS.index("box"), beside, around)
         least, which = distance.masked_fill(parts.kind < 0, math.inf).min(-1, keepdim=True)
-        speed = _length(self.course.velocity).gather(1, parts.mover.gather(1, which))
+        speed = _length(self.state.velocity).gather(1, parts.mover.gather(1, which))
         return least, speed
 
     def nearest_center(self, points: Tensor) -> Tensor:
         """Returns the horizontal distance from points ``[N, 2]`` to the origin of the nearest mover, ``[N, 1]``, m."""
-        distance = (points[:, None] - self.course.position).norm(dim=-1).masked_fill(~self.present, math.inf)
-        if self._company is not None:
-            distance = torch.cat((distance, self._company.center_distances(points)), -1)
+        distance = (points[:, None] - self.state.position).norm(dim=-1).masked_fill(~self.present, math.inf)
+        if self._others is not None:
+            distance = torch.cat((distance, self._others.center_distances(points)), -1)
         if not distance.shape[1]:
             return torch.full_like(points[:, :1], math.inf)
         return distance.amin(-1, keepdim=True)
 
-    def _together(self, rovers: Others) -> Others:
-        """Returns all rovers of the group of each row, of the rover of each row."""
-        if self._company is None:
+    def _together(self, rovers: Rovers) -> Rovers:
+        """Returns all rovers of the group of each row."""
+        if self._others is None:
             return rovers
-        together = self._company.together
+        together = self._others.together
         return replace(rovers, position=together(rovers.position[:, 0]), velocity=together(rovers.velocity[:, 0]))
 
-    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
-        """Calls a method of every motion for its movers in ``rows``, and stores the courses.
+    def _change(self, method: str, rows: Tensor, rovers: Rovers, ahead: float | None = None) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the states.
 
         With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
         """
-        before = after = self.course
+        before = after = self.state
         for number, motion in enumerate(self._tables.motions):
             if ahead is not None and not motion.is_foreseen:
                 continue
             mine = (self._motion == number) & rows
-            scene = Scene(
-                course=before,
+            inputs = MotionInput(
+                state=before,
                 settings=self._settings[motion],
                 mine=mine,
                 present=self.present,
                 radius=self.radius,
                 time=self._steps.double() * self._dt + (ahead or 0.0),
                 dt=self._dt,
-                walls=self._walls,
+                walls=self._wall_distances,
                 bounds=self._corners[:, :4],
                 arena=self._corners[:, 4:],
                 rovers=rovers,
                 keys=self._mover_keys,
                 bits=self._bits,
             )
-            after = getattr(motion, method)(scene).where(mine, after)
-        self.course = after
+            after = getattr(motion, method)(inputs).where(mine, after)
+        self.state = after
 
     def _bits(self, count: int) -> Tensor:
-        """Returns random bits of each mover and draw, int64 ``[N, M, count]``."""
-        draws = self.course.draws
+        draws = self.state.draws
         return random_bits(self._mover_keys.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(
             *draws.shape, count
         )
@@ -294,18 +295,23 @@ class MoverField:
     def _place(self, rows: Tensor | None, begins: bool = False) -> None:
         """Places parts on the ground, of the movers in ``rows`` (``None``: all). Those of other rows do not move."""
         # Importing NVIDIA Warp takes half a second.
-        from rover_rl.sims.movers.placing import place
+        from rover_rl.worlds.movers.part_kernels import place
 
         assert self._own is not None
         phase = self._walked * (2 * math.pi / STRIDE)
-        swing = (_length(self.course.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
+        swing = (_length(self.state.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
         terrains, moving = self._terrains.of(self._worlds.slots), self._every if rows is None else rows
-        place(self._own, self._yaw, self._local, self.course, swing, terrains, moving, begins, self._dt)
+        place(self._own, self._yaw, self._local, self.state, swing, terrains, moving, begins, self._dt)
 
 
 def _length(vectors: Tensor) -> Tensor:
     """Returns the lengths of ``vectors [..., D]``, several times faster than ``norm`` for small D."""
     return torch.sqrt(sum((part.square() for part in vectors.unbind(-1)), start=torch.zeros((), device=vectors.device)))
+
+
+def shown_parts(movers: MoverField | None, row: int) -> Parts | None:
+    """Returns a copy of the parts that a row has, on the CPU and with one row. ``None`` if it has none."""
+    return None if movers is None or movers.parts is None else movers.parts.of_row(row)
 
 
 class MoverTables:
@@ -342,7 +348,6 @@ class MoverTables:
         self._settings: dict[type[Motion], dict[str, SlotTable]] = {}
 
     def __setitem__(self, slot: int, movers: Sequence[Mover]) -> None:
-        """Sets the movers of a slot."""
         for mover in movers:
             if type(mover.motion) not in self.motions:
                 self.motions.append(type(mover.motion))

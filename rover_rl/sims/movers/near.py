@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from rover_rl.robots import Robot
-from rover_rl.sims.movers.parts import Parts
+from rover_rl.worlds.movers.parts import Parts
 
 MAX_ROVER_SPEED = 2.0
 """Least speed above which a point of a rover may reach something unnoticed within a control step, m/s."""

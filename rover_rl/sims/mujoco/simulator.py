@@ -16,9 +16,8 @@ from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
-from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
 from rover_rl.sims.mujoco.movers import RoversAmongMovers, reach_of
@@ -164,7 +163,7 @@ class MujocoSimulator(Simulator):
         return self._drive.state(*(torch.from_numpy(a.copy()) for a in known), **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
+        pose, movers = torch.from_numpy(self._body[row, :7]), shown_parts(self._movers, row)
         return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 
     def close(self) -> None:

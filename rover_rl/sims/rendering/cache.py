@@ -12,8 +12,8 @@ from rover_rl.sims.base import View
 from rover_rl.worlds import World
 
 if TYPE_CHECKING:
-    from rover_rl.sims.movers.parts import Parts
     from rover_rl.sims.rendering.renderer import Renderer
+    from rover_rl.worlds.movers.parts import Parts
 
 
 MAX_SIDE = 8192

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rover_rl.sims.rendering.scenery import CLOTHES, LEGS, MOVER
-from rover_rl.worlds.movers.shapes import Person, Shape
+from rover_rl.worlds.movers.mover import Person, Shape
 from rover_rl.worlds.world import World
 
 

@@ -11,8 +11,6 @@ import numpy as np
 import trimesh
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.shown import in_view
 from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.launches import DEVICE, array
 from rover_rl.sims.rendering.looks import Look, looks_of
@@ -20,7 +18,8 @@ from rover_rl.sims.rendering.scenery import SKIN
 from rover_rl.sims.rendering.scenes import traced_mesh
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
 from rover_rl.worlds import World
-from rover_rl.worlds.movers.shapes import KINDS, Kind
+from rover_rl.worlds.movers.mover import KINDS, Kind
+from rover_rl.worlds.movers.parts import Parts
 
 SHOULDERS, HEAD = 0.32, 0.11
 """Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""
@@ -89,7 +88,7 @@ class MoverSurfaces:
 
     def place(self, placing: rays.Placing, parts: Parts | None, eye: np.ndarray) -> object:
         """Sets where parts are, for a camera at ``eye [3]`` (m). Returns what must live as long as ``placing``."""
-        shown = in_view(parts, eye) if parts is not None else ()
+        shown = parts.in_view(eye) if parts is not None else ()
         placing.parts, placing.root = len(shown), -1
         if parts is None or not len(shown):
             return None

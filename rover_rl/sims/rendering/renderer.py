@@ -10,7 +10,6 @@ from torch import Tensor
 
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
-from rover_rl.sims.movers.parts import Parts
 from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
 from rover_rl.sims.rendering.kernels import light, pictures, rays
 from rover_rl.sims.rendering.kernels.pictures import STEP
@@ -20,6 +19,7 @@ from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.scenes import AT_ORIGIN, FAR_BELOW, scene_of, traced_mesh
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
 from rover_rl.worlds import World
+from rover_rl.worlds.movers.parts import Parts
 
 OPENNESS_RAYS = 16
 """Number of rays of each vertex that tell how much of the sky it sees."""

@@ -16,9 +16,7 @@ from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.base import Feature, Simulator, View
-from rover_rl.sims.movers.field import MoverField
-from rover_rl.sims.movers.parts import Parts
-from rover_rl.sims.movers.shown import parts_of
+from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles
 from rover_rl.sims.scenes.table import SceneTable
@@ -32,6 +30,7 @@ from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.worlds import Terrain, World, hull
+from rover_rl.worlds.movers.parts import Parts
 from rover_rl.worlds.table import WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
@@ -217,7 +216,7 @@ class WarpSimulator(Simulator):
         return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched, **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        pose, movers = self._buffers.base_state[row, :7], parts_of(self._movers, row)
+        pose, movers = self._buffers.base_state[row, :7], shown_parts(self._movers, row)
         renderers = self._renderers.setdefault(self.fleet[row], RendererCache(self.fleet[row]))
         return renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 

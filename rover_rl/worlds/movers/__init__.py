@@ -1,38 +1,27 @@
 """Movers: obstacles and people that move, their shapes and their motions."""
 
-from __future__ import annotations
-
-from rover_rl.worlds.movers.motions import (
-    Courses,
-    Cross,
-    Door,
-    Motion,
-    Orca,
-    Scene,
-    Slider,
-    SocialForce,
-    Wander,
-    Waypoints,
-)
-from rover_rl.worlds.movers.mover import Mover
-from rover_rl.worlds.movers.shapes import Box, Capsule, Cylinder, Part, Person, Shape
+from rover_rl.worlds.movers.motion import Motion, MotionInput, MoverState, Rovers, WallDistances
+from rover_rl.worlds.movers.mover import Box, Capsule, Cylinder, Mover, Part, Person, Shape
+from rover_rl.worlds.movers.walks import Cross, Orca, SocialForce, Walk, Wander
+from rover_rl.worlds.movers.waypoints import Waypoints
 
 __all__ = [
     "Box",
     "Capsule",
-    "Courses",
     "Cross",
     "Cylinder",
-    "Door",
     "Motion",
+    "MotionInput",
     "Mover",
+    "MoverState",
     "Orca",
     "Part",
     "Person",
-    "Scene",
+    "Rovers",
     "Shape",
-    "Slider",
     "SocialForce",
+    "Walk",
+    "WallDistances",
     "Wander",
     "Waypoints",
 ]

@@ -15,7 +15,7 @@ from rover_rl.sims.free_space.draw import draw_world
 from rover_rl.sims.movers.draw import draw_movers
 from rover_rl.worlds import Terrain, World, get_world
 from rover_rl.worlds.draw import draw_map
-from rover_rl.worlds.movers import Box, Cross, Cylinder, Door, Mover, Person, Slider, Wander, Waypoints
+from rover_rl.worlds.movers import Box, Cross, Cylinder, Mover, Person, Wander, Waypoints
 
 LINE = Waypoints([(0.0, -3.0, 0.0, 0.0), (6.0, 3.0, 0.0, 0.0)])
 SIDE = 400
@@ -59,8 +59,8 @@ def test_an_arrow_shows_the_way_of_two_seconds_and_a_dashed_line_the_path() -> N
 @pytest.mark.parametrize(
     ("mover", "on", "off"),
     [
-        (Mover(Slider(to=(2.0, 2.0), start=(-2.0, 2.0)), Box(0.4, 0.4, 1.0)), (1.5, 2.0), (1.5, -2.0)),
-        (Mover(Door(hinge=(0.0, 0.0), width=2.0), Box(2.0, 0.05, 2.0)), (1.41, 1.41), (-1.41, -1.41)),
+        (Mover(Waypoints.there_and_back((-2.0, 2.0), (2.0, 2.0)), Box(0.4, 0.4, 1.0)), (1.5, 2.0), (1.5, -2.0)),
+        (Mover(Waypoints.door(hinge=(0.0, 0.0), width=2.0), Box(2.0, 0.05, 2.0)), (0.7, 0.7), (-0.7, -0.7)),
         (Mover(Cross(start=((-4, -2), (-4, -2)), goal=(3.0, 3.0)), Person()), (-2.5, -3.9), (0.0, 4.0)),
         (Mover(Cross(start=(-3.0, 3.0), goal=(3.0, 3.0)), Person()), (2.0, 3.0), (2.0, -3.0)),
         (Mover(Wander(area=((-4, 4), (-3, 3))), Person()), (4.0, 0.0), (4.5, 0.0)),

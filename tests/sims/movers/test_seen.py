@@ -132,7 +132,7 @@ def test_beams_meet_movers_on_uneven_ground(backend):
     settings = {"backend": backend, "lidar": LIDAR}
     with opened(with_movers, STARTS, **settings) as env, opened(without, STARTS, **settings) as alone:
         agree, meet = compare(env, alone, 24, 8)
-        ground = with_movers.terrain.height_at(env.movers.course.position[0].double())
+        ground = with_movers.terrain.height_at(env.movers.state.position[0].double())
         boxes = env.movers.parts.position[0, [0, 1], 2]
     assert agree >= 0.999
     assert meet > 0.1

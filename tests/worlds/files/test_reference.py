@@ -103,7 +103,7 @@ def test_the_person_in_the_maze_walks_as_the_file_says():
         env.rand_step()
         time = step * env.control_dt % keys[-1][0]
         x, y = (np.interp(time, [key[0] for key in keys], [key[axis] for key in keys]) for axis in (1, 2))
-        assert env.movers.course.position[0, 0].numpy() == pytest.approx((x, y), abs=0.01)
+        assert env.movers.state.position[0, 0].numpy() == pytest.approx((x, y), abs=0.01)
 
 
 @pytest.mark.slow

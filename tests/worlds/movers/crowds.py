@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.sims.movers import MoverField
+from rover_rl.sims.movers.field import MoverField
 from rover_rl.worlds import Solids, Terrain, World, box
-from rover_rl.worlds.movers import Mover
-from rover_rl.worlds.movers.motions.base import Others
+from rover_rl.worlds.movers import Mover, Rovers
 from rover_rl.worlds.table import WorldTable
 
 DT = 0.05
@@ -28,10 +27,10 @@ def pillars() -> list[Solids]:
     return [box((x, y, 0.5), (2.0, 1.0, 1.0)) for x in (-3.0, 3.0) for y in (-2.5, 2.5)]
 
 
-def rovers_at(points: Tensor, velocities: Tensor | None = None) -> Others:
+def rovers_at(points: Tensor, velocities: Tensor | None = None) -> Rovers:
     """Returns one rover a row, at ``points [N, 2]``."""
     velocities = torch.zeros_like(points) if velocities is None else velocities
-    return Others(points[:, None], velocities[:, None], ROVER_RADIUS)
+    return Rovers(points[:, None], velocities[:, None], ROVER_RADIUS)
 
 
 def begun(worlds: Sequence[World], seed: int = 0, rovers: Tensor | None = None) -> MoverField:
@@ -44,7 +43,7 @@ def begun(worlds: Sequence[World], seed: int = 0, rovers: Tensor | None = None) 
 
 
 def walk(
-    field: MoverField, steps: int, others: Callable[[int], Others] | None = None, keep: str = "position"
+    field: MoverField, steps: int, others: Callable[[int], Rovers] | None = None, keep: str = "position"
 ) -> Tensor:
     """Advances movers, and returns an attribute of their courses after each step, ``[steps, N, M, ...]``."""
     rows = len(field.present)
@@ -52,5 +51,5 @@ def walk(
     values = []
     for step in range(steps):
         field.advance(None, still if others is None else others(step))
-        values.append(getattr(field.course, keep).clone())
+        values.append(getattr(field.state, keep).clone())
     return torch.stack(values)

@@ -39,7 +39,7 @@ class RobotModel:
 
 @wp.struct
 class MoverArrays:
-    """Parts of the movers of all rows, [N, P] each: see :class:`~rover_rl.sims.movers.parts.Parts`."""
+    """Parts of the movers of all rows, [N, P] each: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
 
     # Index in the scene of forms, whose obstacles are the different solids, each in its own frame; -1 for none.
     form: wp.array2d[int]

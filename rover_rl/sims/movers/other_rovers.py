@@ -1,4 +1,4 @@
-"""``Company``: the other rovers of a group, as movers."""
+"""``OtherRovers``: the other rovers of a group, as movers."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rover_rl.robots import Robot
 from rover_rl.robots.description import Description, Frame, Shape
 from rover_rl.robots.footprint import half_sizes
 from rover_rl.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
-from rover_rl.sims.movers.parts import MAX_SPEED
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds.movers.shapes import Part
+from rover_rl.worlds.movers.mover import Part
+from rover_rl.worlds.movers.parts import MAX_SPEED
 
 
 class Solids(NamedTuple):
-    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.sims.movers.parts.Parts`."""
+    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
 
     position: Tensor
     orientation: Tensor
@@ -28,13 +28,13 @@ class Solids(NamedTuple):
     turn: Tensor
 
 
-class Company:
+class OtherRovers:
     """The other rovers of each row's group, as solids that move.
 
-    Groups are ``agents`` consecutive rows. In a step, each rover is for another one a part of a body that moves on at
-    the mean of their velocities in the last step, so that they share their momentum as equal masses do that meet and
-    stay together. (If each moved on at its own velocity, they would bounce off as elastic balls do.) After the step,
-    each is where it really is.
+    Groups are ``agents`` consecutive rows. In a step, each rover sees another one move on at the mean of their
+    velocities in the last step. So they share their momentum, as in an inelastic collision of equal masses. (If each
+    moved on at its own velocity, they would bounce off as elastic balls do.) After the step, each is where it really
+    is.
 
     Args:
         robot: robot of all rows.
@@ -139,11 +139,11 @@ class Company:
         return (points[:, None] - self._of_others(self._position)[..., :2]).norm(dim=-1)
 
     def together(self, values: Tensor) -> Tensor:
-        """Returns what belongs to all rovers of a row's group, ``[N, agents, ...]``, of ``values [N, ...]``."""
+        """Returns the values of all rovers of a row's group, ``[N, agents, ...]``, from ``values [N, ...]``."""
         return values.reshape(-1, self.agents, *values.shape[1:]).repeat_interleave(self.agents, 0)
 
     def _of_others(self, values: Tensor) -> Tensor:
-        """Returns what belongs to the other rovers of each row, ``[N, agents - 1, ...]``, of ``values [N, ...]``."""
+        """Returns the values of the other rovers of each row, ``[N, agents - 1, ...]``, from ``values [N, ...]``."""
         groups = values.reshape(-1, self.agents, *values.shape[1:])
         return groups[:, self._others].flatten(0, 1)
 
@@ -158,7 +158,6 @@ def solids_of(robot: Robot) -> tuple[Part, ...]:
 
 @lru_cache(maxsize=64)
 def _shapes_of(robot: Robot) -> list[tuple[Frame, Shape]]:
-    """Returns collision shapes with their poses in the base frame."""
     wheels = robot.wheels
     sizes = (wheels.radius, wheels.width) if wheels.width else (wheels.radius,)
     # The axis of a cylinder is its z axis, and that of a wheel is y.
@@ -173,7 +172,6 @@ def _shapes_of(robot: Robot) -> list[tuple[Frame, Shape]]:
 
 
 def _part(frame: Frame, shape: Shape) -> Part:
-    """Returns a shape as a part."""
     x, y, z, w = matrix_to_quaternion(torch.from_numpy(frame.rotation)).tolist()
     a, b, c = frame.position.tolist()
     place: dict[str, Any] = {"center": (a, b, c), "orientation": (x, y, z, w)}

@@ -1,4 +1,4 @@
-"""Warp kernels that intersect rays with the parts of movers.
+"""Warp kernels on the parts of movers: they place them on the ground, and intersect rays with them.
 
 A ray is intersected in the frame of the part, whose origin is the center and whose z axis is the axis of a cylinder or
 capsule. Its points are ``o + t d`` with a unit vector d. A convex solid contains an interval ``[t_in, t_out]``, the
@@ -7,23 +7,168 @@ intersection of the intervals of half-spaces and quadrics. The ray meets it at `
 
 from __future__ import annotations
 
-from rover_rl.native.warp import wp
+from collections.abc import Mapping
 
-CYLINDER, BOX, CAPSULE = 0, 1, 2
-"""Indices in :data:`~rover_rl.worlds.movers.shapes.KINDS`."""
+from torch import Tensor
+
+from rover_rl.native.warp import stream_of, wp
+from rover_rl.worlds.ground_kernels import Grounds, grounds_of, height_at
+from rover_rl.worlds.movers.motion import MoverState
+from rover_rl.worlds.movers.mover import KINDS
+from rover_rl.worlds.movers.parts import MAX_SPEED, Parts
+from rover_rl.worlds.table import TerrainRows
+
+CYLINDER, BOX, CAPSULE = range(len(KINDS))
 MISS = wp.constant(1.0e9)
 """Distance of a ray that meets nothing, m."""
 TWO_PI = wp.constant(6.2831853)
+PI = wp.constant(3.14159265358979)
+FASTEST = wp.constant(MAX_SPEED)
 
 
 @wp.struct
 class PartArrays:
-    """Parts of the movers of all rows: see :class:`~rover_rl.sims.movers.parts.Parts`."""
+    """Parts of the movers of all rows: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
 
     kind: wp.array2d[int]
     half: wp.array2d[wp.vec3]
     position: wp.array2d[wp.vec3]
     orientation: wp.array2d[wp.quat]
+    velocity: wp.array2d[wp.vec3]
+    turn: wp.array2d[float]
+
+
+@wp.struct
+class LocalParts:
+    """Parts in the frames of their movers: see :class:`~rover_rl.worlds.movers.Part`."""
+
+    mover: wp.array2d[wp.int64]
+    center: wp.array2d[wp.vec3]
+    orientation: wp.array2d[wp.quat]
+    swing: wp.array2d[float]
+
+
+def arrays_of(parts: Parts) -> PartArrays:
+    """Returns parts as kernels read and write them, in the same memory."""
+    arrays = PartArrays()
+    arrays.kind, arrays.turn = wp.from_torch(parts.kind), wp.from_torch(parts.turn)
+    arrays.orientation = wp.from_torch(parts.orientation, dtype=wp.quat)
+    for name in ("half", "position", "velocity"):
+        setattr(arrays, name, wp.from_torch(getattr(parts, name), dtype=wp.vec3))
+    return arrays
+
+
+def place(
+    parts: Parts,
+    yaw: Tensor,
+    local: Mapping[str, Tensor],
+    state: MoverState,
+    swing: Tensor,
+    terrains: TerrainRows,
+    rows: Tensor,
+    begins: bool,
+    dt: float,
+) -> None:
+    """Places parts on the ground, in place.
+
+    Args:
+        parts: parts, whose position, orientation, velocity and yaw rate change.
+        yaw: heading of each part's mover after the last step, which changes, ``[N, P]``, rad.
+        local: mover, center, orientation and swing of the parts in the frames of their movers, ``[N, P, ...]``.
+        state: where the movers are.
+        swing: how far legs are ahead, relative to their amplitude, ``[N, M]``.
+        terrains: terrains of the rows.
+        rows: rows whose movers move, bool ``[N, 1]``.
+        begins: whether their episodes begin, so that parts are at rest.
+        dt: duration of a step, s.
+    """
+    with wp.ScopedStream(stream_of(yaw.device)):
+        solids = LocalParts()
+        solids.mover, solids.swing = wp.from_torch(local["mover"]), wp.from_torch(local["swing"])
+        solids.center = wp.from_torch(local["center"], dtype=wp.vec3)
+        solids.orientation = wp.from_torch(local["orientation"], dtype=wp.quat)
+        inputs = [wp.from_torch(state.position.contiguous(), dtype=wp.vec2)]
+        inputs += [wp.from_torch(values.contiguous()) for values in (state.yaw, swing)]
+        inputs += [solids, grounds_of(terrains), wp.from_torch(rows.squeeze(-1).contiguous()), begins, dt]
+        inputs += [arrays_of(parts), wp.from_torch(yaw)]
+        wp.launch(place_parts, yaw.shape, inputs, device=wp.device_from_torch(yaw.device))
+
+
+def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Tensor) -> Tensor:
+    """Returns the ranges of rays, where they meet a mover the distance to it, float32 ``[N, K]``, m.
+
+    Args:
+        parts: solids of the movers.
+        origins: starts of the rays in the world frame, ``[N, K, 3]``, m.
+        directions: directions in the world frame, of any length but 0, ``[N, K, 3]``.
+        ranges: distances to what does not move, ``[N, K]``, m.
+    """
+    ranges = ranges.clone()
+    with wp.ScopedStream(stream_of(ranges.device)):
+        rays = [wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions)]
+        inputs = [arrays_of(parts), *rays, wp.from_torch(ranges)]
+        wp.launch(cast_at_parts, ranges.shape, inputs, device=wp.device_from_torch(ranges.device))
+    return ranges
+
+
+def scan_movers(parts: Parts, poses: Tensor, mounts: Tensor, beams: Tensor, rows: Tensor, ranges: Tensor) -> None:
+    """Shortens the beams of planar lidars that meet a mover, in place.
+
+    Args:
+        parts: solids of the movers.
+        poses: position (m) and quaternion of the rovers, ``[N, 7]``.
+        mounts: position of the lidar on each rover, and its range, ``[N, 4]``, m.
+        beams: directions (ahead, left), equally spaced counter-clockwise from straight ahead, ``[beams, 2]``.
+        rows: rows whose lidars scan, bool ``[N]``.
+        ranges: ranges of the beams, ``[N, beams]``, m.
+    """
+    with wp.ScopedStream(stream_of(ranges.device)):
+        inputs = [arrays_of(parts), wp.from_torch(poses.contiguous()), wp.from_torch(mounts, dtype=wp.vec4)]
+        inputs += [wp.from_torch(beams, dtype=wp.vec2), wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
+        wp.launch(scan_parts, len(ranges), inputs, device=wp.device_from_torch(ranges.device))
+
+
+@wp.kernel
+def place_parts(
+    positions: wp.array2d[wp.vec2],
+    yaws: wp.array2d[float],
+    swings: wp.array2d[float],
+    solids: LocalParts,
+    grounds: Grounds,
+    rows: wp.array[wp.bool],
+    begins: bool,
+    dt: float,
+    placed: PartArrays,
+    placed_yaws: wp.array2d[float],
+):
+    """Places a part of a mover; thread ``(row, part)``: see :func:`place`.
+
+    The pose of a part is that in the frame of its mover, turned by the yaw about the vertical and moved. Its velocity
+    is the way from where it was, in ``dt``.
+    """
+    row, part = wp.tid()
+    if not rows[row]:
+        placed.velocity[row, part] = wp.vec3(0.0, 0.0, 0.0)
+        placed.turn[row, part] = 0.0
+        return
+    mover = int(solids.mover[row, part])
+    at = positions[row, mover]
+    yaw = yaws[row, mover]
+    turn = wp.quat(0.0, 0.0, wp.sin(yaw / 2.0), wp.cos(yaw / 2.0))
+    center = solids.center[row, part] + wp.vec3(solids.swing[row, part] * swings[row, mover], 0.0, 0.0)
+    ground = height_at(grounds, row, wp.float64(at[0]), wp.float64(at[1]))
+    position = wp.vec3(at[0], at[1], ground) + wp.quat_rotate(turn, center)
+    velocity = (position - placed.position[row, part]) / dt
+    change = yaw - placed_yaws[row, part]
+    change = change - 2.0 * PI * wp.round(change / (2.0 * PI))
+    if begins or not wp.length(velocity) <= FASTEST:
+        velocity = wp.vec3(0.0, 0.0, 0.0)
+        change = 0.0
+    placed.position[row, part] = position
+    placed.orientation[row, part] = turn * solids.orientation[row, part]
+    placed.velocity[row, part] = velocity
+    placed.turn[row, part] = change / dt
+    placed_yaws[row, part] = yaw
 
 
 @wp.func
@@ -150,11 +295,9 @@ def scan_parts(
     rows: wp.array[wp.bool],
     ranges: wp.array2d[float],
 ):
-    """Shortens the beams of a planar lidar that meet a part; thread ``row`` of those in ``rows``.
+    """Shortens the beams of a planar lidar that meet a part; thread ``row``: see :func:`scan_movers`.
 
-    ``poses`` are those of the rovers, position (m) and quaternion, ``mounts`` the position of the lidar on each one
-    and its range (m), and ``beams`` the directions (ahead, left), equally spaced counter-clockwise from straight ahead.
-    Tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`.
+    It tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`.
     """
     row = wp.tid()
     if not rows[row]:

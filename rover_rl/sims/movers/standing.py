@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.ground import rest_on_ground
-from rover_rl.sims.movers.company import solids_of
-from rover_rl.sims.movers.outlines import corners
-from rover_rl.sims.movers.parts import Parts
+from rover_rl.sims.movers.other_rovers import solids_of
 from rover_rl.worlds import World
+from rover_rl.worlds.movers.parts import Parts, corners
 from rover_rl.worlds.solids import Solids
 
 

@@ -1,13 +1,17 @@
-"""Warp kernels and functions of the movers that walk: random numbers, walls, goals, and the steps of two motions.
+"""Warp kernels and functions of the movers that walk: random numbers, walls, starts and goals.
 
 A thread moves one mover, or begins the episodes of all movers of a row. Nothing depends on other rows.
 """
 
 from __future__ import annotations
 
-from rover_rl.native.warp import wp
+from dataclasses import fields
+from typing import Any
 
-# Settings of a mover, by index: see `walks.settings_of`.
+from rover_rl.native.warp import wp
+from rover_rl.worlds.movers.motion import MotionInput, MoverState
+
+# Settings of a mover, by index: see `Walk.tensors`.
 SPEED = wp.constant(0)
 START = wp.constant(1)
 GOAL = wp.constant(6)
@@ -30,6 +34,8 @@ SLACK = wp.constant(0.005)
 """Depth by which a mover may be too close to a wall, m."""
 TWO_PI = wp.constant(6.2831853)
 FAR = wp.constant(1.0e9)
+LAWS = ("cross", "social_force", "orca", "wander")
+_CROSS, SOCIAL_FORCE, ORCA, WANDER = (wp.constant(k) for k in range(len(LAWS)))
 DRAWS = wp.constant(wp.uint64(33))
 STEPS = wp.constant(wp.uint64(34))
 """Streams of random numbers: of draws, and of what is drawn in each step."""
@@ -44,17 +50,8 @@ _UNIT = wp.constant(5.9604645e-8)
 
 
 @wp.struct
-class Walls:
-    """Grids of distances to walls: see :class:`~rover_rl.worlds.movers.motions.base.WallGrids`."""
-
-    distances: wp.array2d[float]
-    grids: wp.array2d[float]
-    slots: wp.array[wp.int64]
-
-
-@wp.struct
 class Crowd:
-    """What the walk of each mover depends on: see :class:`~rover_rl.worlds.movers.motions.base.Scene`."""
+    """What the walk of each mover depends on: see :class:`~rover_rl.worlds.movers.MotionInput`."""
 
     mine: wp.array2d[wp.bool]
     present: wp.array2d[wp.bool]
@@ -67,11 +64,15 @@ class Crowd:
     rover_radius: float
     time: wp.array2d[wp.float64]
     dt: float
+    # Distances to walls: see WallDistances.
+    distances: wp.array2d[float]
+    grids: wp.array2d[float]
+    slots: wp.array[wp.int64]
 
 
 @wp.struct
-class CourseArrays:
-    """CourseArrays of all movers: see :class:`~rover_rl.worlds.movers.motions.base.CourseArrays`."""
+class States:
+    """State of all movers: see :class:`~rover_rl.worlds.movers.MoverState`."""
 
     position: wp.array2d[wp.vec2]
     yaw: wp.array2d[float]
@@ -79,6 +80,30 @@ class CourseArrays:
     goal: wp.array2d[wp.vec2]
     clock: wp.array2d[float]
     draws: wp.array2d[wp.int64]
+
+
+def crowd_of(inputs: MotionInput) -> Any:
+    """Returns what a kernel reads, in the same memory where possible."""
+    crowd, rovers = Crowd(), inputs.rovers
+    crowd.mine, crowd.present = (wp.from_torch(mask.contiguous()) for mask in (inputs.mine, inputs.present))
+    crowd.radius, crowd.arena = (wp.from_torch(part.float().contiguous()) for part in (inputs.radius, inputs.arena))
+    crowd.settings = wp.from_torch(inputs.settings["walk"].contiguous())
+    crowd.keys = wp.from_torch(inputs.keys.contiguous(), dtype=wp.uint64)
+    crowd.rovers, crowd.rover_velocities = (
+        wp.from_torch(part.float().contiguous(), dtype=wp.vec2) for part in (rovers.position, rovers.velocity)
+    )
+    crowd.rover_radius, crowd.dt, crowd.time = rovers.radius, inputs.dt, wp.from_torch(inputs.time)
+    crowd.distances, crowd.grids, crowd.slots = (wp.from_torch(part.contiguous()) for part in inputs.walls)
+    return crowd
+
+
+def arrays_of(state: MoverState) -> Any:
+    """Returns a state as a kernel reads and writes it, in the same memory."""
+    states = States()
+    for item in fields(MoverState):
+        value = getattr(state, item.name)
+        setattr(states, item.name, wp.from_torch(value, dtype=wp.vec2) if value.ndim == 3 else wp.from_torch(value))
+    return states
 
 
 @wp.func
@@ -115,21 +140,21 @@ def left_of(direction: wp.vec2) -> wp.vec2:
 
 
 @wp.func
-def wall_at(walls: Walls, row: int, point: wp.vec2) -> wp.vec3:
+def wall_at(crowd: Crowd, row: int, point: wp.vec2) -> wp.vec3:
     """Distance to the nearest wall (m) and direction away from it, as ``WallTable.distance`` returns them."""
-    slot = int(walls.slots[row])
-    cell = walls.grids[slot, 2]
-    rows = int(walls.grids[slot, 3])
-    columns = int(walls.grids[slot, 4])
-    u = (point[0] - walls.grids[slot, 0]) / cell
-    v = (point[1] - walls.grids[slot, 1]) / cell
+    slot = int(crowd.slots[row])
+    cell = crowd.grids[slot, 2]
+    rows = int(crowd.grids[slot, 3])
+    columns = int(crowd.grids[slot, 4])
+    u = (point[0] - crowd.grids[slot, 0]) / cell
+    v = (point[1] - crowd.grids[slot, 1]) / cell
     i = wp.clamp(int(wp.floor(u)), 0, columns - 2)
     j = wp.clamp(int(wp.floor(v)), 0, rows - 2)
     corner = j * columns + i
-    d00 = walls.distances[slot, corner]
-    d10 = walls.distances[slot, corner + 1]
-    d01 = walls.distances[slot, corner + columns]
-    d11 = walls.distances[slot, corner + columns + 1]
+    d00 = crowd.distances[slot, corner]
+    d10 = crowd.distances[slot, corner + 1]
+    d01 = crowd.distances[slot, corner + columns]
+    d11 = crowd.distances[slot, corner + columns + 1]
     s = wp.clamp(u - float(i), 0.0, 1.0)
     t = wp.clamp(v - float(j), 0.0, 1.0)
     low = d00 + s * (d10 - d00)
@@ -145,24 +170,24 @@ def wall_at(walls: Walls, row: int, point: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def kept_distance(walls: Walls, row: int, radius: float) -> float:
+def kept_distance(crowd: Crowd, row: int, radius: float) -> float:
     """Distance that the center of a mover keeps from walls, m: its radius and the error of interpolation.
 
     Near a corner, the second derivative of the distance is 1 / distance, so that linear interpolation between points
     ``cell`` apart is up to ``cell^2 / (8 distance)`` too large.
     """
-    cell = walls.grids[int(walls.slots[row]), 2]
+    cell = crowd.grids[int(crowd.slots[row]), 2]
     return radius + cell * cell / (8.0 * wp.max(radius, 0.5 * cell))
 
 
 @wp.func
-def free_way(walls: Walls, row: int, start: wp.vec2, end: wp.vec2, kept: float) -> float:
+def free_way(crowd: Crowd, row: int, start: wp.vec2, end: wp.vec2, kept: float) -> float:
     """Length of the way from a point straight to another that keeps its distance from walls, m."""
     whole = wp.length(end - start)
     direction = (end - start) / wp.max(whole, 1.0e-6)
     way = float(0.0)
     for _step in range(128):
-        gap = wall_at(walls, row, start + way * direction)[0] - kept
+        gap = wall_at(crowd, row, start + way * direction)[0] - kept
         if gap < -0.02:
             return way
         way += wp.max(gap, 0.05)
@@ -172,7 +197,7 @@ def free_way(walls: Walls, row: int, start: wp.vec2, end: wp.vec2, kept: float) 
 
 
 @wp.func
-def walked(walls: Walls, row: int, start: wp.vec2, move: wp.vec2, kept: float) -> wp.vec2:
+def walked(crowd: Crowd, row: int, start: wp.vec2, move: wp.vec2, kept: float) -> wp.vec2:
     """Point to which a mover comes with a move, which walls stop or divert."""
     pieces = wp.clamp(int(wp.ceil(2.0 * wp.length(move) / wp.max(kept, 0.01))), 1, 64)
     point = start
@@ -180,7 +205,7 @@ def walked(walls: Walls, row: int, start: wp.vec2, move: wp.vec2, kept: float) -
         to = point + move / float(pieces)
         gap = float(0.0)
         for push in range(5):
-            wall = wall_at(walls, row, to)
+            wall = wall_at(crowd, row, to)
             gap = wall[0] - kept
             if gap >= 0.0:
                 break
@@ -189,7 +214,7 @@ def walked(walls: Walls, row: int, start: wp.vec2, move: wp.vec2, kept: float) -
         # In a corner, it stays where it is.
         if gap > -SLACK:
             point = to
-        elif gap + kept > wall_at(walls, row, point)[0]:
+        elif gap + kept > wall_at(crowd, row, point)[0]:
             point = to
     return point
 
@@ -235,20 +260,20 @@ def is_point(crowd: Crowd, row: int, mover: int, area: int) -> bool:
 
 
 @wp.func
-def draw_start(crowd: Crowd, walls: Walls, placed: CourseArrays, row: int, mover: int) -> wp.vec2:
+def draw_start(crowd: Crowd, placed: States, row: int, mover: int) -> wp.vec2:
     """Point at which an episode begins, free of walls, rovers and the movers that were placed before.
 
     Of points that are not, the one that lacks the least.
     """
     radius = crowd.radius[row, mover]
-    kept = kept_distance(walls, row, radius)
+    kept = kept_distance(crowd, row, radius)
     best = drawn_in(crowd, row, mover, START, wp.uint64(0), 0)
     if is_point(crowd, row, mover, START):
         return best
     least = float(FAR)
     for number in range(CANDIDATES):
         point = drawn_in(crowd, row, mover, START, wp.uint64(0), number)
-        lack = 100.0 * wp.max(0.0, kept - wall_at(walls, row, point)[0])
+        lack = 100.0 * wp.max(0.0, kept - wall_at(crowd, row, point)[0])
         for k in range(crowd.rovers.shape[1]):
             gap = wp.length(point - crowd.rovers[row, k]) - radius - crowd.rover_radius
             lack += wp.max(0.0, FREE_OF_ROVER - gap)
@@ -265,7 +290,7 @@ def draw_start(crowd: Crowd, walls: Walls, placed: CourseArrays, row: int, mover
 
 
 @wp.func
-def draw_goal(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, draws: wp.int64) -> wp.vec2:
+def draw_goal(crowd: Crowd, row: int, mover: int, point: wp.vec2, draws: wp.int64) -> wp.vec2:
     """Goal of a mover at a point: a free one of the area, by turns that of the start, or any that it sees."""
     area = int(GOAL)
     if (
@@ -274,7 +299,7 @@ def draw_goal(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, 
     ):
         area = START
     draw = wp.uint64(draws)
-    kept = kept_distance(walls, row, crowd.radius[row, mover])
+    kept = kept_distance(crowd, row, crowd.radius[row, mover])
     seen = crowd.settings[row, mover, GOAL] == 0.0
     best = drawn_in(crowd, row, mover, area, draw, 0)
     if is_point(crowd, row, mover, area):
@@ -282,11 +307,11 @@ def draw_goal(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, 
     most = float(-FAR)
     for number in range(CANDIDATES):
         goal = drawn_in(crowd, row, mover, area, draw, number)
-        gap = wall_at(walls, row, goal)[0] - kept
+        gap = wall_at(crowd, row, goal)[0] - kept
         if gap >= 0.0:
             if not seen:
                 return goal
-            if free_way(walls, row, point, goal, kept) >= wp.length(goal - point):
+            if free_way(crowd, row, point, goal, kept) >= wp.length(goal - point):
                 return goal
         if gap > most:
             most = gap
@@ -295,21 +320,21 @@ def draw_goal(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, 
         # Straight ahead in any direction, as far as there is a way.
         key = crowd.keys[row, mover]
         ahead = heading_of(TWO_PI * uniform(key, DRAWS, draw, 2 * CANDIDATES))
-        return point + free_way(walls, row, point, point + 10.0 * ahead, kept) * ahead
+        return point + free_way(crowd, row, point, point + 10.0 * ahead, kept) * ahead
     return best
 
 
 @wp.func
-def way_to(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, goal: wp.vec2, draws: wp.int64) -> wp.vec2:
+def way_to(crowd: Crowd, row: int, mover: int, point: wp.vec2, goal: wp.vec2, draws: wp.int64) -> wp.vec2:
     """Direction in which a mover walks to its goal: straight, or along the wall that is in its way."""
     toward = goal - point
     distance = wp.length(toward)
     if distance < 1.0e-4:
         return wp.vec2(0.0, 0.0)
     toward = toward / distance
-    wall = wall_at(walls, row, point)
+    wall = wall_at(crowd, row, point)
     away = wp.vec2(wall[1], wall[2])
-    gap = wall[0] - kept_distance(walls, row, crowd.radius[row, mover])
+    gap = wall[0] - kept_distance(crowd, row, crowd.radius[row, mover])
     near = wp.clamp(1.0 - gap / BAND, 0.0, 1.0)
     inward = wp.dot(toward, away)
     if near == 0.0 or inward >= 0.0 or gap > distance:
@@ -331,16 +356,7 @@ def step_noise(crowd: Crowd, row: int, mover: int) -> wp.vec2:
 
 
 @wp.func
-def finish_step(
-    crowd: Crowd,
-    walls: Walls,
-    before: CourseArrays,
-    after: CourseArrays,
-    row: int,
-    mover: int,
-    point: wp.vec2,
-    clock: float,
-):
+def finish_step(crowd: Crowd, before: States, after: States, row: int, mover: int, point: wp.vec2, clock: float):
     """Stores where a mover is after a step, and draws another goal if it is there or makes no way.
 
     ``clock`` is the patience that is left, s, if it is positive. Time of full speed toward the goal adds to it, and
@@ -370,7 +386,7 @@ def finish_step(
         elif clock < 0.0:
             renews = True
     if renews:
-        goal = draw_goal(crowd, walls, row, mover, point, draws)
+        goal = draw_goal(crowd, row, mover, point, draws)
         draws = draws + wp.int64(1)
         clock = patience
     after.goal[row, mover] = goal
@@ -379,38 +395,29 @@ def finish_step(
 
 
 @wp.kernel
-def begin_walks(crowd: Crowd, walls: Walls, after: CourseArrays):
-    """Begins the episodes of movers with goals, in ascending order; thread ``row``."""
+def begin(crowd: Crowd, law: int, after: States):
+    """Begins the episodes of movers, in ascending order; thread ``row``. A wanderer's goal is its direction."""
     row = wp.tid()
     for mover in range(crowd.mine.shape[1]):
         if crowd.mine[row, mover]:
-            point = draw_start(crowd, walls, after, row, mover)
-            goal = draw_goal(crowd, walls, row, mover, point, wp.int64(1))
+            point = draw_start(crowd, after, row, mover)
             after.position[row, mover] = point
-            after.velocity[row, mover] = wp.vec2(0.0, 0.0)
-            after.goal[row, mover] = goal
-            after.yaw[row, mover] = wp.atan2(goal[1] - point[1], goal[0] - point[0])
-            after.clock[row, mover] = crowd.settings[row, mover, PATIENCE]
-            after.draws[row, mover] = wp.int64(2)
-
-
-@wp.kernel
-def begin_wanders(crowd: Crowd, walls: Walls, after: CourseArrays):
-    """Begins the episodes of wanderers, in ascending order; thread ``row``."""
-    row = wp.tid()
-    for mover in range(crowd.mine.shape[1]):
-        if crowd.mine[row, mover]:
-            point = draw_start(crowd, walls, after, row, mover)
-            key = crowd.keys[row, mover]
-            yaw = TWO_PI * (uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES) - 0.5)
-            time = exponential(crowd.settings[row, mover, OWN], uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES + 1))
-            after.position[row, mover] = point
-            after.velocity[row, mover] = crowd.settings[row, mover, SPEED] * heading_of(yaw)
-            # The direction in which it walks: the heading follows at a limited rate.
-            after.goal[row, mover] = heading_of(yaw)
-            after.yaw[row, mover] = yaw
-            after.clock[row, mover] = time
-            after.draws[row, mover] = wp.int64(1)
+            if law == WANDER:
+                key = crowd.keys[row, mover]
+                yaw = TWO_PI * (uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES) - 0.5)
+                number = uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES + 1)
+                after.velocity[row, mover] = crowd.settings[row, mover, SPEED] * heading_of(yaw)
+                after.goal[row, mover] = heading_of(yaw)
+                after.yaw[row, mover] = yaw
+                after.clock[row, mover] = exponential(crowd.settings[row, mover, OWN], number)
+                after.draws[row, mover] = wp.int64(1)
+            else:
+                goal = draw_goal(crowd, row, mover, point, wp.int64(1))
+                after.velocity[row, mover] = wp.vec2(0.0, 0.0)
+                after.goal[row, mover] = goal
+                after.yaw[row, mover] = wp.atan2(goal[1] - point[1], goal[0] - point[0])
+                after.clock[row, mover] = crowd.settings[row, mover, PATIENCE]
+                after.draws[row, mover] = wp.int64(2)
 
 
 @wp.func
@@ -432,12 +439,9 @@ def edge_at(crowd: Crowd, row: int, mover: int, point: wp.vec2) -> wp.vec3:
     return wp.vec3(north, 0.0, -1.0)
 
 
-@wp.kernel
-def wander(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
-    """Moves wanderers by one step; thread ``(row, mover)``."""
-    row, mover = wp.tid()
-    if not crowd.mine[row, mover]:
-        return
+@wp.func
+def wander(crowd: Crowd, before: States, after: States, row: int, mover: int):
+    """Moves a wanderer by one step."""
     dt = crowd.dt
     speed = crowd.settings[row, mover, SPEED]
     start = before.position[row, mover]
@@ -449,20 +453,20 @@ def wander(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays
         direction = heading_of(TWO_PI * uniform(key, DRAWS, wp.uint64(draws), 0))
         clock += exponential(crowd.settings[row, mover, OWN], uniform(key, DRAWS, wp.uint64(draws), 1))
         draws = draws + wp.int64(1)
-    kept = kept_distance(walls, row, crowd.radius[row, mover])
+    kept = kept_distance(crowd, row, crowd.radius[row, mover])
     ahead = start + speed * dt * direction
-    wall = wall_at(walls, row, ahead)
+    wall = wall_at(crowd, row, ahead)
     edge = edge_at(crowd, row, mover, ahead)
     if edge[0] < wall[0] - kept:
         wall = wp.vec3(edge[0] + kept, edge[1], edge[2])
     away = wp.vec2(wall[1], wall[2])
     if wall[0] < kept:
         direction = direction - 2.0 * wp.min(wp.dot(direction, away), 0.0) * away
-    point = walked(walls, row, start, speed * dt * direction, kept)
+    point = walked(crowd, row, start, speed * dt * direction, kept)
     if crowd.settings[row, mover, START] > 0.0:
         point[0] = wp.clamp(point[0], crowd.settings[row, mover, START + 1], crowd.settings[row, mover, START + 2])
         point[1] = wp.clamp(point[1], crowd.settings[row, mover, START + 3], crowd.settings[row, mover, START + 4])
-        if wall_at(walls, row, point)[0] < kept - SLACK:
+        if wall_at(crowd, row, point)[0] < kept - SLACK:
             point = start
     # In a corner, it turns back.
     if wp.length(point - start) < 0.25 * speed * dt:
@@ -473,20 +477,3 @@ def wander(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays
     after.goal[row, mover] = direction
     after.clock[row, mover] = clock
     after.draws[row, mover] = draws
-
-
-@wp.kernel
-def cross(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
-    """Moves movers that cross by one step; thread ``(row, mover)``."""
-    row, mover = wp.tid()
-    if not crowd.mine[row, mover]:
-        return
-    start = before.position[row, mover]
-    point = start
-    clock = before.clock[row, mover]
-    if clock >= 0.0:
-        goal = before.goal[row, mover]
-        way = way_to(crowd, walls, row, mover, start, goal, before.draws[row, mover])
-        step = wp.min(crowd.settings[row, mover, SPEED] * crowd.dt, wp.length(goal - start))
-        point = walked(walls, row, start, step * way, kept_distance(walls, row, crowd.radius[row, mover]))
-    finish_step(crowd, walls, before, after, row, mover, point, clock)

@@ -11,12 +11,20 @@ from typing import ClassVar, Literal, TypeAlias, get_args
 import torch
 from torch import Tensor
 
+from rover_rl.checks import check_at_least, check_positive
 from rover_rl.rng import to_unit
 from rover_rl.rotations import wrap_angle
-from rover_rl.worlds.movers.motions.base import Courses, Motion, Scene
+from rover_rl.worlds.movers.motion import Motion, MotionInput, MoverState
 
 Keyframe: TypeAlias = tuple[float, float, float, float]
+Point: TypeAlias = tuple[float, float]
 Repeat: TypeAlias = Literal["once", "loop", "back_and_forth"]
+MAX_SPEED = 10.0
+"""Largest speed of a mover, m/s."""
+MAX_TIME = 1e6
+"""Largest duration among the settings, s."""
+_DOOR_STEP = math.radians(3)
+"""Angle of a door between two keyframes: the middle of the leaf is off its circle by 0.03 % of the width at most."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +67,67 @@ class Waypoints(Motion):
         if not (math.isfinite(self.delay) and self.delay >= 0):
             raise ValueError(f"delay must be at least 0, got {self.delay}")
 
-    def first_point(self) -> tuple[float, float] | None:
-        """Returns the first point, unless the start is random."""
+    @classmethod
+    def there_and_back(
+        cls,
+        start: Point,
+        to: Point,
+        speed: float = 1.0,
+        pause: float = 0.0,
+        yaw: float | None = None,
+        random_start: bool = False,
+    ) -> Waypoints:
+        """Slides back and forth between two points, as a gate or a cart does, and never turns.
+
+        Args:
+            start, to: ends of the way, m.
+            speed: speed, m/s.
+            pause: rest at each end, s.
+            yaw: heading, rad. ``None`` is the direction from ``start`` to ``to``.
+        """
+        check_positive(MAX_SPEED, speed=speed)
+        check_at_least(0.0, MAX_TIME, pause=pause)
+        if start == to:
+            raise ValueError(f"start and to must be different points, got {to} twice")
+        yaw = math.atan2(to[1] - start[1], to[0] - start[0]) if yaw is None else yaw
+        way = math.dist(start, to) / speed
+        ends = [(0.0, start), (way, to), (way + pause, to), (2 * way + pause, start), (2 * (way + pause), start)]
+        return cls([(time, *point, yaw) for time, point in ends], random_start=random_start)
+
+    @classmethod
+    def door(
+        cls,
+        hinge: Point,
+        width: float = 0.9,
+        closed: float = 0.0,
+        opening: float = math.pi / 2,
+        period: float = 8.0,
+        pause: float = 0.0,
+        random_start: bool = False,
+    ) -> Waypoints:
+        """Swings open about a hinge and shut again. The shape of the leaf is ``Box(width, 0.05, 2.0)``.
+
+        Args:
+            hinge: point of the hinge, m. The heading points from it to the other edge.
+            width: width of the leaf, m.
+            closed: heading of the shut leaf, rad.
+            opening: angle by which it opens, counter-clockwise if positive, rad.
+            period: time of opening and shutting with both pauses, s.
+            pause: rest when open, and when shut, s.
+        """
+        check_positive(MAX_TIME, width=width, period=period)
+        if period <= 2 * pause:
+            raise ValueError(f"period must be longer than two pauses of {pause:g} s, got {period}")
+        steps = max(1, math.ceil(abs(opening) / _DOOR_STEP))
+        swing = [step / steps for step in range(steps + 1)]
+        shares = [(share * (period / 2 - pause), share) for share in swing]
+        shares += [(period / 2 + time, 1 - share) for time, share in shares] + [(period, 0.0)]
+        x, y, arm = *hinge, width / 2
+        yaws = [(time, closed + share * opening) for time, share in shares]
+        keys = [(time, x + arm * math.cos(yaw), y + arm * math.sin(yaw), yaw) for time, yaw in yaws]
+        return cls(keys, random_start=random_start)
+
+    def first_point(self) -> Point | None:
         return None if self.random_start else self.keys[0][1:3]
 
     def tensors(self) -> dict[str, Tensor]:
@@ -82,35 +149,28 @@ class Waypoints(Motion):
         }
 
     @classmethod
-    def begin(cls, scene: Scene) -> Courses:
+    def begin(cls, inputs: MotionInput) -> MoverState:
         """Starts at time 0, or at a random time, which the clock keeps."""
-        settings = scene.settings
+        settings = inputs.settings
         cycle = torch.where(settings["repeat"] == 2, 2 * settings["period"], settings["period"])
-        offset = settings["random_start"] * cycle * to_unit(scene.bits(1)[..., 0])
-        return cls._at(scene, offset.to(scene.course.clock.dtype), scene.course)
+        offset = settings["random_start"] * cycle * to_unit(inputs.bits(1)[..., 0])
+        return cls._at(inputs, offset.to(inputs.state.clock.dtype))
 
     @classmethod
-    def advance(cls, scene: Scene) -> Courses:
-        """Moves along the path."""
-        return cls._at(scene, scene.course.clock, scene.course)
+    def advance(cls, inputs: MotionInput) -> MoverState:
+        return cls._at(inputs, inputs.state.clock)
 
     @classmethod
-    def _at(cls, scene: Scene, offset: Tensor, course: Courses) -> Courses:
-        """Returns the course at the time of the scene plus an offset ``[N, M]``."""
-        settings = scene.settings
+    def _at(cls, inputs: MotionInput, offset: Tensor) -> MoverState:
+        settings, state = inputs.settings, inputs.state
         keys, period = settings["keys"], settings["period"]
-        time = (scene.time + offset - settings["delay"]).clamp(min=0)
+        time = (inputs.time + offset - settings["delay"]).clamp(min=0)
         whole = period.clamp(min=1e-6)
         folded = torch.remainder(time, 2 * whole)
-        time = torch.where(
-            settings["repeat"] == 0,
-            time,
-            torch.where(
-                settings["repeat"] == 1,
-                torch.where(folded < whole, folded, folded - whole),
-                torch.minimum(folded, 2 * whole - folded),
-            ),
-        )
+        looped = torch.where(folded < whole, folded, folded - whole)
+        back_and_forth = torch.minimum(folded, 2 * whole - folded)
+        repeated = torch.where(settings["repeat"] == 1, looped, back_and_forth)
+        time = torch.where(settings["repeat"] == 0, time, repeated)
         # The leg of the last keyframe that is not later.
         numbers = torch.arange(keys.shape[-2], device=keys.device)
         passed = (keys[..., 0] <= time[..., None]) & (numbers < settings["count"][..., None])
@@ -125,12 +185,11 @@ class Waypoints(Motion):
         returns = (settings["repeat"] == 2) & (folded > whole)
         heading = torch.where(returns, -1.0, 1.0)[..., None] * ((passed_time > 0) & (passed_time < span))[..., None]
         yaw = leg[..., 3] + passed_time * leg[..., 7]
-        position = position.to(course.position.dtype)
-        return Courses(
-            position=position,
-            yaw=yaw.to(course.yaw.dtype),
-            velocity=(way * heading).to(course.velocity.dtype),
-            goal=course.goal,
+        return MoverState(
+            position=position.to(state.position.dtype),
+            yaw=yaw.to(state.yaw.dtype),
+            velocity=(way * heading).to(state.velocity.dtype),
+            goal=state.goal,
             clock=offset,
-            draws=course.draws,
+            draws=state.draws,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 
 @dataclass(frozen=True)
-class Courses:
+class MoverState:
     """Where movers are and where they go, ``[N, M]`` of each.
 
     Attributes:
@@ -33,24 +33,21 @@ class Courses:
     draws: Tensor
 
     @classmethod
-    def at_rest(cls, rows: int, movers: int, device: torch.device) -> Courses:
-        """Creates courses of movers at rest at the origin."""
+    def at_rest(cls, rows: int, movers: int, device: torch.device) -> MoverState:
+        """Creates the state of movers at rest at the origin."""
         zeros = torch.zeros(rows, movers, device=device)
         pairs = torch.zeros(rows, movers, 2, device=device)
         return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long())
 
-    def padded(self, movers: int) -> Courses:
-        """Returns courses of more movers, which rest at the origin."""
+    def padded(self, movers: int) -> MoverState:
+        """Adds ``movers`` to each row, which rest at the origin."""
         values = ((item.name, getattr(self, item.name)) for item in fields(self))
-        return Courses(
+        return MoverState(
             **{name: pad(value, (0, 0, 0, movers) if value.ndim == 3 else (0, movers)) for name, value in values}
         )
 
-    def where(self, mask: Tensor, other: Courses) -> Courses:
-        """Returns this course for the movers of ``mask`` (bool ``[N, M]``), and ``other`` for the others.
-
-        Numbers are of the types of ``other``.
-        """
+    def where(self, mask: Tensor, other: MoverState) -> MoverState:
+        """Returns this state for the movers of ``mask`` (bool ``[N, M]``), else ``other``, whose types it takes."""
         chosen = {}
         for item in fields(self):
             value, rest = getattr(self, item.name), getattr(other, item.name)
@@ -61,11 +58,11 @@ class Courses:
         return replace(self, **chosen)
 
 
-class WallGrids(NamedTuple):
-    """Distances to walls on the grids of worlds in slots.
+class WallDistances(NamedTuple):
+    """Distances to what movers keep away from, obstacles and the bounds of the world of each row, on grids.
 
     Attributes:
-        distances: distances on the points of each grid, row by row, float32 ``[slots, capacity]``, m.
+        distances: distances on the points of each grid, row by row, at most 3 m, float32 ``[slots, capacity]``, m.
         grids: x and y of the first point and spacing (m), and numbers of rows and columns, float32 ``[slots, 5]``.
         slots: slot of each row, int64 ``[N]``.
     """
@@ -74,11 +71,7 @@ class WallGrids(NamedTuple):
     grids: Tensor
     slots: Tensor
 
-
-class Walls(Protocol):
-    """What movers keep away from: obstacles and the bounds of the world of each row."""
-
-    def distance(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the distance to the nearest wall (at most 3 m), and the direction away from it.
 
         Args:
@@ -87,22 +80,26 @@ class Walls(Protocol):
         Returns:
             Distances ``[N, K]``, m, negative beyond the bounds, and unit vectors ``[N, K, 2]``, 0 far from all walls.
         """
-        ...
-
-    def grids(self) -> WallGrids:
-        """Returns the distances on grids, for kernels."""
-        ...
+        x, y, cell, rows, columns = self.grids[self.slots].T[..., None]
+        u, v = (points[..., 0] - x) / cell, (points[..., 1] - y) / cell
+        # The lower limit of the index keeps NaN, whose conversion is undefined, on the grid.
+        i = torch.minimum(u.floor().clamp(min=0), columns - 2).long().clamp(min=0)
+        j = torch.minimum(v.floor().clamp(min=0), rows - 2).long().clamp(min=0)
+        corner, width = j * columns.long() + i, columns.long()
+        corners = (corner, corner + 1, corner + width, corner + width + 1)
+        d00, d10, d01, d11 = (self.distances[self.slots[:, None], k] for k in corners)
+        s, t = (u - i).clamp(0, 1), (v - j).clamp(0, 1)
+        low, high = d00 + s * (d10 - d00), d01 + s * (d11 - d01)
+        # Beyond the grid, the distance falls with that from its edge.
+        beyond = torch.maximum((u - i - s).abs(), (v - j - t).abs()) * cell
+        rise = torch.stack(((1 - t) * (d10 - d00) + t * (d11 - d01), high - low), -1)
+        length = rise.norm(dim=-1, keepdim=True)
+        return low + t * (high - low) - beyond, torch.where(length > 1e-6, rise / length.clamp(min=1e-6), rise * 0)
 
 
 @dataclass(frozen=True)
-class Others:
-    """Rovers, which movers may react to.
-
-    Attributes:
-        position: positions, ``[N, R, 2]``, m.
-        velocity: velocities, ``[N, R, 2]``, m/s.
-        radius: radius of a rover, m.
-    """
+class Rovers:
+    """Rovers, which movers may react to: positions ``[N, R, 2]`` (m), velocities (m/s) and the radius of each (m)."""
 
     position: Tensor
     velocity: Tensor
@@ -110,11 +107,11 @@ class Others:
 
 
 @dataclass(frozen=True)
-class Scene:
+class MotionInput:
     """What a motion depends on, for ``N`` rows with ``M`` movers each.
 
     Attributes:
-        course: course of all movers before the step, also of those with other motions.
+        state: state of all movers before the step, also of those with other motions.
         settings: settings of the motion by name, ``[N, M, ...]``; meaningless for movers with other motions.
         mine: movers that have this motion, bool ``[N, M]``.
         present: movers that exist: rows may have fewer than others, bool ``[N, M]``.
@@ -129,17 +126,17 @@ class Scene:
         bits: function from a number of hashes to random bits of each mover and draw, int64 ``[N, M, count]``.
     """
 
-    course: Courses
+    state: MoverState
     settings: dict[str, Tensor]
     mine: Tensor
     present: Tensor
     radius: Tensor
     time: Tensor
     dt: float
-    walls: Walls
+    walls: WallDistances
     bounds: Tensor
     arena: Tensor
-    rovers: Others
+    rovers: Rovers
     keys: Tensor
     bits: Callable[[int], Tensor]
 
@@ -150,12 +147,12 @@ class Motion(ABC):
 
     A subclass is a frozen dataclass, whose fields are the settings of one mover. Movers of all rows that have motions
     of the same class are moved at once, without a loop: :meth:`begin` and :meth:`advance` get the settings of all of
-    them as tensors. Random numbers must come from ``scene.bits``, so that a mover depends on the seed of its row
+    them as tensors. Random numbers must come from ``inputs.bits``, so that a mover depends on the seed of its row
     and the number of the episode alone.
 
     Attributes:
-        has_walls: whether the motion asks for ``scene.walls``.
-        is_foreseen: whether :meth:`advance` depends on ``scene.time`` and the start of the episode alone, so that it
+        has_walls: whether the motion asks for ``inputs.walls``.
+        is_foreseen: whether :meth:`advance` depends on ``inputs.time`` and the start of the episode alone, so that it
             also tells where a mover will be later.
     """
 
@@ -171,13 +168,13 @@ class Motion(ABC):
 
     @classmethod
     @abstractmethod
-    def begin(cls, scene: Scene) -> Courses:
-        """Returns the course of the movers at the start of an episode, when ``scene.time`` is 0."""
+    def begin(cls, inputs: MotionInput) -> MoverState:
+        """Returns the state of the movers at the start of an episode, when ``inputs.time`` is 0."""
 
     @classmethod
     @abstractmethod
-    def advance(cls, scene: Scene) -> Courses:
-        """Returns the course of the movers after a step."""
+    def advance(cls, inputs: MotionInput) -> MoverState:
+        """Returns the state of the movers after a step."""
 
     def first_point(self) -> tuple[float, float] | None:
         """Returns the point at which every episode starts, m, or ``None`` if it is drawn."""

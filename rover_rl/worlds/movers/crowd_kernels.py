@@ -1,41 +1,58 @@
-"""Warp kernel of optimal reciprocal collision avoidance (van den Berg et al., 2011).
+"""Warp kernel of the step of movers that walk: straight on, by social forces, or by reciprocal collision avoidance.
 
-The linear programs are those of the paper and of RVO2 (https://gamma.cs.unc.edu/RVO2). A line ``(x, y, dx, dy)`` allows
-the velocities on the left of the point ``(x, y)`` (m/s) in the direction ``(dx, dy)``, a unit vector.
+The social forces are those of Helbing and Molnar (1995). The linear programs of collision avoidance (ORCA) are those of
+van den Berg et al. (2011) and of RVO2 (https://gamma.cs.unc.edu/RVO2). A line ``(x, y, dx, dy)`` allows the velocities
+on the left of the point ``(x, y)`` (m/s) in the direction ``(dx, dy)``, a unit vector.
 """
 
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.worlds.movers.motions.walking_kernels import (
+from rover_rl.worlds.movers.walking_kernels import (
     FAR,
+    ORCA,
     OWN,
+    SOCIAL_FORCE,
     SPEED,
-    CourseArrays,
+    WANDER,
     Crowd,
-    Walls,
+    States,
     finish_step,
     kept_distance,
     left_of,
     step_noise,
     walked,
     wall_at,
+    wander,
     way_to,
 )
 
-# Settings of a mover, by index, in the order of the fields of `Orca`.
-HORIZON = wp.constant(OWN)
-SEES_ROVER = wp.constant(OWN + 1)
-MARGIN = wp.constant(OWN + 2)
+# Settings of a mover, by index, in the order of the fields of `SocialForce`, and of `Orca`.
+SEES_ROVER, RELAXATION, STRENGTH, REACH, WALL_STRENGTH, WALL_REACH, BEHIND, FORESIGHT, FLUCTUATION = (
+    wp.constant(OWN + k) for k in range(9)
+)
+HORIZON, ORCA_SEES_ROVER, MARGIN = (wp.constant(OWN + k) for k in range(3))
+
+PAPER_RADIUS = wp.constant(0.2)
+"""Radius of the people who are points in the paper on social forces, m."""
+COS_VIEW = wp.constant(-0.1736482)
+"""Cosine of 100 degrees, half the angle of sight."""
+MAX_FACTOR = wp.constant(1.3)
+"""Largest speed, in desired speeds."""
+MAX_PUSH = wp.constant(0.1)
+"""Largest way by which movers that overlap are pushed apart in a step, m."""
+CUT_OFF = wp.constant(10.0)
+"""Distance without a force, in ranges of the potential: exp(-10) is 5e-5."""
+ROOT_3 = wp.constant(1.7320508)
 
 NEIGHBORS = wp.constant(10)
-"""Number of nearest movers that are avoided, as in the examples of RVO2."""
+"""Number of nearest movers that ORCA avoids, as in the examples of RVO2."""
 MAX_ROVERS = wp.constant(4)
-"""Number of rovers that are avoided."""
+"""Number of rovers that it avoids."""
 MAX_LINES = 16
 """Number of lines for which there is space: two walls, rovers and movers."""
 WALL_TIME = wp.constant(0.5)
-"""Time within which a mover keeps off walls, s."""
+"""Time within which it keeps off walls, s."""
 NOISE = wp.constant(0.02)
 """Random part of the desired velocity, in speeds, without which two that meet head-on both stop."""
 TINY = wp.constant(1.0e-5)
@@ -46,8 +63,103 @@ Distances = wp.types.vector(length=NEIGHBORS, dtype=float)
 
 
 @wp.func
+def repulsion(offset: wp.vec2, stride: wp.vec2, excess: float, strength: float, reach: float) -> wp.vec2:
+    """Acceleration by another mover: minus the gradient of ``strength exp(-b / reach)``, m/s^2.
+
+    ``b`` is the minor half-axis of the ellipse through the mover whose foci are where the other one is now and after
+    its next step, ``stride`` (m). ``offset`` (m) is from the other mover to this one, and ``excess`` (m) by how much
+    the two are larger than in the paper.
+    """
+    if wp.length(offset) > CUT_OFF * reach + excess + wp.length(stride):
+        return wp.vec2(0.0, 0.0)
+    ahead = offset - stride
+    near = wp.max(wp.length(offset), 1.0e-4)
+    far = wp.max(wp.length(ahead), 1.0e-4)
+    both = near + far
+    b = 0.5 * wp.sqrt(wp.max(both * both - wp.length_sq(stride), 1.0e-6))
+    slope = both / (4.0 * b) * (offset / near + ahead / far)
+    return strength / reach * wp.exp(-wp.max(b - excess, 0.0) / reach) * slope
+
+
+@wp.func
+def weight(force: wp.vec2, direction: wp.vec2, behind: float) -> float:
+    """Weight of a force of something in sight of the desired direction, or behind."""
+    return wp.where(-wp.dot(force, direction) >= COS_VIEW * wp.length(force), 1.0, behind)
+
+
+@wp.func
+def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
+    """Way of a mover that overlaps with another one, whose centers must be ``least`` apart."""
+    square = wp.length_sq(offset)
+    if square >= least * least:
+        return wp.vec2(0.0, 0.0)
+    distance = wp.max(wp.sqrt(square), 1.0e-4)
+    return (least - distance) * share * offset / distance
+
+
+@wp.func
+def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec2) -> wp.vec2:
+    """Sum of the forces on a mover whose desired direction is ``way``, m/s^2."""
+    point = before.position[row, mover]
+    radius = crowd.radius[row, mover]
+    strength = crowd.settings[row, mover, STRENGTH]
+    reach = crowd.settings[row, mover, REACH]
+    behind = crowd.settings[row, mover, BEHIND]
+    foresight = crowd.settings[row, mover, FORESIGHT]
+    desired = crowd.settings[row, mover, SPEED] * way
+    sum = (desired - before.velocity[row, mover]) / crowd.settings[row, mover, RELAXATION]
+    for other in range(crowd.present.shape[1]):
+        if crowd.present[row, other] and other != mover:
+            stride = foresight * before.velocity[row, other]
+            excess = radius + crowd.radius[row, other] - 2.0 * PAPER_RADIUS
+            force = repulsion(point - before.position[row, other], stride, excess, strength, reach)
+            sum += weight(force, way, behind) * force
+    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
+        for k in range(crowd.rovers.shape[1]):
+            stride = foresight * crowd.rover_velocities[row, k]
+            excess = radius + crowd.rover_radius - 2.0 * PAPER_RADIUS
+            force = repulsion(point - crowd.rovers[row, k], stride, excess, strength, reach)
+            sum += weight(force, way, behind) * force
+    wall = wall_at(crowd, row, point)
+    wall_reach = crowd.settings[row, mover, WALL_REACH]
+    gap = wp.max(wall[0] - radius + PAPER_RADIUS, 0.0)
+    sum += (
+        crowd.settings[row, mover, WALL_STRENGTH] / wall_reach * wp.exp(-gap / wall_reach) * wp.vec2(wall[1], wall[2])
+    )
+    return sum
+
+
+@wp.func
+def way_by_forces(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec2) -> wp.vec2:
+    """Way of a mover in a step of the social force model."""
+    dt = crowd.dt
+    start = before.position[row, mover]
+    # Uniform numbers of the standard deviation that is set.
+    noise = step_noise(crowd, row, mover)
+    sum = acceleration(crowd, before, row, mover, way)
+    sum += crowd.settings[row, mover, FLUCTUATION] * 2.0 * ROOT_3 * noise
+    velocity = before.velocity[row, mover] + dt * sum
+    most = MAX_FACTOR * crowd.settings[row, mover, SPEED]
+    velocity = velocity * wp.min(1.0, most / wp.max(wp.length(velocity), 1.0e-6))
+    # Contact, where the others will be if they go on.
+    next = start + dt * velocity
+    radius = crowd.radius[row, mover]
+    push = wp.vec2(0.0, 0.0)
+    for other in range(crowd.present.shape[1]):
+        if crowd.present[row, other] and other != mover:
+            share = wp.where(crowd.mine[row, other], 0.5, 1.0)
+            offset = next - before.position[row, other] - dt * before.velocity[row, other]
+            push += push_apart(offset, radius + crowd.radius[row, other], share)
+    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
+        for k in range(crowd.rovers.shape[1]):
+            offset = next - crowd.rovers[row, k] - dt * crowd.rover_velocities[row, k]
+            push += push_apart(offset, radius + crowd.rover_radius, 1.0)
+    push = push * wp.min(1.0, MAX_PUSH / wp.max(wp.length(push), 1.0e-6))
+    return next - start + push
+
+
+@wp.func
 def det(a: wp.vec2, b: wp.vec2) -> float:
-    """Determinant of two vectors."""
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -108,7 +220,7 @@ def solve(lines: Lines, count: int, most: float, wanted: wp.vec2, along: bool) -
 def solve_least_bad(
     lines: Lines, walls_count: int, count: int, first: int, most: float, velocity_before: wp.vec2
 ) -> wp.vec2:
-    """Velocity that exceeds the lines of others least, and those of walls not at all, where no velocity is allowed."""
+    """Velocity where no line allows any: it breaks those of walls not at all, and those of others least."""
     velocity = velocity_before
     depth = float(0.0)
     for number in range(first, count):
@@ -118,10 +230,7 @@ def solve_least_bad(
             projected = Lines()
             used = int(0)
             for k in range(walls_count):
-                projected[used, 0] = lines[k, 0]
-                projected[used, 1] = lines[k, 1]
-                projected[used, 2] = lines[k, 2]
-                projected[used, 3] = lines[k, 3]
+                projected[used] = lines[k]
                 used += 1
             for k in range(walls_count, number):
                 other_point = wp.vec2(lines[k, 0], lines[k, 1])
@@ -136,10 +245,7 @@ def solve_least_bad(
                     at = point + det(other, point - other_point) / across * direction
                 if adds:
                     between = wp.normalize(other - direction)
-                    projected[used, 0] = at[0]
-                    projected[used, 1] = at[1]
-                    projected[used, 2] = between[0]
-                    projected[used, 3] = between[1]
+                    projected[used] = wp.vec4(at[0], at[1], between[0], between[1])
                     used += 1
             found = solve(projected, used, most, left_of(direction), True)
             if int(found[2]) == used:
@@ -187,9 +293,9 @@ def line_of(
 
 
 @wp.func
-def wall_line(walls: Walls, row: int, start: wp.vec2, probe: wp.vec2, kept: float) -> wp.vec4:
+def wall_line(crowd: Crowd, row: int, start: wp.vec2, probe: wp.vec2, kept: float) -> wp.vec4:
     """Line of the velocities with which a mover keeps off the wall that is next to ``probe``."""
-    wall = wall_at(walls, row, probe)
+    wall = wall_at(crowd, row, probe)
     away = wp.vec2(wall[1], wall[2])
     gap = wp.max(wall[0] - kept + wp.dot(start - probe, away), 0.0)
     if wp.length_sq(away) == 0.0:
@@ -198,7 +304,7 @@ def wall_line(walls: Walls, row: int, start: wp.vec2, probe: wp.vec2, kept: floa
 
 
 @wp.func
-def nearest_movers(crowd: Crowd, before: CourseArrays, row: int, mover: int) -> Indices:
+def nearest_movers(crowd: Crowd, before: States, row: int, mover: int) -> Indices:
     """Indices of the nearest movers that it could meet within the horizon, -1 for none, by ascending distance."""
     indices = Indices()
     squares = Distances()
@@ -223,45 +329,32 @@ def nearest_movers(crowd: Crowd, before: CourseArrays, row: int, mover: int) -> 
     return indices
 
 
-@wp.kernel
-def avoid(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
-    """Moves movers by one step of reciprocal collision avoidance; thread ``(row, mover)``."""
-    row, mover = wp.tid()
-    if not crowd.mine[row, mover]:
-        return
+@wp.func
+def way_that_avoids(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec2) -> wp.vec2:
+    """Way of a mover in a step of reciprocal collision avoidance."""
     dt = crowd.dt
     start = before.position[row, mover]
-    clock = before.clock[row, mover]
-    if clock < 0.0:
-        finish_step(crowd, walls, before, after, row, mover, start, clock)
-        return
-    goal = before.goal[row, mover]
     speed = crowd.settings[row, mover, SPEED]
     velocity = before.velocity[row, mover]
-    way = way_to(crowd, walls, row, mover, start, goal, before.draws[row, mover])
     noise = step_noise(crowd, row, mover)
-    wanted = wp.min(speed, wp.length(goal - start) / dt) * way + NOISE * speed * noise
-
+    wanted = wp.min(speed, wp.length(before.goal[row, mover] - start) / dt) * way + NOISE * speed * noise
     radius = crowd.radius[row, mover]
-    kept = kept_distance(walls, row, radius)
+    kept = kept_distance(crowd, row, radius)
     lines = Lines()
     count = int(0)
     for probe in range(2):
-        line = wall_line(walls, row, start, start + WALL_TIME * float(probe) * wanted, kept)
+        line = wall_line(crowd, row, start, start + WALL_TIME * float(probe) * wanted, kept)
         if line[0] != FAR:
-            for k in range(4):
-                lines[count, k] = line[k]
+            lines[count] = line
             count += 1
     walls_count = count
     reach = radius + crowd.settings[row, mover, MARGIN]
     horizon = crowd.settings[row, mover, HORIZON]
-    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
+    if crowd.settings[row, mover, ORCA_SEES_ROVER] > 0.0:
         for rover in range(wp.min(crowd.rovers.shape[1], MAX_ROVERS)):
             relative = velocity - crowd.rover_velocities[row, rover]
             offset = crowd.rovers[row, rover] - start
-            line = line_of(offset, velocity, relative, reach + crowd.rover_radius, horizon, dt, 1.0)
-            for k in range(4):
-                lines[count, k] = line[k]
+            lines[count] = line_of(offset, velocity, relative, reach + crowd.rover_radius, horizon, dt, 1.0)
             count += 1
     others = nearest_movers(crowd, before, row, mover)
     for number in range(NEIGHBORS):
@@ -270,13 +363,34 @@ def avoid(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays)
             share = wp.where(crowd.mine[row, other] and before.clock[row, other] >= 0.0, 0.5, 1.0)
             relative = velocity - before.velocity[row, other]
             offset = before.position[row, other] - start
-            line = line_of(offset, velocity, relative, reach + crowd.radius[row, other], horizon, dt, share)
-            for k in range(4):
-                lines[count, k] = line[k]
+            lines[count] = line_of(offset, velocity, relative, reach + crowd.radius[row, other], horizon, dt, share)
             count += 1
     found = solve(lines, count, speed, wanted, False)
     taken = wp.vec2(found[0], found[1])
     if int(found[2]) < count:
         taken = solve_least_bad(lines, walls_count, count, int(found[2]), speed, taken)
-    point = walked(walls, row, start, dt * taken, kept)
-    finish_step(crowd, walls, before, after, row, mover, point, clock)
+    return dt * taken
+
+
+@wp.kernel
+def step(crowd: Crowd, law: int, before: States, after: States):
+    """Moves movers by one step of the law of a motion, ``Walk.law``; thread ``(row, mover)``."""
+    row, mover = wp.tid()
+    if not crowd.mine[row, mover]:
+        return
+    if law == WANDER:
+        wander(crowd, before, after, row, mover)
+        return
+    start = before.position[row, mover]
+    point = start
+    clock = before.clock[row, mover]
+    if clock >= 0.0:
+        goal = before.goal[row, mover]
+        way = way_to(crowd, row, mover, start, goal, before.draws[row, mover])
+        move = wp.min(crowd.settings[row, mover, SPEED] * crowd.dt, wp.length(goal - start)) * way
+        if law == SOCIAL_FORCE:
+            move = way_by_forces(crowd, before, row, mover, way)
+        if law == ORCA:
+            move = way_that_avoids(crowd, before, row, mover, way)
+        point = walked(crowd, row, start, move, kept_distance(crowd, row, crowd.radius[row, mover]))
+    finish_step(crowd, before, after, row, mover, point, clock)

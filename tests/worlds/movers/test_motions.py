@@ -1,0 +1,224 @@
+"""Movers that walk keep off walls, paths are as given, and their statistics are as documented."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from rover_rl.rng import to_unit
+from rover_rl.worlds import World, box, get_world
+from rover_rl.worlds.movers import (
+    Box,
+    Cross,
+    Cylinder,
+    Motion,
+    MotionInput,
+    Mover,
+    MoverState,
+    Orca,
+    Person,
+    SocialForce,
+    Wander,
+    Waypoints,
+)
+from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, walk, yard
+
+MOTIONS = [Wander(), Cross(), SocialForce(), Orca()]
+CENTER = ((-4.0, 4.0), (-3.0, 3.0))
+
+
+def distance_to_obstacles(world: World, points: Tensor) -> Tensor:
+    """Returns the horizontal distance of points outside obstacles to their outlines, 0 inside a box, ``[P]``, m."""
+    nearest = torch.full_like(points[:, 0], math.inf)
+    for obstacle in world.obstacles:
+        outline, inside = obstacle.footprint.to(points), torch.ones_like(nearest, dtype=torch.bool)
+        for a, b in zip(outline, outline.roll(-1, 0), strict=True):
+            edge, offset = b - a, points - a
+            share = ((offset @ edge) / (edge @ edge)).clamp(0, 1)
+            nearest = torch.minimum(nearest, (offset - share[:, None] * edge).norm(dim=-1))
+            inside &= edge[0] * offset[:, 1] - edge[1] * offset[:, 0] > 0
+        nearest = nearest.masked_fill(inside, 0.0)
+    return nearest
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda motion: type(motion).__name__)
+def test_movers_start_free_and_do_not_enter_walls(motion: Motion) -> None:
+    maze = replace(get_world("maze"), movers=[Mover(motion, Cylinder(0.3))] * 6)
+    rovers = torch.tensor([[-5.0, -5.0], [0.0, 0.0]]).repeat(32, 1)
+    field = begun([maze] * 64, rovers=rovers)
+    gaps = (field.state.position - rovers[:, None]).norm(dim=-1)
+    assert gaps.min() > 1.5 + 0.3 + ROVER_RADIUS - 1e-4
+    apart = torch.cdist(field.state.position, field.state.position) + torch.eye(6)
+    assert apart.min() > 0.6 - 1e-4
+    crowd = replace(get_world("maze"), movers=[Mover(motion, Cylinder(0.3))] * 20)
+    points = walk(begun([crowd], 4), 600).reshape(-1, 2)
+    assert distance_to_obstacles(maze, points).min() > 0.28
+    for k, (low, high) in enumerate(maze.bounds):
+        assert (points[:, k] - (low + high) / 2).abs().max() < (high - low) / 2 - 0.28
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda motion: type(motion).__name__)
+def test_the_heading_turns_to_the_direction_of_walking_at_a_limited_rate(motion: Motion) -> None:
+    yaws = walk(begun([yard([Mover(motion, Person())] * 8, 8.0)]), 400, keep="yaw")[:, 0]
+    turns = torch.remainder(yaws.diff(dim=0) + math.pi, 2 * math.pi) - math.pi
+    assert turns.abs().max() < math.pi * DT + 1e-4
+    field = begun([yard([Mover(motion)] * 8, 100.0)] * 4)
+    walk(field, 200)
+    velocity, yaw = field.state.velocity, field.state.yaw
+    along = (velocity * torch.stack((yaw.cos(), yaw.sin()), -1)).sum(-1) / velocity.norm(dim=-1)
+    assert (along > 0.98).float().mean() > 0.7
+
+
+def test_a_wanderer_keeps_its_speed_and_turns_as_often_as_set() -> None:
+    field = begun([yard([Mover(Wander(speed=0.8, turn_time=2.0))] * 8, 400.0)] * 8)
+    velocity = walk(field, 1000, keep="velocity")
+    assert (velocity.norm(dim=-1) - 0.8).abs().max() < 2e-3
+    turns = (velocity.diff(dim=0).norm(dim=-1) > 0.02).sum().item()
+    # 1600 turns are expected in 64 x 50 s: a standard deviation is 2.5 %.
+    assert turns == pytest.approx(64 * 999 * DT / 2.0, rel=0.08)
+
+
+def test_a_wanderer_bounces_off_walls_and_stays_in_its_area() -> None:
+    field = begun([yard([Mover(Wander(speed=1.5, turn_time=1e5, area=CENTER))] * 8)] * 4)
+    points = walk(field, 1500)
+    for k, (low, high) in enumerate(CENTER):
+        assert low - 0.02 < points[..., k].min()
+        assert points[..., k].max() < high + 0.02
+    # It is everywhere in the area for as long.
+    assert (points[..., 0] < -2.0).float().mean().item() == pytest.approx(0.25, abs=0.06)
+    assert (points.diff(dim=0).norm(dim=-1) / DT).mean() == pytest.approx(1.5, rel=0.02)
+
+
+def test_goals_are_uniform_in_their_area() -> None:
+    goal = ((-2.0, 6.0), (-6.0, 2.0))
+    field = begun([yard([Mover(Cross(speed=8.0, goal=goal))] * 8)] * 16)
+    goals = walk(field, 400, keep="goal")
+    drawn = goals[1:][(goals.diff(dim=0) != 0).any(-1)]
+    assert len(drawn) > 1500
+    assert drawn.mean(0).tolist() == pytest.approx([2.0, -2.0], abs=0.25)
+    assert drawn.std(0).tolist() == pytest.approx([8 / math.sqrt(12)] * 2, rel=0.06)
+
+
+def test_a_mover_goes_to_and_fro_between_its_places_and_rests_there() -> None:
+    motion = Cross(speed=1.0, start=(-3.0, 0.0), goal=(3.0, 0.0), pause=2.0)
+    field = begun([yard([Mover(motion)])], rovers=torch.tensor([[0.0, 5.0]]))
+    assert field.state.position[0, 0].tolist() == [-3.0, 0.0]
+    x = walk(field, 800)[:, 0, 0, 0]
+    assert x.max() > 2.79
+    assert x[x.argmax() :].min() < -2.79
+    # It rests 2 s after each way of 5.6 to 5.8 m.
+    assert (x.diff().abs() < 1e-6).float().mean().item() == pytest.approx(2.0 / 7.7, abs=0.06)
+
+
+def test_a_mover_that_makes_no_way_takes_another_goal() -> None:
+    motion = Cross(goal=(0.0, 0.0), start=(-4.0, 0.0), patience=2.0)
+    cell = [box((x, y, 0.5), size) for x, y, size in ((0, 2, (5, 1, 1)), (0, -2, (5, 1, 1)), (2, 0, (1, 5, 1)))]
+    closed = [*cell, box((-2.0, 0.0, 0.5), (1.0, 5.0, 1.0))]
+    field = begun([yard([Mover(motion, Cylinder(0.3))], obstacles=closed)], rovers=torch.tensor([[0.0, 8.0]]))
+    draws = walk(field, 800, keep="draws")[:, 0, 0]
+    assert draws[40] == 2
+    assert draws[-1] >= 4
+
+
+def test_a_mover_walks_around_a_pillar() -> None:
+    motion = Cross(start=(-4.0, 0.0), goal=(4.0, 0.1))
+    world = yard([Mover(motion, Cylinder(0.3))], obstacles=[box((0.0, 0.0, 0.5), (1.0, 1.5, 1.0))])
+    points = walk(begun([world], rovers=torch.tensor([[0.0, 8.0]])), 200)[:, 0, 0]
+    assert (points - torch.tensor([4.0, 0.1])).norm(dim=-1).min() < 0.21
+
+
+def test_a_path_there_and_back_keeps_its_speed_and_heading_and_rests() -> None:
+    field = begun([yard([Mover(Waypoints.there_and_back((0.0, 2.0), (3.0, 2.0), speed=1.5, pause=1.0, yaw=0.5))])])
+    points = walk(field, 120)[:, 0, 0]
+    # 2 s there, 1 s of rest, 2 s back, 1 s of rest.
+    for time, x in ((1.0, 1.5), (2.0, 3.0), (3.0, 3.0), (4.0, 1.5), (5.0, 0.0), (6.0, 0.0)):
+        assert points[round(time / DT) - 1].tolist() == pytest.approx([x, 2.0], abs=1e-5)
+    assert field.state.yaw.item() == 0.5
+
+
+def test_random_starts_on_a_path_are_uniform() -> None:
+    motion = Waypoints.there_and_back((0.0, 0.0), (1.0, 0.0), random_start=True)
+    x = begun([yard([Mover(motion)] * 8)] * 100).state.position[..., 0]
+    assert x.mean() == pytest.approx(0.5, abs=0.05)
+    assert x.std() == pytest.approx(1 / math.sqrt(12), abs=0.03)
+
+
+def test_the_edge_of_a_door_stays_at_the_hinge() -> None:
+    motion = Waypoints.door(hinge=(1.0, 2.0), width=0.8, closed=0.3, opening=-1.5, period=4.0, pause=0.5)
+    field = begun([yard([Mover(motion, Box(0.8, 0.05, 2.0))])])
+    angles = []
+    for _ in range(80):
+        walk(field, 1)
+        yaw = field.state.yaw[0, 0]
+        edge = field.state.position[0, 0] - 0.4 * torch.stack((yaw.cos(), yaw.sin()))
+        assert edge.tolist() == pytest.approx([1.0, 2.0], abs=3e-4)
+        angles.append(yaw.item())
+    assert [angles[29], angles[39], angles[-1]] == pytest.approx([-1.2, -1.2, 0.3], abs=1e-5)
+
+
+@dataclass(frozen=True)
+class Circle(Motion):
+    """Goes around a point, from a random place on."""
+
+    radius: float = 2.0
+    speed: float = 1.0
+
+    @classmethod
+    def begin(cls, inputs: MotionInput) -> MoverState:
+        # The clock keeps the angle at which the episode begins.
+        return cls.at(inputs, 2 * math.pi * to_unit(inputs.bits(1)[..., 0]))
+
+    @classmethod
+    def advance(cls, inputs: MotionInput) -> MoverState:
+        return cls.at(inputs, inputs.state.clock)
+
+    @classmethod
+    def at(cls, inputs: MotionInput, first: Tensor) -> MoverState:
+        radius = inputs.settings["radius"]
+        angle = first + inputs.time * inputs.settings["speed"] / radius
+        out = torch.stack((angle.cos(), angle.sin()), -1)
+        return replace(inputs.state, position=radius[..., None] * out, yaw=angle, clock=first)
+
+
+def test_an_own_motion_moves_beside_those_of_the_package_with_its_own_random_numbers() -> None:
+    movers = [Mover(Circle(3.0, 0.5)), Mover(SocialForce(), Cylinder(0.3)), Mover(Circle())]
+    field = begun([yard(movers), yard(movers[1:])], rovers=torch.full((2, 2), 8.0))
+    points = walk(field, 100)[:, 0, 0]
+    assert points.norm(dim=-1).tolist() == pytest.approx([3.0] * 100, abs=1e-4)
+    assert (points.diff(dim=0).norm(dim=-1) / DT).mean() == pytest.approx(0.5, rel=1e-3)
+    # Whatever types it returns.
+    assert field.state.position.dtype == field.state.yaw.dtype == torch.float32
+    assert field.state.clock[0, 0] != field.state.clock[0, 2]
+
+
+@pytest.mark.parametrize(
+    ("motion", "arguments", "message"),
+    [
+        (Cross, {"speed": math.nan}, "speed must be positive and at most 10, got nan"),
+        (Cross, {"pause": -1.0}, "pause must be at least 0"),
+        (Cross, {"patience": 0.0}, "patience must be positive"),
+        (Cross, {"start": ((1.0, 0.0), (0.0, 1.0))}, "start must be a point"),
+        (Cross, {"goal": (0.0, math.inf)}, "goal must be a point"),
+        (Cross, {"goal": "here"}, "goal must be a point"),
+        (Wander, {"turn_time": 0.0}, "turn_time must be positive"),
+        (Wander, {"area": (0.0, 1.0)}, "area must be"),
+        (Orca, {"horizon": 0.0}, "horizon must be positive"),
+        (SocialForce, {"behind": 2.0}, "behind must be at least 0 and at most 1"),
+        (Waypoints.there_and_back, {"start": (0.0, 0.0), "to": (0.0, 0.0)}, "start and to must be different"),
+        (Waypoints.there_and_back, {"start": (0.0, 0.0), "to": (math.nan, 0.0)}, "keyframes must be finite"),
+        (Waypoints.door, {"hinge": (0.0, 0.0), "period": 4.0, "pause": 2.0}, "period must be longer than two pauses"),
+    ],
+)
+def test_wrong_settings_are_told_in_a_sentence(motion: Any, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        motion(**arguments)
+
+
+def test_a_fixed_start_inside_an_obstacle_is_refused() -> None:
+    with pytest.raises(ValueError, match="'mover' of world 'yard' starts at .* inside an obstacle"):
+        yard([Mover(Cross(start=(0.0, 0.0)))], obstacles=[box((0.0, 0.0, 0.5), (1.0, 1.0, 1.0))])
