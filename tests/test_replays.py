@@ -42,7 +42,7 @@ def test_evaluations_share_the_drives_of_a_page_failures_first_with_one_progress
             display.update(1.0)
         shown.append((drives, titles))
 
-    monkeypatch.setattr("rover_rl.algos.evaluation.stored.read_evaluation", stored)
+    monkeypatch.setattr("rover_rl.algos.evaluation.results.read_evaluation", stored)
     monkeypatch.setattr("rover_rl.algos.video.recording.record_stored", drive)
     monkeypatch.setattr("rover_rl.view.replay.write_replay", write)
     names = [f"policy {number}" for number in range(policies)]
