@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, World
-from rover_rl.algos.evaluation.episodes import STORED, STORED_WORLDS, EpisodeSet, draw_episodes, stored_episodes
+from rover_rl.algos.evaluation.episodes import STORED_WORLDS, EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.paths import shortest_paths
@@ -66,9 +66,12 @@ def test_the_robot_decides_which_ground_is_free() -> None:
     assert torch.equal(drawn.shortest, shortest_paths(WALL, wide, drawn.start, drawn.goal))
 
 
-@pytest.mark.parametrize(("world", "count"), [("maze", 32), ("inspect", STORED), ("moon", 4)])
+@pytest.mark.parametrize(("world", "count"), [("maze", 32), ("inspect", 64), ("moon", 4)])
 def test_stored_episodes_are_the_first_that_are_drawn(world: str, count: int) -> None:
-    assert_same(draw_episodes(world, count), stored_episodes(world).first(count))
+    drawn, stored = draw_episodes(world, count), stored_episodes(world).first(count)
+    assert torch.equal(drawn.start, stored.start)
+    assert torch.equal(drawn.goal, stored.goal)
+    torch.testing.assert_close(drawn.shortest, stored.shortest, rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("world", STORED_WORLDS)
