@@ -53,7 +53,7 @@ def test_it_reaches_goals_in_worlds_that_it_has_not_seen(name: str) -> None:
         env = imperfect(env, "all")
         assert env.compensate_delay
     env = replace(env, robot="any:10000-10003").fitted() if name == "anyrobot" else env
-    episodes = draw_episodes(env.world, episodes=1, robot=env.robot)
+    episodes = draw_episodes(env.world, count=1, robot=env.robot)
     assert evaluate(actor, episodes, env=env, rows=8, seconds=90).success_rate >= least
 
 

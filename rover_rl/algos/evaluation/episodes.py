@@ -134,7 +134,6 @@ def draw_episodes(
     seed: int = DEFAULT_SEED,
     min_path: float = MIN_PATH,
     *,
-    episodes: int | None = None,
     robot: RobotLike = "rover_zero",
     workers: int | None = 1,
     agents: int = 1,
@@ -152,7 +151,6 @@ def draw_episodes(
         count: number of episodes in each world.
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
-        episodes: another name for ``count``, as on the command line.
         robot: robot, or its name, for which the starts, goals and paths must be free. Of several, it is the one that
             needs the most space.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
@@ -163,7 +161,6 @@ def draw_episodes(
         ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
             is long enough.
     """
-    count = count if episodes is None else episodes
     check_at_least(1, MAX_COUNT, count=count, agents=agents)
     if count % agents:
         raise ValueError(f"count must be a multiple of agents={agents}, got {count}")

@@ -190,6 +190,6 @@ def test_slip_out_of_range_is_refused() -> None:
 
 
 def test_it_finds_most_goals_in_mazes_without_a_contact() -> None:
-    episodes = draw_episodes("maze:0-2", episodes=1)
+    episodes = draw_episodes("maze:0-2", count=1)
     driven = evaluate(DynamicWindowPolicy(), episodes, seconds=20, env=EnvConfig(backend="warp", lidar=LIDAR))
     assert driven.metrics["contact_free_success_rate"].value >= 2 / 3
