@@ -3,7 +3,8 @@
 Packages:
     ``rover_rl.envs``: the environment: observations, actions, rewards, configuration, and the Gymnasium and
     Stable-Baselines3 classes.
-    ``rover_rl.sims``: simulation and hardware backends, robots and worlds.
+    ``rover_rl.sims``: simulators, one of which is a real rover.
+    ``rover_rl.robots``, ``rover_rl.worlds``: robots and worlds.
     ``rover_rl.algos``: PPO and SAC: training, evaluation, video and deployment.
     ``rover_rl.cli``: the ``rover-rl`` command.
 
@@ -18,27 +19,32 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from rover_rl.envs import (
-        ActionConfig,
-        Bounds,
-        EnvConfig,
-        LidarConfig,
-        PoseConfig,
-        Randomization,
-        RewardComponent,
-        RewardConfig,
-        RoverEnv,
-        Sensor,
-        TaskConfig,
-        contract_reward,
-        make_env,
-        register_reward,
-        register_sensor,
-    )
-    from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
-    from rover_rl.robots import Robot, RobotOptions, register_robot
-    from rover_rl.sims.backends import register_backend
-    from rover_rl.worlds import Terrain, World, box, cylinder, register_world
+    from rover_rl.envs.config import ActionConfig as ActionConfig
+    from rover_rl.envs.config import EnvConfig as EnvConfig
+    from rover_rl.envs.config import LidarConfig as LidarConfig
+    from rover_rl.envs.config import PoseConfig as PoseConfig
+    from rover_rl.envs.config import Randomization as Randomization
+    from rover_rl.envs.config import RewardConfig as RewardConfig
+    from rover_rl.envs.config import TaskConfig as TaskConfig
+    from rover_rl.envs.gym import GymVectorWrapper as GymVectorWrapper
+    from rover_rl.envs.gym import GymWrapper as GymWrapper
+    from rover_rl.envs.make import make_env as make_env
+    from rover_rl.envs.rewards import RewardComponent as RewardComponent
+    from rover_rl.envs.rewards import contract_reward as contract_reward
+    from rover_rl.envs.rewards import register_reward as register_reward
+    from rover_rl.envs.rover import RoverEnv as RoverEnv
+    from rover_rl.envs.sensors.base import Sensor as Sensor
+    from rover_rl.envs.sensors.suite import register_sensor as register_sensor
+    from rover_rl.envs.specs import Bounds as Bounds
+    from rover_rl.robots import Robot as Robot
+    from rover_rl.robots import RobotOptions as RobotOptions
+    from rover_rl.robots import register_robot as register_robot
+    from rover_rl.sims.backends import register_backend as register_backend
+    from rover_rl.worlds import Terrain as Terrain
+    from rover_rl.worlds import World as World
+    from rover_rl.worlds import box as box
+    from rover_rl.worlds import cylinder as cylinder
+    from rover_rl.worlds import register_world as register_world
 
 __version__ = "0.1.0"
 
@@ -65,57 +71,31 @@ if ENV_ID not in gymnasium.registry:
             kwargs=defaults,
         )
 
-__all__ = [
-    "ENV_ID",
-    "LEARNING_DEFAULTS",
-    "LEARNING_ENV_ID",
-    "ActionConfig",
-    "Bounds",
-    "EnvConfig",
-    "GymVectorWrapper",
-    "GymWrapper",
-    "LidarConfig",
-    "PoseConfig",
-    "Randomization",
-    "RewardComponent",
-    "RewardConfig",
-    "Robot",
-    "RobotOptions",
-    "RoverEnv",
-    "Sensor",
-    "TaskConfig",
-    "Terrain",
-    "World",
-    "__version__",
-    "box",
-    "contract_reward",
-    "cylinder",
-    "make_env",
-    "register_backend",
-    "register_reward",
-    "register_robot",
-    "register_sensor",
-    "register_world",
-]
-
-
-_OUTSIDE_OF_ENVS = {
-    "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
-    "rover_rl.sims.backends": ("register_backend",),
-    "rover_rl.robots": ("Robot", "RobotOptions", "register_robot"),
-    "rover_rl.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
+_HOMES = {
+    "rover_rl.envs.config": "ActionConfig EnvConfig LidarConfig PoseConfig Randomization RewardConfig TaskConfig",
+    "rover_rl.envs.gym": "GymVectorWrapper GymWrapper",
+    "rover_rl.envs.make": "make_env",
+    "rover_rl.envs.rewards": "RewardComponent contract_reward register_reward",
+    "rover_rl.envs.rover": "RoverEnv",
+    "rover_rl.envs.sensors.base": "Sensor",
+    "rover_rl.envs.sensors.suite": "register_sensor",
+    "rover_rl.envs.specs": "Bounds",
+    "rover_rl.robots": "Robot RobotOptions register_robot",
+    "rover_rl.sims.backends": "register_backend",
+    "rover_rl.worlds": "Terrain World box cylinder register_world",
 }
-"""Public names that are not in ``rover_rl.envs``, by module."""
-_HOMES = {name: module for module, names in _OUTSIDE_OF_ENVS.items() for name in names}
+"""Public names by module."""
+_HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
+__all__ = ["ENV_ID", "LEARNING_DEFAULTS", "LEARNING_ENV_ID", "__version__", *_HOME]
 
 
 def __getattr__(name: str) -> Any:
     """Imports a public name on first use."""
-    if name not in __all__:
+    if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_HOMES.get(name, "rover_rl.envs")), name)
+    value = globals()[name] = getattr(import_module(_HOME[name]), name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_HOME})

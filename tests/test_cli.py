@@ -22,7 +22,8 @@ from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.policies import NO_POLICY
 from rover_rl.cli.train import train_defaults
-from rover_rl.envs import EnvConfig, Randomization, imperfect
+from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.worlds import WORLDS
 from tests.full_disk import largest_file
 

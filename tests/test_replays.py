@@ -12,7 +12,7 @@ import torch
 from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.video.recording import Recording
 from rover_rl.cli.replays import DRIVES, SECONDS, write_worst
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 ENDINGS = ["goal", "goal", "stuck", "goal", "flipped", "goal", "goal", "goal"]

@@ -11,8 +11,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.trainers.algorithms import PPOTrainer
 
 from rover_rl import make_env
+from rover_rl.envs.encoding import EncodedObservation
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 
 DECISIONS = 500_000  # of all rovers together, each of 4 steps
 ROVERS = 256

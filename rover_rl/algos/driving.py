@@ -20,7 +20,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
-from rover_rl.envs import RoverEnv, StepEvent
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.task import StepEvent
 
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",

@@ -15,7 +15,7 @@ from rover_rl.files import check_outputs
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
     from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.envs import EnvConfig
+    from rover_rl.envs.config import EnvConfig
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,8 @@ class Drive:
             from rover_rl.algos.deploy.driving import drive_to
             from rover_rl.algos.driving import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
-            from rover_rl.envs import RoverEnv
             from rover_rl.envs.config import name_of_part
+            from rover_rl.envs.rover import RoverEnv
             from rover_rl.sims.ros2.simulator import Ros2Simulator
 
             check_log(self.log)

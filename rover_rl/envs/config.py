@@ -10,18 +10,21 @@ Example:
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import astuple, dataclass, field, fields, is_dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive, check_seed
 from rover_rl.plain import from_plain, take_numbers, to_plain
+from rover_rl.registry import perhaps
 from rover_rl.robots import names_several
 from rover_rl.robots.options import RobotOptions, with_options
-from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL, Connection
 
@@ -29,15 +32,14 @@ if TYPE_CHECKING:
     from torch import Tensor
     from torchrl.envs import Transform
 
-    from rover_rl.envs.sensors.base import Sensor
     from rover_rl.robots import Robot
     from rover_rl.worlds import World
     from rover_rl.worlds.pool import WorldSource as WorldLike
 
     RobotLike: TypeAlias = str | Robot | Sequence[str | Robot]
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
-    BackendLike: TypeAlias = AnyBackend
-    SensorLike: TypeAlias = str | Sensor
+    BackendLike: TypeAlias = Any
+    SensorLike: TypeAlias = Any
     RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
@@ -46,50 +48,36 @@ else:
     # The options --robot.drive and so on, beside --robot.
     RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
-OutcomeSource: TypeAlias = Literal["truth", "sensors"]
-"""State that events, rewards and metrics are computed from."""
-PoseSource: TypeAlias = Literal["truth", "odometry", "localized", "either"]
-"""Where the sensed pose comes from."""
-CollisionSource: TypeAlias = Literal["lidar", "contact"]
-"""What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
 SCAN_POSE = "scan_pose"
 """Name of the pose at which the scan was taken, which an environment has if asked for, or if its scans can be late."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
-
 MAX_RATE = 1000.0
 """Highest control rate, Hz."""
+OutcomeSource: TypeAlias = Literal["truth", "sensors"]
+PoseSource: TypeAlias = Literal["truth", "odometry", "localized", "either"]
+CollisionSource: TypeAlias = Literal["lidar", "contact"]
 
 _UNCHANGED = (1.0, 1.0)
 _SEVERITY = 22
 """Stream of random numbers."""
 _TURN = 2 * math.pi + 0.01
 """A full turn, rad, which rounded numbers may exceed."""
-_MOST_SECTORS = 16
-"""Largest number of dead sectors of a lidar."""
-_FACTORS = ("friction", "chassis_mass", "motor_torque", "odometry_scale", "limits")
-_LATENCIES = ("latency", "scan_latency", "state_latency")
 
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """Lidar and its readings.
-
-    Args:
-        points: Number of readings in an observation, each the minimum of a segment of the scan.
-        beams: Number of beams of a raw scan.
-        max_range: Maximum of a reading, m. Larger ranges are clipped.
-        period: Number of steps from one scan to the next, in simulation. With 4, the lidar scans at 5 Hz, and readings
-            stay the same in between. Fewer scans take less time.
-
-    Raises:
-        ValueError: if ``period`` is less than 1.
-    """
+    """Lidar and its readings."""
 
     points: int = 32
+    """Number of readings in an observation, each the minimum of a segment of the scan."""
     beams: int = 128
+    """Number of beams of a raw scan."""
     max_range: float = 12.0
+    """Maximum of a reading, m. Larger ranges are clipped."""
     period: int = 1
+    """Number of steps from one scan to the next, in simulation. With 4, the lidar scans at 5 Hz, and readings stay
+    the same in between. Fewer scans take less time."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
@@ -105,56 +93,43 @@ class PoseConfig:
       IMU. It drifts where wheels slip, and with the noise of both.
     - ``localized``: the true pose with an error that drifts and jumps, as that of a localization does.
     - ``either``: each episode draws odometry or localized.
-
-    Args:
-        source: Where the pose comes from: truth, odometry, localized or either.
-        drift: Standard deviation of the drifting error of x and y each, m.
-        drift_heading: Standard deviation of the drifting error of the heading, rad.
-        drift_time: Time in which the drifting error forgets all but 1/e of itself, s.
-        jump: Standard deviation of the error of x and y each that each jump draws anew, m.
-        jump_rate: Mean number of jumps per second.
-        jump_heading: Standard deviation of the error of the heading that each jump draws anew, rad.
-
-    Raises:
-        ValueError: if the source is unknown, or a number is negative or not finite, or ``drift_time`` is 0.
     """
 
     source: PoseSource = "truth"
+    """Where the pose comes from: truth, odometry, localized or either."""
     drift: float = 0.05
+    """Standard deviation of the drifting error of x and y each, m."""
     drift_heading: float = 0.02
+    """Standard deviation of the drifting error of the heading, rad."""
     drift_time: float = 10.0
+    """Time in which the drifting error forgets all but 1/e of itself, s."""
     jump: float = 0.1
+    """Standard deviation of the error of x and y each that each jump draws anew, m."""
     jump_rate: float = 0.05
+    """Mean number of jumps per second."""
     jump_heading: float = 0.0
+    """Standard deviation of the error of the heading that each jump draws anew, rad."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        if self.source not in get_args(PoseSource):
-            raise ValueError(f"source of the pose must be one of {get_args(PoseSource)}, got {self.source!r}")
-        check_at_least(0, MAX_NUMBER, drift=self.drift, drift_heading=self.drift_heading, jump=self.jump)
-        check_at_least(0, MAX_NUMBER, jump_rate=self.jump_rate, jump_heading=self.jump_heading)
+        _check_choice(self, "source", PoseSource)
+        check_at_least(0, MAX_NUMBER, **_some(self, "drift", "drift_heading", "jump", "jump_rate", "jump_heading"))
         check_positive(MAX_NUMBER, drift_time=self.drift_time)
 
 
 @dataclass(frozen=True)
 class ActionConfig:
-    """Bounds of the action. Actions outside of them are clipped.
-
-    Args:
-        min_speed: Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive.
-        max_speed: Maximum forward speed, m/s. Default: that of the robot's drive.
-        max_turn: Maximum absolute heading offset, rad. It is at most that at which the robot turns as fast as it can.
-        max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has
-            no such component.
-
-    Raises:
-        ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.
-    """
+    """Bounds of the action. Actions outside of them are clipped."""
 
     min_speed: float | None = None
+    """Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive."""
     max_speed: float | None = None
+    """Maximum forward speed, m/s. Default: that of the robot's drive."""
     max_turn: float = math.pi
+    """Maximum absolute heading offset, rad. It is at most that at which the robot turns as fast as it can."""
     max_sideways: float = 0.0
+    """Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has no such
+    component."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
@@ -168,21 +143,10 @@ class ActionConfig:
         check_at_least(0, MAX_NUMBER, max_sideways=self.max_sideways)
 
     def for_robot(self, robot: RobotLike, gain: float = 2.0) -> ActionConfig:
-        """Returns the bounds for a robot: where no speed is stated, that of its drive, in both directions.
+        """Returns the bounds for a robot, whose heading PID has a proportional ``gain``, 1/s.
 
         Those of several robots are those of the fastest one, and of the one that turns fastest. The others drive and
         turn at most as fast as they can.
-
-        Args:
-            robot: robot, or several.
-            gain: yaw rate for each radian of the heading offset, 1/s.
-
-        Raises:
-            ValueError: if the robot is unknown, or the stated speed leaves no range with that of the drive.
-
-        Example:
-            >>> ActionConfig(min_speed=0.0).for_robot("rover_zero").max_speed
-            1.0
         """
         from rover_rl.robots import get_robots
 
@@ -199,130 +163,106 @@ class ActionConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Thresholds of the task. The defaults are the contract's.
-
-    Args:
-        success_distance: Distance below which a goal is reached, m.
-        min_goal_distance: Minimum distance from the rover to a new goal, m.
-        collision_threshold: Lidar reading below which the rover is in collision, m. ``None`` is the robot's: 0.3 m for
-            Rover Zero, as in the contract, and for a robot that states none, in each direction, what its outline takes
-            and 5 cm.
-        collision_window: Number of consecutive steps in collision above which the rover is jammed, which ends the
-            episode. 0 ends it at the first.
-        flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
-        stuck_window: Number of recent positions that are compared to detect a stuck rover.
-        stuck_threshold: Displacement from the oldest to the newest of them below which the rover is stuck, m.
-        collision_from: What counts as a collision: lidar (a reading below the threshold) or contact (the chassis or a
-            wheel touches an obstacle). A live rover senses no contact and is never in collision then.
-
-    Raises:
-        ValueError: if a threshold is out of range, or ``collision_from`` is unknown.
-    """
+    """Thresholds of the task. The defaults are the contract's."""
 
     success_distance: float = 0.5
+    """Distance below which a goal is reached, m."""
     min_goal_distance: float = 1.0
+    """Minimum distance from the rover to a new goal, m."""
     collision_threshold: float | None = None
+    """Lidar reading below which the rover is in collision, m. None is the robot's: 0.3 m for Rover Zero, as in the
+    contract, and for a robot that states none, in each direction, what its outline takes and 5 cm."""
     collision_window: int = 15
+    """Number of consecutive steps in collision above which the rover is jammed, which ends the episode. 0 ends it
+    at the first."""
     flip_threshold: float = 1.48
+    """Absolute roll or pitch above which the rover is flipped, rad."""
     stuck_window: int = 600
+    """Number of recent positions that are compared to detect a stuck rover."""
     stuck_threshold: float = 0.001
+    """Displacement from the oldest to the newest of them below which the rover is stuck, m."""
     collision_from: CollisionSource = "lidar"
+    """What counts as a collision: lidar (a reading below the threshold) or contact (the chassis or a wheel touches
+    an obstacle). A live rover senses no contact and is never in collision then."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        if self.collision_from not in get_args(CollisionSource):
-            raise ValueError(f"collision_from must be one of {get_args(CollisionSource)}, got {self.collision_from!r}")
-        for name in ("success_distance", "min_goal_distance", "stuck_window"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
-            if (value := getattr(self, name)) is not None and not value >= 0:
-                raise ValueError(f"{name} must not be negative, got {value}")
+        _check_choice(self, "collision_from", CollisionSource)
+        check_positive(math.inf, **_some(self, "success_distance", "min_goal_distance", "stuck_window"))
+        names = ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold")
+        check_at_least(0, math.inf, **_some(self, *names))
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Parameters of the contract's reward, and of components that may be added to it. The defaults are the contract's.
-
-    Args:
-        goal_reward: Reward for reaching a goal.
-        distance_delta_scale: Reward per meter of progress toward the goal.
-        final_reward_multiplier: Factor of the progress reward and of the idle penalty.
-        idle_penalty: Reward that replaces the progress reward if the rover makes too little progress or faces away.
-        min_progress: Absolute change of the distance above which progress counts, m.
-        min_alignment: Heading alignment (-1 to 1) above which progress counts.
-        velocity_scale: Reward per m/s of forward speed.
-        turn_scale: Reward per rad/s of absolute yaw rate.
-        collision_penalty: Reward for each step in collision.
-        stuck_penalty: Reward for an episode that ends because the rover is stuck.
-        general_penalty: Reward for an episode that ends in a flip or a jam.
-        flip_grace_steps: Number of steps at the start of an episode in which a flip has no penalty.
-        out_of_bounds_penalty: Reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
-        clearance_penalty: Reward for each step with a lidar reading of 0. It falls linearly to nothing at the clearance
-            distance. 0 leaves the component out.
-        clearance_distance: Lidar reading below which the clearance penalty applies, m.
-        action_rate_penalty: Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the
-            component out.
-        mover_contact_penalty: Reward for each step in contact with a mover that the rover drove into: it was not
-            standing still before. This and the next four leave their components out if all of them are 0.
-        struck_penalty: Reward for each step in contact with a mover that ran into the standing rover.
-        intrusion_penalty: Reward for each step at a mover. It falls linearly to nothing at the intrusion distance.
-        haste_penalty: Reward for each step at 1 m/s at a mover, in proportion to the speed. It falls in the same way.
-        risk_penalty: Reward for each step within the risk distance of a mover.
-        intrusion_distance: Distance from the center of the rover to the surface of a mover from which on it does not
-            intrude, m.
-        risk_distance: Distance from the center of the rover to the surface of a mover within which it is at risk, m.
-
-    Raises:
-        ValueError: if a distance is not positive.
-    """
+    """Parameters of the contract's reward, which are the defaults, and of components that may be added to it."""
 
     goal_reward: float = 100.0
+    """Reward for reaching a goal."""
     distance_delta_scale: float = 0.3
+    """Reward per meter of progress toward the goal."""
     final_reward_multiplier: float = 1.5
+    """Factor of the progress reward and of the idle penalty."""
     idle_penalty: float = -0.03
+    """Reward that replaces the progress reward if the rover makes too little progress or faces away."""
     min_progress: float = 0.001
+    """Absolute change of the distance above which progress counts, m."""
     min_alignment: float = 0.0
+    """Heading alignment (-1 to 1) above which progress counts."""
     velocity_scale: float = 0.0025
+    """Reward per m/s of forward speed."""
     turn_scale: float = -0.0015
+    """Reward per rad/s of absolute yaw rate."""
     collision_penalty: float = -0.5
+    """Reward for each step in collision."""
     stuck_penalty: float = -25.0
+    """Reward for an episode that ends because the rover is stuck."""
     general_penalty: float = -20.0
+    """Reward for an episode that ends in a flip or a jam."""
     flip_grace_steps: int = 500
+    """Number of steps at the start of an episode in which a flip has no penalty."""
     out_of_bounds_penalty: float = -10.0
+    """Reward for leaving the world's bounds (too_far_away_penilty in the contract)."""
     clearance_penalty: float = 0.0
+    """Reward for each step with a lidar reading of 0. It falls linearly to nothing at the clearance distance. 0
+    leaves the component out."""
     clearance_distance: float = 0.5
+    """Lidar reading below which the clearance penalty applies, m."""
     action_rate_penalty: float = 0.0
+    """Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the component out."""
     mover_contact_penalty: float = 0.0
+    """Reward for each step in contact with a mover that the rover drove into: it was not standing still before.
+    This and the next four leave their components out if all of them are 0."""
     struck_penalty: float = 0.0
+    """Reward for each step in contact with a mover that ran into the standing rover."""
     intrusion_penalty: float = 0.0
+    """Reward for each step at a mover. It falls linearly to nothing at the intrusion distance."""
     haste_penalty: float = 0.0
+    """Reward for each step at 1 m/s at a mover, in proportion to the speed. It falls in the same way."""
     risk_penalty: float = 0.0
+    """Reward for each step within the risk distance of a mover."""
     intrusion_distance: float = 1.2
+    """Distance from the center of the rover to the surface of a mover from which on it does not intrude, m."""
     risk_distance: float = 0.5
+    """Distance from the center of the rover to the surface of a mover within which it is at risk, m."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        for name in ("clearance_distance", "intrusion_distance", "risk_distance"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        check_positive(math.inf, **_some(self, "clearance_distance", "intrusion_distance", "risk_distance"))
 
 
 @dataclass(frozen=True)
 class HeadingGains:
-    """Gains of the heading PID. The defaults are the contract's.
-
-    Args:
-        kp: Proportional gain, 1/s.
-        ki: Integral gain, 1/s^2.
-        kd: Derivative gain, dimensionless.
-        max_output: Maximum absolute yaw rate, rad/s. A robot whose drive is slower turns at most at its own.
-    """
+    """Gains of the heading PID. The defaults are the contract's."""
 
     kp: float = 2.0
+    """Proportional gain, 1/s."""
     ki: float = 0.0
+    """Integral gain, 1/s^2."""
     kd: float = 0.1
+    """Derivative gain, dimensionless."""
     max_output: float = 7.0
+    """Maximum absolute yaw rate, rad/s. A robot whose drive is slower turns at most at its own."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
@@ -334,31 +274,26 @@ class LimitsConfig:
 
     ``rover-rl drive`` applies by default what a policy was trained with, if ``apply``, else the defaults below. In
     simulation, the drive of the robot lags besides.
-
-    Args:
-        apply: Limit the commands in simulation, too.
-        max_speed: Largest speed, m/s. None: that of the robot.
-        max_yaw_rate: Largest yaw rate, rad/s. None: that of the robot.
-        max_acceleration: Largest change of the speed, m/s^2. None: that of the robot.
-        max_yaw_acceleration: Largest change of the yaw rate, rad/s^2. None: that of the robot.
-        min_reversal: Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning.
-
-    Raises:
-        ValueError: if a limit is not positive and finite, or ``min_reversal`` is negative.
     """
 
     apply: bool = False
+    """Limit the commands in simulation, too."""
     max_speed: float | None = None
+    """Largest speed, m/s. None: that of the robot."""
     max_yaw_rate: float | None = None
+    """Largest yaw rate, rad/s. None: that of the robot."""
     max_acceleration: float | None = None
+    """Largest change of the speed, m/s^2. None: that of the robot."""
     max_yaw_acceleration: float | None = None
+    """Largest change of the yaw rate, rad/s^2. None: that of the robot."""
     min_reversal: float = MIN_REVERSAL
+    """Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
         check_at_least(0, MAX_NUMBER, min_reversal=self.min_reversal)
         names = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
-        check_positive(MAX_NUMBER, **{name: value for name in names if (value := getattr(self, name)) is not None})
+        check_positive(MAX_NUMBER, **_some(self, *names))
 
 
 @dataclass(frozen=True)
@@ -369,25 +304,20 @@ class GuardConfig:
     may use what is left by obstacles that come towards it at ``approach`` until it stands, as in the protective
     separation distance of ISO/TS 15066: ``d = v reaction + v^2 / (2 deceleration) + approach (reaction + v /
     deceleration)`` for the largest speed ``v``.
-
-    Args:
-        deceleration: Deceleration of the rover when it brakes, m/s^2. 0 leaves the brake out.
-        reaction: Time from a scan until the rover brakes, with the period of the lidar, s.
-        approach: Speed of obstacles towards the rover that it reckons with, m/s.
-        margin: Free distance around the outline, m.
-
-    Raises:
-        ValueError: if a number is negative or not finite.
     """
 
     deceleration: float = 0.0
+    """Deceleration of the rover when it brakes, m/s^2. 0 leaves the brake out."""
     reaction: float = 0.2
+    """Time from a scan until the rover brakes, with the period of the lidar, s."""
     approach: float = 0.0
+    """Speed of obstacles towards the rover that it reckons with, m/s."""
     margin: float = 0.02
+    """Free distance around the outline, m."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        check_at_least(0, MAX_NUMBER, **{item.name: getattr(self, item.name) for item in fields(self)})
+        check_at_least(0, MAX_NUMBER, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -396,101 +326,70 @@ class Randomization:
 
     Factors, delays and biases are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
 
-    Args:
-        friction: Range of the scale factor of all friction coefficients.
-        chassis_mass: Range of the scale factor of the mass and inertia of the chassis.
-        motor_torque: Range of the scale factor of the maximum motor torque.
-        latency: Range of the delay of commands, control steps.
-        range_noise: Standard deviation of the lidar ranges, m.
-        dropout: Fraction of lidar beams without a return.
-        odometry_noise: Relative standard deviation of the velocities from wheel odometry.
-        imu_noise: Standard deviation of roll, pitch and yaw, rad.
-        scan_latency: Range of the delay of scans, control steps.
-        state_latency: Range of the delay of pose, IMU, wheel odometry and other sensors, control steps. A scan waits
-            for the pose of its time.
-        scan_period: Range of the number of steps from one scan to the next. None: that of the lidar.
-        lost_scans: Fraction of scans that never arrive. The last one stays.
-        odometry_scale: Range of the scale factor of the velocities from wheel odometry.
-        yaw_bias: Range of the error of the yaw rate that dead reckoning adds up, rad/s.
-        limits: Range of the scale factor of the limits of the commands.
-        severity: Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization.
-        lidar_view: Range of the angle that the lidar sees, centered on straight ahead, rad. It is never more than that
-            of the robot. None: that of the robot. Beams outside of it have no return.
-        dead_sectors: Largest number of sectors in which the lidar sees nothing, as behind a part of the robot or dirt.
-            Each episode has from 0 to this many, in any direction. At most 16.
-        dead_sector_width: Range of the width of each of these sectors, rad.
-        lidar_min_range: Range of the least distance that the lidar measures, m. Beams that meet something closer have
-            no return.
-
-    Raises:
-        ValueError: if a range is not in ascending order, or a value is out of range.
-
     Example:
         >>> env = RoverEnv(world_n="maze", randomization=Randomization(friction=(0.7, 1.3), range_noise=0.01))
     """
 
     friction: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of all friction coefficients."""
     chassis_mass: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of the mass and inertia of the chassis."""
     motor_torque: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of the maximum motor torque."""
     latency: tuple[int, int] = (0, 0)
+    """Range of the delay of commands, control steps."""
     range_noise: float = 0.0
+    """Standard deviation of the lidar ranges, m."""
     dropout: float = 0.0
+    """Fraction of lidar beams without a return."""
     odometry_noise: float = 0.0
+    """Relative standard deviation of the velocities from wheel odometry."""
     imu_noise: float = 0.0
+    """Standard deviation of roll, pitch and yaw, rad."""
     scan_latency: tuple[int, int] = (0, 0)
+    """Range of the delay of scans, control steps."""
     state_latency: tuple[int, int] = (0, 0)
+    """Range of the delay of pose, IMU, wheel odometry and other sensors, control steps. A scan waits for the pose
+    of its time."""
     scan_period: tuple[int, int] | None = None
+    """Range of the number of steps from one scan to the next. None: that of the lidar."""
     lost_scans: float = 0.0
+    """Fraction of scans that never arrive. The last one stays."""
     odometry_scale: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of the velocities from wheel odometry."""
     yaw_bias: tuple[float, float] = (0.0, 0.0)
+    """Range of the error of the yaw rate that dead reckoning adds up, rad/s."""
     limits: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of the limits of the commands."""
     severity: tuple[float, float] = _UNCHANGED
+    """Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization."""
     lidar_view: tuple[float, float] | None = None
+    """Range of the angle that the lidar sees, centered on straight ahead, rad. It is never more than that of the
+    robot. None: that of the robot. Beams outside of it have no return."""
     dead_sectors: int = 0
+    """Largest number of sectors in which the lidar sees nothing, as behind a part of the robot or dirt. Each
+    episode has from 0 to this many, in any direction. At most 16."""
     dead_sector_width: tuple[float, float] = (0.1, 0.6)
+    """Range of the width of each of these sectors, rad."""
     lidar_min_range: tuple[float, float] = (0.0, 0.0)
+    """Range of the least distance that the lidar measures, m. Beams that meet something closer have no return."""
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        for name in _FACTORS:
-            low, high = getattr(self, name)
-            if not 0 < low <= high < math.inf:
-                raise ValueError(f"{name} must be a range of positive factors (low, high), got {getattr(self, name)}")
-        for name in _LATENCIES:
-            low, high = getattr(self, name)
-            if not 0 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
-                raise ValueError(f"{name} must be a range of control steps (low, high), got {getattr(self, name)}")
-        low, high = self.scan_period or (1, 1)
-        if not 1 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
-            raise ValueError(f"scan_period must be a range of at least 1 step (low, high), got {self.scan_period}")
-        for name in ("range_noise", "odometry_noise", "imu_noise"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        for name in ("dropout", "lost_scans"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 0 and less than 1, got {getattr(self, name)}")
-        if not -math.inf < self.yaw_bias[0] <= self.yaw_bias[1] < math.inf:
-            raise ValueError(f"yaw_bias must be a range (low, high), rad/s, got {self.yaw_bias}")
-        if not 0 <= self.severity[0] <= self.severity[1] < math.inf:
-            raise ValueError(f"severity must be a range of factors (low, high) of at least 0, got {self.severity}")
-        self._check_view()
-
-    def _check_view(self) -> None:
-        low, high = self.lidar_view or (1, 1)
-        if not 0 < low <= high <= _TURN:
-            raise ValueError(
-                f"lidar_view must be a range (low, high) of positive angles of at most 2 pi rad, got {self.lidar_view}"
-            )
-        if not isinstance(self.dead_sectors, int) or not 0 <= self.dead_sectors <= _MOST_SECTORS:
-            raise ValueError(f"dead_sectors must be a whole number from 0 to {_MOST_SECTORS}, got {self.dead_sectors}")
-        low, high = self.dead_sector_width
-        if not 0 <= low <= high <= _TURN:
-            raise ValueError(
-                f"dead_sector_width must be a range (low, high) of angles of 0 to 2 pi rad, got {(low, high)}"
-            )
-        low, high = self.lidar_min_range
-        if not 0 <= low <= high < math.inf:
-            raise ValueError(f"lidar_min_range must be a range (low, high) of distances, m, got {(low, high)}")
+        least = math.ulp(0.0)
+        for name in ("friction", "chassis_mass", "motor_torque", "odometry_scale", "limits"):
+            _check_range(self, name, "positive factors", least)
+        _check_range(self, "severity", "factors of at least 0", 0)
+        for name in ("latency", "scan_latency", "state_latency"):
+            _check_range(self, name, "control steps", 0)
+        _check_range(self, "scan_period", "at least 1 step", 1)
+        _check_range(self, "yaw_bias", "yaw rates, rad/s", -MAX_NUMBER)
+        _check_range(self, "lidar_view", "positive angles of at most 2 pi rad", least, _TURN)
+        _check_range(self, "dead_sector_width", "angles of 0 to 2 pi rad", 0, _TURN)
+        _check_range(self, "lidar_min_range", "distances, m", 0)
+        check_at_least(0, MAX_NUMBER, **_some(self, "range_noise", "odometry_noise", "imu_noise"))
+        check_at_least(0, 16, dead_sectors=self.dead_sectors)
+        check_at_least(0, math.nextafter(1, 0), **_some(self, "dropout", "lost_scans"))
 
     @classmethod
     def typical(cls) -> Randomization:
@@ -531,7 +430,7 @@ class Randomization:
         """Whether what the sensors tell may be older than now, beyond the period of the lidar."""
         return bool(self.scan_latency[1] or self.state_latency[1] or self.lost_scans or self.scan_period)
 
-    @property
+    @cached_property
     def hides_beams(self) -> bool:
         """Whether the lidar sees less than that of the robot. An environment then has the sensor ``lidar_mask``."""
         return self.lidar_view is not None or self.dead_sectors > 0 or self.lidar_min_range[1] > 0
@@ -615,32 +514,69 @@ class EnvConfig:
     """Device of the tensors: cpu, cuda or cuda:1."""
 
     def __post_init__(self) -> None:
+        def take(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
         if self.seed is not None:
-            object.__setattr__(self, "seed", check_seed(self.seed))
+            take("seed", check_seed(self.seed))
+        take("device", None if self.device is None else str(self.device))
         take_numbers(self)
         for name, kind in _PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
         if self.robot_options != RobotOptions():
-            object.__setattr__(self, "robot", _with_options(self.robot, self.robot_options))
-            object.__setattr__(self, "robot_options", RobotOptions())
+            take("robot", _with_options(self.robot, self.robot_options))
+            take("robot_options", RobotOptions())
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
             raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
-        if self.outcome_from not in get_args(OutcomeSource):
-            raise ValueError(f"outcome_from must be one of {get_args(OutcomeSource)}, got {self.outcome_from!r}")
+        _check_choice(self, "outcome_from", OutcomeSource)
         if (self.action.min_speed is None) != (self.action.max_speed is None):
             self.action.for_robot(self.robot)  # Raises an error if they leave no range.
         if isinstance(self.reward, RewardConfig):
-            object.__setattr__(self, "contract_reward", self.reward)
-            object.__setattr__(self, "reward", "contract")
+            take("contract_reward", self.reward)
+            take("reward", "contract")
         if self.control_rate is not None:
             check_positive(MAX_RATE, control_rate=self.control_rate)
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
         for name in ("world", "robot", "reward", "sensors"):
             if isinstance(value := getattr(self, name), list):
-                object.__setattr__(self, name, tuple(value))
+                take(name, tuple(value))
+
+    @classmethod
+    def of(cls, *args: Any, **settings: Any) -> EnvConfig:
+        """Creates a description from an ``EnvConfig``, from settings, or from the contract's arguments.
+
+        ``None`` is the default of a setting.
+
+        Raises:
+            TypeError: if there are arguments besides an ``EnvConfig``, or one is unknown, or given by two names.
+
+        Example:
+            >>> EnvConfig.of(world_n="maze", lidar_points=16) == EnvConfig(world="maze", lidar=LidarConfig(points=16))
+            True
+        """
+        if args and isinstance(args[0], EnvConfig):
+            if len(args) > 1 or settings:
+                raise TypeError("an EnvConfig is given alone; use dataclasses.replace(config, ...) to change it")
+            return args[0]
+        known, changes, parts = [*CONTRACT, *(item.name for item in fields(cls))], {}, {}
+        if len(args) > 10 or (twice := settings.keys() & set(known[: len(args)])):
+            raise TypeError(
+                f"there are 10 positional arguments; got {len(args)}" if len(args) > 10 else f"{twice}: given twice"
+            )
+        for name, value in (dict(zip(CONTRACT, args, strict=False)) | settings).items():
+            if name not in known:
+                raise TypeError(f"there is no setting {name!r}{perhaps(name, known)}")
+            part, _, attribute = CONTRACT.get(name, name).partition(".")
+            if part in changes or (part in parts and not attribute):
+                raise TypeError(f"{name} and another argument set {part}: give one of them")
+            if attribute:
+                parts.setdefault(part, {})[attribute] = value
+            elif value is not None or name == "num_envs":
+                changes[part] = value
+        return cls(**changes, **{part: _PARTS[part](**values) for part, values in parts.items()})
 
     @property
     def worlds(self) -> tuple[str | World, ...]:
@@ -689,7 +625,7 @@ class EnvConfig:
 
     @property
     def bounded_action(self) -> ActionConfig:
-        """Bounds of the action for :attr:`robot`: see ``ActionConfig.for_robot``."""
+        """Bounds of the action for :attr:`robot`."""
         return self.action.for_robot(self.robot, self.heading_gains.kp)
 
     @property
@@ -701,15 +637,6 @@ class EnvConfig:
     def preset(self) -> str | None:
         """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics
-
-
-def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
-    """Returns the names of robots with options."""
-    if isinstance(robots, str):
-        return with_options(robots, options)
-    if not isinstance(robots, (list, tuple)) or not all(isinstance(robot, str) for robot in robots):
-        raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
-    return tuple(with_options(robot, options) for robot in robots)
 
 
 _PARTS: dict[str, type] = {
@@ -727,6 +654,60 @@ _PARTS: dict[str, type] = {
 }
 """Types of the parts of :class:`EnvConfig`."""
 
+CONTRACT = {
+    "size": "size",
+    "length": "length",
+    "scan_topic": "connection.scan_topic",
+    "imu_topic": "connection.imu_topic",
+    "cmd_vel_topic": "connection.cmd_vel_topic",
+    "camera_topic": "connection.camera_topic",
+    "world_n": "world",
+    "connection_check_timeout": "connection.timeout",
+    "lidar_points": "lidar.points",
+    "max_lidar_range": "lidar.max_range",
+    "lidar_beams": "lidar.beams",
+}
+"""Settings by the names of the contract's ten arguments, in their order, and of one more that goes with them."""
+
+
+def describe_settings() -> str:
+    """Returns the names and descriptions of all settings, as they stand in this file, for ``help()``."""
+    with open(__file__, encoding="utf-8") as file:
+        body = ast.parse(file.read()).body
+    classes = {node.name: node.body for node in body if isinstance(node, ast.ClassDef)}
+
+    def lines(kind: str, prefix: str = "") -> Iterator[str]:
+        for item, text in pairwise(classes[kind]):
+            if isinstance(item, ast.AnnAssign) and isinstance(text, ast.Expr):
+                yield f"{prefix}{ast.unparse(item.target)}: {ast.literal_eval(text.value)}"
+                if (part := ast.unparse(item.annotation)) in classes:
+                    yield from lines(part, f"{ast.unparse(item.target)}.")
+
+    return "\n".join(lines("EnvConfig"))
+
+
+def _some(config: Any, *names: str) -> dict[str, Any]:
+    return {name: value for name in names if (value := getattr(config, name)) is not None}
+
+
+def _check_choice(config: Any, name: str, choices: Any) -> None:
+    if getattr(config, name) not in get_args(choices):
+        raise ValueError(f"{name} must be one of {get_args(choices)}, got {getattr(config, name)!r}")
+
+
+def _check_range(config: Any, name: str, what: str, least: float, most: float = MAX_NUMBER) -> None:
+    low, high = getattr(config, name) or (least, most)
+    if not least <= low <= high <= most:
+        raise ValueError(f"{name} must be a range (low, high) of {what}, got {(low, high)}")
+
+
+def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
+    if isinstance(robots, str):
+        return with_options(robots, options)
+    if not isinstance(robots, (list, tuple)) or not all(isinstance(robot, str) for robot in robots):
+        raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
+    return tuple(with_options(robot, options) for robot in robots)
+
 
 def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     """Checks that a policy trained in one environment can be used in another.
@@ -735,10 +716,6 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ. A
     policy that was made for several robots may drive any robot, whose limits bound its actions. One whose
     ``Randomization`` has a ``lidar_view`` may drive its robot with a lidar of any view in that range.
-
-    Args:
-        made_for: description of the environment that the policy was trained in.
-        env: description of the other environment.
 
     Raises:
         ValueError: if they do not match. The message names the first difference.
@@ -754,25 +731,30 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
     several = names_several(made_for.robot)
     if not several:
-        yield "the robot", *_robots(made_for.robot, _with_view_of(made_for, env.robot))
+        yield "the robot", *_robots(made_for, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     # A robot whose limits are tighter bounds what the policy does.
-    expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
-    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual
-    gains = _values(made_for.heading_gains), _values(env.heading_gains)
+    bounds = (astuple(config.action if several else config.bounded_action) for config in (made_for, env))
+    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *bounds
+    gains = astuple(made_for.heading_gains), astuple(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 
 
-def _with_view_of(made_for: EnvConfig, given: RobotLike) -> RobotLike:
-    """Returns the robot that a policy was made for in place of one that differs by a view that it was trained with."""
-    views = made_for.randomization.lidar_view
-    if views is None or names_several(given):
-        return given
-    from rover_rl.robots import get_robot
+def _robots(made_for: EnvConfig, given: RobotLike) -> tuple[str, str]:
+    """Returns the names of two robots, equal ones if the robots are the same but for a view in the trained range."""
+    names, views = (name_of_part(made_for.robot), name_of_part(given)), made_for.randomization.lidar_view
+    if isinstance(made_for.robot, str) and isinstance(given, str) and (views is None or names_several(given)):
+        return names
+    from rover_rl.robots import get_robot, get_robots
 
-    expected, robot = get_robot(made_for.robot), get_robot(given)
-    same = replace(robot, name=expected.name, lidar_view=expected.lidar_view) == expected
-    return made_for.robot if same and views[0] - 1e-3 <= robot.lidar_view <= views[1] + 1e-3 else given
+    expected, robots = get_robot(made_for.robot), get_robots(given)
+    if views is not None and len(robots) == 1:
+        (robot,) = robots
+        if views[0] - 1e-3 <= robot.lidar_view <= views[1] + 1e-3:
+            robots = (replace(robot, name=expected.name, lidar_view=expected.lidar_view),)
+    if tuple(robots) == (expected,):
+        return names[0], names[0]
+    return names if names[0] != names[1] else (names[0], f"another robot of the name {names[1]}")
 
 
 def name_of_part(part: Any) -> str:
@@ -780,23 +762,6 @@ def name_of_part(part: Any) -> str:
     if isinstance(part, tuple):
         return " ".join(map(name_of_part, part))
     return part if isinstance(part, str) else part.name
-
-
-def _robots(made_for: RobotLike, given: RobotLike) -> tuple[str, str]:
-    """Returns the names of two robots: different ones if the robots differ, equal ones if they are the same."""
-    names = name_of_part(made_for), name_of_part(given)
-    if isinstance(made_for, str) and isinstance(given, str):
-        return names
-    from rover_rl.robots import get_robots
-
-    if get_robots(made_for) == get_robots(given):
-        return names[0], names[0]
-    return names if names[0] != names[1] else (names[0], f"another robot of the name {names[1]}")
-
-
-def _values(part: Any) -> tuple[float, ...]:
-    """Returns the values of a dataclass' fields."""
-    return tuple(getattr(part, item.name) for item in fields(part))
 
 
 _OBJECTS = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
@@ -809,11 +774,10 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
     Raises:
         ValueError: if the world, robot, reward or a sensor is an object. Only names can be written.
     """
-    advice = "register it, or name it as module:attribute"
     for name, kind in _OBJECTS.items():
         value = getattr(config, name)
-        parts = value if isinstance(value, tuple) else (value,)
-        if not all(isinstance(part, str) for part in parts):
+        if not all(isinstance(part, str) for part in (value if isinstance(value, tuple) else (value,))):
+            advice = "register it, or name it as module:attribute"
             raise ValueError(f"{kind} cannot be written to a file, and {name} is one; {advice}")
     own = not isinstance(config.backend, str)
     data = to_plain(replace(config, backend="bullet") if own else config)
@@ -827,9 +791,7 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
 def env_from_plain(data: Any, source: str) -> EnvConfig:
     """Creates a description from plain data, the inverse of :func:`plain_env`. Missing settings get their defaults.
 
-    Args:
-        data: values of the settings, by name.
-        source: origin of the data for error messages, for example the path of a file.
+    ``source`` is the origin of the data for error messages, for example the path of a file.
 
     Raises:
         ValueError: if a setting does not exist, or a value has the wrong type or is out of range.

@@ -1,4 +1,4 @@
-"""Emergency brake: limits the speed so that a rover stops before what its scan shows in its way."""
+"""``EmergencyBrake``: limits the speed so that a rover stops before what its scan shows in its way."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.config import GuardConfig
+from rover_rl.envs.stages import SensorDelays, Stage, StepState
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.footprint import footprint
@@ -19,8 +20,8 @@ TIGHTEST = 0.25
 """Smallest radius of an arc, m. On tighter ones, the rover turns rather than drives."""
 
 
-class EmergencyBrake:
-    """Limits the speeds of a batch of rovers: see :class:`~rover_rl.envs.config.GuardConfig`.
+class EmergencyBrake(Stage):
+    """Limits speeds: see :class:`~rover_rl.envs.config.GuardConfig`.
 
     The brake sees what the scan sees. It does not keep the corners of a rover that turns on the spot from obstacles.
     What is within the outline already does not count, so that a rover in contact can leave.
@@ -29,11 +30,12 @@ class EmergencyBrake:
         config: deceleration, reaction and margins.
         fleet: robots of the rows.
         angles: direction of each beam, ``[beams]``, rad.
+        delays: delays of the scans. ``None``: they are never late.
     """
 
-    def __init__(self, config: GuardConfig, fleet: Fleet, angles: Tensor) -> None:
-        self._config, self._fleet = config, fleet
-        self._table = fleet.table(lambda robot: _numbers(robot, config.margin))
+    def __init__(self, config: GuardConfig, fleet: Fleet, angles: Tensor, delays: SensorDelays | None = None) -> None:
+        self._config, self._fleet, self._delays = config, fleet, delays
+        self._table = fleet.table(self._numbers)
         device = fleet.index.device
         self._beams = torch.stack((angles.cos(), angles.sin()), -1).float().to(device)
         # As far as the fastest of them needs to stop.
@@ -42,14 +44,16 @@ class EmergencyBrake:
         reach = speed * (config.reaction + stop) / 2 + config.approach * stop
         self._way = torch.arange(1, math.ceil(reach / SPACING) + 2, device=device) * SPACING
 
-    def __call__(self, command: Tensor, ranges: Tensor) -> Tensor:
-        """Returns the commands, ``[N, A]``, with a speed from which the rovers can stop.
+    def _numbers(self, robot: Robot) -> list[float]:
+        """Returns back, front and half the width of the outline with the margin, place of the lidar, and yaw gain."""
+        outline, margin = footprint(robot), self._config.margin
+        size = [outline.back - margin, outline.front + margin, outline.half_width + margin]
+        return [*size, *robot.lidar_position[:2], estimated_yaw_gain(robot)]
 
-        Args:
-            command: forward speed (m/s), yaw rate (rad/s) and further components, ``[N, A]``.
-            ranges: scans, ``[N, beams]``, m.
-        """
-        config, speed = self._config, command[:, :1]
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        config, speed, ranges = self._config, command[:, :1], state.sensed.ranges
+        if self._delays is not None:
+            ranges = self._delays.late("scan", ranges, state.steps, self._delays.scan)
         free = self._free_way(speed, command[:, 1:2], ranges)
         # The braking distance, solved for the speed.
         reach = config.deceleration * config.reaction + config.approach
@@ -82,10 +86,3 @@ class EmergencyBrake:
         blocked = met.any(-1)
         first = blocked.to(torch.uint8).argmax(-1, keepdim=True)
         return torch.where(blocked.any(-1, keepdim=True), first * SPACING, torch.inf)
-
-
-def _numbers(robot: Robot, margin: float) -> list[float]:
-    """Returns back, front and half the width of the outline with the margin, place of the lidar, and yaw gain."""
-    outline = footprint(robot)
-    size = [outline.back - margin, outline.front + margin, outline.half_width + margin]
-    return [*size, *robot.lidar_position[:2], estimated_yaw_gain(robot)]

@@ -1,20 +1,19 @@
-"""``ObservationEncoder``: features of an observation, scaled for networks."""
+"""Features of an observation, scaled for networks: ``ObservationEncoder``, and the transform that adds them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
 
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import EnvConfig, LidarConfig, SensorLike
 from rover_rl.envs.sensors.standard import Imu
 from rover_rl.envs.sensors.suite import own_sensors, policy_sensors
-
-if TYPE_CHECKING:
-    from rover_rl.envs.config import EnvConfig, SensorLike
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
@@ -28,8 +27,7 @@ class ObservationEncoder(nn.Module):
     encodes its values: see :meth:`rover_rl.Sensor.encode`.
 
     Args:
-        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``, and
-            ``route`` (:class:`~rover_rl.envs.sensors.route.Route`).
+        keys: entries of the observation to read.
         lidar_points: number of readings in ``lidar``.
         north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
             when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
@@ -100,3 +98,50 @@ class ObservationEncoder(nn.Module):
         distance, angle = target.split(1, -1)
         direction = torch.cat(((angle + yaw).sin(), (angle + yaw).cos()), -1)
         return torch.cat((self.sensors["lidar"].encode(ranges), direction, direction * distance / 4), -1)
+
+
+class EncodedObservation(Transform):
+    """Adds ``observation``, float32 ``[N, n]``: the features of an encoder, about [-1, 1] each.
+
+    Programs that expect one vector under TorchRL's usual name run with it, and networks learn from it without
+    statistics of the observations.
+
+    Args:
+        encoder: encoder of the entries to read. ``None``: that of the environment that the transform is appended to,
+            ``ObservationEncoder.of``, with all of its own sensors.
+
+    Example:
+        >>> env = make_env(world_n="maze", num_envs=4).append_transform(EncodedObservation())
+        >>> env.rollout(3)["observation"].shape
+        torch.Size([4, 3, 41])
+    """
+
+    KEY = "observation"
+    """Name of the vector."""
+
+    def __init__(self, encoder: ObservationEncoder | None = None) -> None:
+        super().__init__()
+        self._encoder = encoder
+
+    @property
+    def encoder(self) -> ObservationEncoder:
+        if self._encoder is None:
+            if self.container is None:
+                raise ValueError("append EncodedObservation() to an environment, or give it an encoder")
+            self._encoder = ObservationEncoder.of(self.container.config)
+        return self._encoder
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        with torch.no_grad():
+            features = self.encoder(*(next_tensordict.get(key) for key in self.encoder.keys))
+        return next_tensordict.set(self.KEY, features)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        if missing := [key for key in self.encoder.keys if tensordict_reset.get(key, None) is None]:
+            raise ValueError(f"the encoder reads {missing}, and the observation has {[*tensordict_reset.keys()]}")
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        shape = (*observation_spec.shape, self.encoder.features)
+        observation_spec[self.KEY] = Unbounded(shape=shape, dtype=torch.float32, device=observation_spec.device)
+        return observation_spec

@@ -1,55 +1,147 @@
-"""Groups of consecutive rows whose rovers share a world."""
+"""Groups of consecutive rows whose rovers share a world: their episodes, starts and goals."""
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
+from rover_rl.envs.apart_kernels import choose_apart
+from rover_rl.envs.placement import Placement, chosen_rows, scattered
+from rover_rl.envs.rows import Episodes, first_of_group
+from rover_rl.native.warp import stream_of, wp
 from rover_rl.rng import episode_keys
+from rover_rl.robots import Robot
+from rover_rl.sims.free_space import free_space
+from rover_rl.worlds.table import WorldTable
+from rover_rl.worlds.world import World
+
+GAP = 1.0
+"""Distance between the discs of the rovers of a group at the start, and between their discs at their goals, m."""
+_CANDIDATES = 32
+"""Number of places drawn at once. The first that is far enough from the others is used."""
 
 
-class Groups:
-    """Groups of ``agents`` consecutive rows, and the episodes of their worlds.
+class GroupEpisodes(Episodes):
+    """Episodes of rows in groups of ``agents``.
 
     The worlds of a group begin an episode when all of its rows begin one at once. As long as some of its rows go on,
-    its world and the movers in it do, too.
-
-    Args:
-        agents: number of rows of a group.
-        row_keys: random keys of the rows, ``[N, 1]``.
-
-    Attributes:
-        keys: random keys of the episodes of the worlds, ``[N, 1]``: those of the first row of each group.
-        steps: number of steps of each world's episode, int64 ``[N, 1]``.
+    its world and the movers in it do, too. The keys of the worlds are those of the first row of each group.
     """
 
-    def __init__(self, agents: int, row_keys: Tensor) -> None:
+    def __init__(self, seed: int, num_envs: int, device: torch.device, agents: int) -> None:
+        super().__init__(seed, num_envs, device)
         self._agents = agents
-        self._row_keys = self.keys = first_of_group(row_keys, agents)
-        self._episode = torch.zeros_like(row_keys)
-        self.steps = torch.zeros_like(row_keys)
-
-    @property
-    def next_keys(self) -> Tensor:
-        """Random keys of the episodes after these, ``[N, 1]``."""
-        return episode_keys(self._row_keys, self._episode + 1)
+        self._first = self.world_keys = first_of_group(self._rows, agents)
+        self._world_number = self.world_steps = torch.zeros_like(self._rows)
 
     def begin(self, mask: Tensor) -> Tensor:
-        """Begins episodes of the worlds of groups whose rows all begin one, and returns these rows, bool ``[N, 1]``."""
-        whole = mask.reshape(-1, self._agents).all(1).repeat_interleave(self._agents)[:, None]
-        self._episode = self._episode + whole
-        self.keys = torch.where(whole, episode_keys(self._row_keys, self._episode), self.keys)
-        self.steps = self.steps.masked_fill(whole, 0)
+        world_keys = self.world_keys
+        super().begin(mask)
+        whole = self._in_group(mask.reshape(-1, self._agents).all(1))
+        self._world_number = self._world_number + whole
+        self.world_keys = torch.where(whole, episode_keys(self._first, self._world_number), world_keys)
+        self.world_steps = self.world_steps.masked_fill(whole, 0)
         return whole
 
+    def next_world_keys(self) -> Tensor:
+        return episode_keys(self._first, self._world_number + 1)
+
     def advance(self, active: Tensor | None) -> Tensor | None:
-        """Counts a step of groups with a row in ``active`` (bool ``[N, 1]``; ``None``: all), and returns their rows."""
         if active is not None:
-            active = active.reshape(-1, self._agents).any(1).repeat_interleave(self._agents)[:, None]
-        self.steps = self.steps + (1 if active is None else active)
+            active = self._in_group(active.reshape(-1, self._agents).any(1))
+        self.world_steps = self.world_steps + (1 if active is None else active)
         return active
 
+    def _in_group(self, groups: Tensor) -> Tensor:
+        return groups.repeat_interleave(self._agents)[:, None]
 
-def first_of_group(values: Tensor, agents: int) -> Tensor:
-    """Returns the value of the first row of its group in every row, ``[N, ...]``."""
-    return values if agents == 1 else values[::agents].repeat_interleave(agents, 0)
+
+class GroupPlacement(Placement):
+    """Draws start poses and goals for groups of rovers, which share worlds.
+
+    The ``agents`` rovers of a group start with at least :data:`GAP` between their discs, and so do their goals lie. A
+    rover takes the first of 32 places that is free of the others; if none is, the one that is farthest from them.
+    """
+
+    def __init__(self, worlds: WorldTable, robot: Robot, min_goal_distance: float, agents: int) -> None:
+        self._agents, self._spacing, self._crowded = agents, GAP + 2 * robot.radius, ""
+        self._unchecked = worlds.follow()
+        super().__init__(worlds, robot, min_goal_distance)
+
+    def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
+        """Draws start poses apart from one another.
+
+        Raises:
+            ValueError: if the start area of a world is too small for the rovers of a group.
+        """
+        if self._crowded:
+            raise ValueError(self._crowded)
+        rows = chosen_rows(mask)
+        slot = self._worlds.slots[rows]
+        draw = torch.arange(_CANDIDATES, device=keys.device).repeat(len(slot))[:, None]
+        several = keys[rows].repeat_interleave(_CANDIDATES, 0), draw, slot.repeat_interleave(_CANDIDATES)
+        poses = self._starts(*several).reshape(len(slot), _CANDIDATES, 3)
+        allowed = torch.ones_like(poses[..., 0], dtype=torch.bool)
+        return self._apart(poses, allowed, rows, mask, taken, len(keys))
+
+    def draw_goal(
+        self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
+    ) -> Tensor:
+        rows = chosen_rows(mask)
+        slot = self._worlds.slots[rows]
+        candidates, far = self._goals(keys[rows], number[rows], position[rows], slot, _CANDIDATES)
+        return self._apart(candidates, far.squeeze(-1), rows, mask, taken, len(keys))
+
+    def _apart(
+        self,
+        candidates: Tensor,
+        allowed: Tensor,
+        rows: Tensor | slice,
+        mask: Tensor | None,
+        taken: Tensor | None,
+        count: int,
+    ) -> Tensor:
+        """Chooses one of the candidates ``[M, K, k]`` of each of the ``rows``: ``[N, k]``."""
+        device = candidates.device
+        drawn = torch.ones(count, dtype=torch.bool, device=device) if mask is None else mask.squeeze(-1)
+        number = torch.arange(count, device=device) if isinstance(rows, slice) else drawn.cumsum(0) - 1
+        numbers = torch.where(drawn, number, -1).int()
+        places = torch.zeros(count, 2, device=device) if taken is None else taken.contiguous().clone()
+        chosen = torch.zeros(count, dtype=torch.int32, device=device)
+        with wp.ScopedStream(stream_of(device)):
+            inputs = [
+                wp.from_torch(candidates[..., :2].contiguous(), dtype=wp.vec2),
+                wp.from_torch(allowed.contiguous()),
+                wp.from_torch(numbers),
+                self._agents,
+                self._spacing,
+                wp.from_torch(places, dtype=wp.vec2),
+                wp.from_torch(chosen),
+            ]
+            wp.launch(choose_apart, count // self._agents, inputs, device=wp.device_from_torch(device))
+        index = chosen[rows].long()[:, None, None].expand(-1, 1, candidates.shape[-1])
+        return scattered(candidates.gather(1, index).squeeze(1), rows, count)
+
+    def enter_worlds(self) -> None:
+        super().enter_worlds()
+        for world in self._unchecked().values():
+            if (room := _room(world, self._robot_in(world), self._spacing, self._agents)) < self._agents:
+                self._crowded = (
+                    f"the start area of world {world.name!r} has room for {room} rovers {GAP:g} m apart, not for "
+                    f"agents={self._agents}"
+                )
+
+
+@lru_cache(maxsize=1024)
+def _room(world: World, robot: Robot, spacing: float, most: int) -> int:
+    """Returns how many of ``most`` points in the start area can be ``spacing`` (m) apart, each the farthest of all."""
+    cells = free_space(world, robot).spawn_cells
+    nearest = (cells - cells[0]).norm(dim=-1)
+    for found in range(1, most):
+        distance, farthest = nearest.max(0)
+        if distance < spacing:
+            return found
+        nearest = torch.minimum(nearest, (cells - cells[farthest]).norm(dim=-1))
+    return most

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
-from rover_rl.envs.config import EnvConfig, RewardConfig, RewardLike
+from rover_rl.envs.config import EnvConfig, RewardLike
 from rover_rl.envs.rewards import TotalReward, reward_components
 from rover_rl.envs.rover import RoverEnv
 
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
 
 class RewardedEnv(TransformedEnv):
-    """:class:`RoverEnv` with a reward, as returned by :func:`make_env`.
+    """:class:`RoverEnv` with a reward, as returned by :func:`make_env`. Its ``config`` includes the reward.
 
     ``TransformedEnv(env, transform)`` nests around it as around any base environment. TorchRL merges nested
     ``TransformedEnv`` objects but not their subclasses, so ``transform[0]`` is the first transform that the user added.
     ``env.append_transform(transform)`` appends to the transforms of the reward.
-
-    Attributes:
-        config: description of the environment, including the reward.
 
     Example:
         >>> from torchrl.envs import StepCounter, TransformedEnv
@@ -41,56 +33,37 @@ class RewardedEnv(TransformedEnv):
     rand_action = EnvBase.rand_action
 
 
-def make_env(
-    *args: Any,
-    reward: RewardLike = "contract",
-    contract_reward: RewardConfig | None = None,
-    **settings: Unpack[EnvSettings],
-) -> EnvBase:
+def make_env(*args: Any, **settings: Any) -> EnvBase:
     """Creates a :class:`RoverEnv` with a reward, by default the contract's.
 
     Args:
         *args: an :class:`~rover_rl.envs.config.EnvConfig` and nothing else, or the contract's arguments.
-        reward: ``"contract"``; ``"task"`` (1 per goal); name or ``"module:attribute"`` of your own reward; a
-            :class:`~rover_rl.envs.config.RewardConfig`; a :class:`~rover_rl.envs.rewards.RewardComponent`; or a
-            sequence of these, for example ``[*contract_reward(), TiltPenalty()]``.
-        contract_reward: parameters of the contract's reward.
-        **settings: arguments of :class:`RoverEnv`, under the contract's names or those of ``EnvConfig``:
-            ``lidar_points=16`` or ``lidar=LidarConfig(points=16)``.
+        **settings: settings of ``EnvConfig``, or arguments of the contract: ``lidar=LidarConfig(points=16)`` or
+            ``lidar_points=16``. The ``reward`` is ``"contract"``; ``"task"`` (1 per goal); name or
+            ``"module:attribute"`` of your own reward; a :class:`~rover_rl.envs.config.RewardConfig`; a
+            :class:`~rover_rl.envs.rewards.RewardComponent`; or a sequence of these, for example
+            ``[*contract_reward(), TiltPenalty()]``.
 
     Raises:
         ValueError: if the reward is unknown, or :class:`RoverEnv` raises it.
-        TypeError: if there are further arguments besides an ``EnvConfig``, or an argument is unknown or given by both
-            of its names.
+        TypeError: if there are further arguments besides an ``EnvConfig``, or one is unknown or given by both of its
+            names.
 
     Example:
         >>> env = make_env(world="maze", num_envs=4, seed=0, lidar=LidarConfig(points=16))
         >>> env.rollout(5)["next", "reward_components", "progress"].shape
         torch.Size([4, 5, 1])
     """
-    config = config_from("make_env", args, settings, reward, contract_reward)
+    config = EnvConfig.of(*args, **settings)
     # Raises an error for an unknown reward before the simulator is built.
     reward_components(config.reward, config.contract_reward)
     return add_reward(RoverEnv(config), config.reward, config)
 
 
-def _signature() -> inspect.Signature:
-    """Returns the arguments of :class:`RoverEnv`, followed by the reward's."""
-    own = inspect.signature(make_env)
-    rewards = [parameter for parameter in own.parameters.values() if parameter.kind is parameter.KEYWORD_ONLY]
-    return own.replace(parameters=[*SIGNATURE.parameters.values(), *rewards])
-
-
-make_env.__signature__ = _signature()  # type: ignore[attr-defined]
-
-
 def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:
-    """Adds a reward to an environment.
+    """Adds a reward, see :func:`make_env`, to a :class:`RoverEnv`.
 
-    Args:
-        env: environment without the contract's reward, a :class:`RoverEnv`.
-        reward: reward to add, see :func:`make_env`.
-        config: description of the environment, including the reward. ``None`` uses ``env.config`` and ``reward``.
+    ``config`` describes the environment with the reward. ``None`` uses ``env.config`` and ``reward``.
     """
     config = config or replace(env.config, reward=reward)
     components = reward_components(config.reward, config.contract_reward)

@@ -1,4 +1,4 @@
-"""What episodes begin with: random starts and goals in the free cells of each row's world, and random dynamics.
+"""What episodes begin with: starts and goals in the free cells of each row's world, and random dynamics.
 
 Simulators differ from each other and from a real robot. A policy that is trained on many variations of the dynamics is
 less sensitive to these differences (J. Tobin et al., "Domain randomization for transferring deep neural networks from
@@ -9,10 +9,11 @@ randomization", ICRA 2018).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import Randomization
@@ -25,8 +26,7 @@ from rover_rl.worlds import World
 from rover_rl.worlds.table import SlotTable, WorldTable
 
 _START, _GOAL, _DYNAMICS = 0, 1, 2
-"""Streams of random numbers. Other modules of this package use 3 to 10 and 16."""
-
+"""Streams of random numbers."""
 _CANDIDATES = 8
 """Number of goals drawn at once. The first that is far enough is used, so that no loop is needed."""
 
@@ -43,10 +43,6 @@ class Placement:
         bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
         bounds_low, bounds_high: the lower and the upper corners among them, ``[N, 2]``, m.
     """
-
-    bounds: Tensor
-    bounds_low: Tensor
-    bounds_high: Tensor
 
     def __init__(self, worlds: WorldTable, robot: Robot | Callable[[World], Robot], min_goal_distance: float) -> None:
         self._robot_in = robot if callable(robot) else lambda _: robot
@@ -76,7 +72,7 @@ class Placement:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
 
         Args:
-            keys: random keys of the episodes, ``[N, 1]``.
+            keys: random keys of the episodes.
             mask: rows whose pose is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
             taken: positions of the rovers of the other rows, ``[N, 2]``, m, for rovers that share worlds.
         """
@@ -121,13 +117,28 @@ class Placement:
         return candidates, (offset * offset).sum(-1, keepdim=True) >= self._min_goal_distance**2
 
 
-def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
-    """Draws the scale factors of each row's dynamics, float32 ``[N]`` each.
+def checked_place(
+    key: str, value: Tensor | None, tensordict: TensorDictBase | None, shape: Sequence[int], device: torch.device
+) -> Tensor | None:
+    """Returns the ``"start"`` or ``"goal"`` that a user gives to a reset, ``[N, k]``, or ``None``.
 
-    Args:
-        randomization: ranges of the factors.
-        keys: random keys of the episodes, ``[N, 1]``.
+    It is ``value``, else the entry ``key`` of the reset tensordict, of shape ``[*batch_size, k]``.
+
+    Raises:
+        ValueError: if the shape is wrong, or values are not finite.
     """
+    if value is None and tensordict is not None:
+        value = tensordict.get(key, None)
+    if value is None:
+        return None
+    value = torch.as_tensor(value, dtype=torch.float32, device=device)
+    if value.shape != tuple(shape) or not torch.isfinite(value).all():
+        raise ValueError(f"{key} must be finite numbers of shape {tuple(shape)}, got shape {tuple(value.shape)}")
+    return value.reshape(-1, shape[-1])
+
+
+def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
+    """Draws the scale factors of each row's dynamics, float32 ``[N]`` each, from the keys of the episodes."""
     names = [item.name for item in fields(Dynamics)]
     fractions = to_unit(random_bits(keys, _DYNAMICS, 0, len(names))).unbind(-1)
     ranges = {name: getattr(randomization, name) for name in names}

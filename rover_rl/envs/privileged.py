@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from rover_rl.envs.perception import Perception
+from rover_rl.envs.stages import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.paths import PathDistances
@@ -51,10 +51,7 @@ class PrivilegedObservation:
     - ``friction``, ``chassis_mass``, ``motor_torque``: scale factors of the randomized dynamics;
     - ``latency``: delay of commands, control steps.
 
-    Args:
-        worlds: worlds of the environment, by index.
-        robot: robot that determines the free space, or a function that returns that of a world.
-        device: device of the observation.
+    ``robot`` determines the free space, or a function that returns that of a world.
     """
 
     def __init__(self, worlds: Worlds, robot: Robot | Callable[[World], Robot], device: torch.device) -> None:
@@ -71,7 +68,7 @@ class PrivilegedObservation:
             truth: true state of the rovers.
             world: index of each row's world, int64 ``[N, 1]``.
             goal: positions of the goals, ``[N, 2]``, m.
-            dynamics: scale factors of the dynamics, ``[N]`` each.
+            dynamics: scale factors of the dynamics.
             latency: delays of commands, ``[N, 1]``, control steps.
         """
         rover = truth.rover
@@ -92,13 +89,6 @@ class PrivilegedObservation:
         return unchecked_tensordict(entries, goal.shape[:1], goal.device)
 
     def _local_map(self, fields: Tensor, path_distance: Tensor, truth: Perception) -> Tensor:
-        """Returns the local map, ``[N, distances * bearings]``, m.
-
-        Args:
-            fields: number of each row's field of path distances, int64 ``[N]``.
-            path_distance: path distances of the rovers, ``[N, 1]``, m.
-            truth: true state of the rovers.
-        """
         bearing = truth.yaw + self._bearings
         offset = self._reach[:, None, None] * torch.stack((bearing.cos(), bearing.sin()), -1)[:, None]
         points = truth.position[:, None] + offset.flatten(1, 2)

@@ -114,9 +114,9 @@ class ServedRover:
     def _report(self, steps: torch.Tensor) -> SensorReport:
         env, delays = self.env, self.env.delays
         assert delays is not None
-        sensed, pose, stamp = env.sensed_state, env.sensed_pose, env.rover_state.stamp
+        sensed, pose, stamp = env.state.sensed.rover, env.state.pose, env.rover_state.stamp
         # The IMU of a live rover has the heading of the pose.
-        half = (pose.yaw - env.sensed_yaw) / 2
+        half = (pose.yaw - env.state.sensed.yaw) / 2
         turn = torch.cat((torch.zeros(1, 2), half.sin(), half.cos()), -1)
         told = {
             "position": pose.position,
@@ -128,7 +128,7 @@ class ServedRover:
         late = {name: delays.late(f"told {name}", value, steps, delays.state) for name, value in told.items()}
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
-        ranges = delays.late("told scan", env.sensed_scan, steps, delays.scan)
+        ranges = delays.late("told scan", env.state.sensed.ranges, steps, delays.scan)
         return SensorReport(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
 
 

@@ -10,24 +10,18 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from rover_rl.envs.config import ActionConfig, EnvConfig
-from rover_rl.envs.privileged import FEATURES as PRIVILEGED
 from rover_rl.envs.task import EVENTS, StepEvent
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Lower and upper bounds of one entry of the observation or action.
-
-    Attributes:
-        low: lower bound of each feature.
-        high: upper bound of each feature.
-    """
+    """Lower and upper bounds of each feature of an entry of the observation or action."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
 
     def tensors(self, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-        """Returns the lower and upper bounds as tensors, float32 ``[features]`` each."""
+        """Lower and upper bounds, float32 ``[features]`` each."""
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
@@ -59,41 +53,13 @@ def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device
 
 def observation_spec(
     bounds: Mapping[str, Bounds],
+    nested: Mapping[str, Composite],
     batch_size: Sequence[int],
     device: torch.device | str | None,
-    privileged: bool = False,
-    several_worlds: bool = False,
-    movers: bool = False,
 ) -> Composite:
-    """Creates the spec of the observation and the nested ``outcome``.
-
-    Args:
-        bounds: bounds of each entry, those of its sensor.
-        batch_size: batch size of the environment.
-        device: device of the environment.
-        privileged: whether to add the nested ``privileged`` observation.
-        several_worlds: whether to add the index of the world to ``outcome``.
-        movers: whether to add what happens between rover and movers to ``outcome``.
-    """
+    """Creates the spec of the observation: entries with the bounds of their sensors, and nested ones."""
     entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
-    if privileged:
-        entries["privileged"] = _privileged_spec(batch_size, device)
-    outcome = _outcome_spec(batch_size, device, several_worlds, movers)
-    return Composite(**entries, outcome=outcome, shape=batch_size, device=device)
-
-
-def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
-    entries = {
-        key: Unbounded(shape=(*batch_size, features), dtype=torch.float32, device=device)
-        for key, features in PRIVILEGED.items()
-    }
-    return Composite(**entries, shape=batch_size, device=device)
-
-
-def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
-    """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
-    keys = ("done", "terminated", "truncated")
-    return Composite(**{key: _flag(batch_size, device) for key in keys}, shape=batch_size, device=device)
+    return Composite({**entries, **nested}, shape=batch_size, device=device)
 
 
 def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:
@@ -101,29 +67,43 @@ def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) ->
     return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 
-def _outcome_spec(
-    batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool, movers: bool
+def vectors_spec(
+    features: Mapping[str, int], batch_size: Sequence[int], device: torch.device | str | None
 ) -> Composite:
+    """Creates the spec of unbounded float32 vectors by name, ``[*batch_size, features]`` each."""
+    entries = {name: Unbounded(shape=(*batch_size, size), device=device) for name, size in features.items()}
+    return Composite(**entries, shape=batch_size, device=device)
+
+
+def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
+    """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
+    keys = ("done", "terminated", "truncated")
+    return Composite({key: _flag(batch_size, device) for key in keys}, shape=batch_size, device=device)
+
+
+def outcome_spec(
+    batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool = False, movers: bool = False
+) -> Composite:
+    """Creates the spec of the nested ``outcome``, with the index of the world, and what happens with movers."""
     shape = (*batch_size, 1)
-    of_movers = {
-        "mover_contact": _flag(batch_size, device),
-        "mover_distance": Unbounded(shape=shape, device=device),
-        "mover_speed": Unbounded(shape=shape, device=device),
+    number = Unbounded(shape=shape, device=device)
+    count = Unbounded(shape=shape, dtype=torch.int64, device=device)
+    entries = {event: _flag(batch_size, device) for event in EVENTS}
+    entries |= {
+        "phase": Bounded(low=0, high=max(StepEvent), shape=shape, dtype=torch.int64, device=device),
+        "progress": number,
+        "alignment": Bounded(low=-1.0, high=1.0, shape=shape, device=device),
+        "linear_velocity": number.clone(),
+        "angular_velocity": number.clone(),
+        "steps": count,
+        "total_steps": count.clone(),
     }
-    return Composite(
-        **{event: _flag(batch_size, device) for event in EVENTS},
-        phase=Bounded(low=0, high=max(StepEvent), shape=shape, dtype=torch.int64, device=device),
-        progress=Unbounded(shape=shape, device=device),
-        alignment=Bounded(low=-1.0, high=1.0, shape=shape, device=device),
-        linear_velocity=Unbounded(shape=shape, device=device),
-        angular_velocity=Unbounded(shape=shape, device=device),
-        steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
-        total_steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
-        **({"world": Unbounded(shape=shape, dtype=torch.int64, device=device)} if several_worlds else {}),
-        **(of_movers if movers else {}),
-        shape=batch_size,
-        device=device,
-    )
+    if several_worlds:
+        entries["world"] = count.clone()
+    if movers:
+        entries |= {"mover_contact": _flag(batch_size, device)}
+        entries |= {"mover_distance": number.clone(), "mover_speed": number.clone()}
+    return Composite(entries, shape=batch_size, device=device)
 
 
 def _flag(batch_size: Sequence[int], device: torch.device | str | None) -> Binary:
@@ -131,18 +111,7 @@ def _flag(batch_size: Sequence[int], device: torch.device | str | None) -> Binar
 
 
 def available_device(device: torch.device | str) -> torch.device:
-    """Returns a device after checking that PyTorch can use it.
-
-    Args:
-        device: device or its name, for example ``"cuda:0"``.
-
-    Raises:
-        ValueError: if the device is not available. The message lists the available devices.
-
-    Example:
-        >>> available_device("cpu")
-        device(type='cpu')
-    """
+    """Returns a device, or raises ``ValueError`` with the available ones if PyTorch cannot use it."""
     try:
         found = torch.device(device)
         torch.empty(0, device=found)

@@ -15,7 +15,7 @@ from unclipped state. Rewards, metrics and ``info`` dictionaries are computed fr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 
 import torch
@@ -23,8 +23,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl.envs.config import EnvConfig, TaskConfig
-from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.placement import Placement
+from rover_rl.envs.stages import Perception, StepState
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.footprint import collision_ranges
 from rover_rl.rotations import angle_of, wrap_angle
@@ -54,46 +54,8 @@ EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal
 """Names of the events in ``outcome``, in the order of :class:`StepEvent`."""
 
 
-@dataclass
-class TaskState:
-    """State of the task of every row between steps.
-
-    Attributes:
-        goal: position of the goal, ``[N, 2]``, m.
-        target: distance (m) and relative angle (rad) to the goal, ``[N, 2]``, unclipped.
-        goals: number of goals set in the episode, int64 ``[N, 1]``.
-        collision_steps: number of consecutive steps in collision, int64 ``[N, 1]``.
-        steps: number of steps in the episode, int64 ``[N, 1]``.
-        total_steps: number of steps of the row since it was last seeded, int64 ``[N, 1]``.
-    """
-
-    goal: Tensor
-    target: Tensor
-    goals: Tensor
-    collision_steps: Tensor
-    steps: Tensor
-    total_steps: Tensor
-
-    @classmethod
-    def zeros(cls, num_envs: int, device: torch.device) -> TaskState:
-        """Creates the state before the first episode."""
-        count = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
-        pair = torch.zeros(num_envs, 2, device=device)
-        return cls(goal=pair, target=pair, goals=count, collision_steps=count, steps=count, total_steps=count)
-
-    def merge(self, mask: Tensor, other: TaskState) -> TaskState:
-        """Returns this state in the rows of ``mask`` (bool ``[N, 1]``), and ``other`` in the other rows."""
-        return TaskState(**{name: torch.where(mask, value, getattr(other, name)) for name, value in vars(self).items()})
-
-
 class PositionHistory:
-    """Ring buffer of the last ``window`` positions of every row.
-
-    Args:
-        num_envs: number of rows.
-        window: number of positions per row.
-        device: device of the positions.
-    """
+    """Ring buffer of the last ``window`` positions of every row."""
 
     def __init__(self, num_envs: int, window: int, device: torch.device) -> None:
         self._window = window
@@ -131,11 +93,7 @@ def target_info(position: Tensor, yaw: Tensor, goal: Tensor) -> Tensor:
 
 
 def heading_alignment(angle: Tensor) -> Tensor:
-    """Returns the heading alignment ``1 - 2|angle|/pi``: 1 if the goal is ahead, 0 at a right angle, -1 behind.
-
-    Args:
-        angle: angle of the goal relative to the heading, rad.
-    """
+    """Returns ``1 - 2|angle|/pi`` of the goal's angle (rad): 1 if it is ahead, 0 at a right angle, -1 behind."""
     return 1 - angle.abs() * (2 / math.pi)
 
 
@@ -183,51 +141,12 @@ def compute_terminations(
     return events, phase
 
 
-def pack_outcome(events: Tensor, **fields: Tensor) -> TensorDict:
-    """Creates the nested ``outcome``.
-
-    Args:
-        events: events in the order of :data:`EVENTS`, bool ``[N, 7]``.
-        **fields: further entries, ``[N, 1]`` each.
-    """
-    named = dict(zip(EVENTS, events.split(1, -1), strict=True))
-    return unchecked_tensordict({**named, **fields}, events.shape[:1])
-
-
-class StepState:
-    """State of the environment between two steps.
-
-    This is a plain object because ``EnvBase`` is a ``torch.nn.Module``, in which assigning attributes is slow.
-
-    Attributes:
-        truth: perception from the true state of the simulator.
-        sensed: perception from the sensor readings. The same object as ``truth`` if there is no sensor noise.
-        pose: pose as the sensors report it.
-        reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
-        task: goals, targets and counters.
-        world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
-        movers: entries of ``outcome`` on movers. Empty if no world has any.
-        world_steps: number of steps since the worlds of groups changed, at which episodes are truncated, int64
-            ``[N, 1]``. ``None`` if groups do not change worlds.
-        outcome: events and measurements of the last step.
-        terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
-    """
-
-    truth: Perception
-    sensed: Perception
-    pose: SensedPose
-    reference: Perception
-    task: TaskState
-    world: Tensor | None
-    movers: dict[str, Tensor]
-    world_steps: Tensor | None
-    outcome: TensorDict
-    terminated: Tensor
-    truncated: Tensor
-
-    def __init__(self, task: TaskState, world: Tensor | None) -> None:
-        self.task = task
-        self.world, self.movers, self.world_steps = world, {}, None
+def with_threshold(config: EnvConfig, fleet: Fleet) -> EnvConfig:
+    """Returns a description with the collision threshold of the robots, if they have the same one, in place of none."""
+    thresholds = {robot.collision_range for robot in fleet.robots}
+    if config.task.collision_threshold is not None or len(thresholds) > 1 or None in thresholds:
+        return config
+    return replace(config, task=replace(config.task, collision_threshold=thresholds.pop()))
 
 
 class Navigation:
@@ -251,36 +170,25 @@ class Navigation:
             self._ranges = fleet.table(lambda robot: collision_ranges(robot, config.lidar.beams).tolist())
         self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
-    def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
-        """Begins new episodes: sets goals, resets counters and clears the outcome.
+    def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, first: bool) -> None:
+        """Begins new episodes after a reset: sets goals and clears counters and the outcome in the state.
 
         Args:
-            state: state of the environment after the reset of these rows. It is updated in place.
+            state: state of the environment after the reset of these rows.
             mask: rows that begin an episode, bool ``[N, 1]``.
             goal: goals, ``[N, 2]``, m. ``None`` draws them.
-            keys: random keys of the episodes, ``[N, 1]``.
             first: whether this is the first reset since the simulator was built.
         """
-        zeros = torch.zeros_like(keys)
-        reference = state.reference
+        zeros, reference = torch.zeros_like(state.keys), state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, zeros, reference.position, mask, state.task.goal)
-        initial = TaskState(
-            goal=goal,
-            target=target_info(reference.position, reference.yaw, goal),
-            goals=zeros + 1,
-            collision_steps=zeros,
-            steps=zeros,
-            total_steps=state.task.total_steps,
-        )
-        state.task = initial.merge(mask, state.task)
-        outcome = _outcome(
-            state,
-            torch.zeros(len(mask), len(EVENTS), dtype=torch.bool, device=mask.device),
-            phase=torch.full_like(keys, StepEvent.NONE),
-            progress=torch.zeros_like(reference.yaw),
-            alignment=heading_alignment(state.task.target[:, 1:]),
-        )
+            goal = self._placement.draw_goal(state.keys, zeros, reference.position, mask, state.goal)
+        target = target_info(reference.position, reference.yaw, goal)
+        state.goal, state.target = torch.where(mask, goal, state.goal), torch.where(mask, target, state.target)
+        state.goals = state.goals.masked_fill(mask, 1)
+        state.collision_steps = state.collision_steps.masked_fill(mask, 0)
+        none = torch.zeros(len(mask), len(EVENTS), dtype=torch.bool, device=mask.device)
+        phase, progress = torch.full_like(state.keys, StepEvent.NONE), torch.zeros_like(reference.yaw)
+        outcome = _outcome(state, none, phase, progress, heading_alignment(state.target[:, 1:]))
         if first:
             state.outcome = outcome
             state.terminated, state.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
@@ -288,52 +196,37 @@ class Navigation:
             state.outcome = outcome.where(mask.squeeze(-1), state.outcome)
             state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
 
-    def advance(self, state: StepState, invalid: Tensor, active: Tensor | None, keys: Tensor) -> None:
-        """Updates targets and counters after a step, and computes its outcome and the ends of episodes.
+    def advance(self, state: StepState, invalid: Tensor) -> None:
+        """Computes the outcome of a step in the state's ``active`` rows, sets new goals, and ends episodes.
 
-        Args:
-            state: state of the environment after the step. It is updated in place.
-            invalid: rows whose action was not finite, bool ``[N, 1]``.
-            active: rows that took the step, bool ``[N, 1]``. The other rows do not change. ``None`` means all rows.
-            keys: random keys of the episodes, ``[N, 1]``.
+        ``invalid`` are rows whose action was not finite, bool ``[N, 1]``.
         """
-        previous, reference = state.task, state.reference
-        steps = previous.steps + 1
-        collision_steps = (previous.collision_steps + 1) * self._in_collision(reference)
-        target = target_info(reference.position, reference.yaw, previous.goal)
+        active, reference, last = state.active, state.reference, state.target
+        target = target_info(reference.position, reference.yaw, state.goal)
+        collision_steps = (state.collision_steps + 1) * self._in_collision(reference)
         events, phase = compute_terminations(
             position=reference.position,
             tilt=reference.euler[:, :2],
             distance=target[:, :1],
-            displacement=self._history.displacement(reference.position, steps, active),
+            displacement=self._history.displacement(reference.position, state.steps, active),
             collision_steps=collision_steps,
             invalid=invalid,
             bounds=(self._placement.bounds_low, self._placement.bounds_high),
             config=self._task,
         )
-        task = TaskState(
-            goal=previous.goal,
-            target=target,
-            goals=previous.goals,
-            collision_steps=collision_steps,
-            steps=steps,
-            total_steps=previous.total_steps + 1,
-        )
-        if not self._end_on_goal:
-            task = self._next_goals(state, task, phase == StepEvent.GOAL, keys)
-        state.task = task if active is None else task.merge(active, previous)
-        outcome = _outcome(
-            state,
-            events,
-            phase=phase,
-            progress=previous.target[:, :1] - target[:, :1],
-            alignment=heading_alignment(target[:, 1:]),
-        )
+        if active is not None:
+            target = torch.where(active, target, last)
+            collision_steps = torch.where(active, collision_steps, state.collision_steps)
+        state.target, state.collision_steps = target, collision_steps
+        outcome = _outcome(state, events, phase, last[:, :1] - target[:, :1], heading_alignment(target[:, 1:]))
         if active is not None:
             outcome = outcome.where(active.squeeze(-1), state.outcome)
-            outcome.set("phase", phase.masked_fill(~active, StepEvent.NONE))
+            phase = phase.masked_fill(~active, StepEvent.NONE)
+            outcome.set("phase", phase)
         state.outcome = outcome
-        self._end(state, active)
+        if not self._end_on_goal:
+            self._set_next_goals(state, phase == StepEvent.GOAL)
+        self._end(state)
 
     def _in_collision(self, reference: Perception) -> Tensor:
         """Returns which rovers are in collision, bool ``[N, 1]``."""
@@ -346,40 +239,36 @@ class Navigation:
             return (reference.ranges < ranges).any(-1, keepdim=True)
         return reference.readings.amin(-1, keepdim=True) < self._threshold
 
-    def _end(self, state: StepState, active: Tensor | None) -> None:
+    def _set_next_goals(self, state: StepState, reached: Tensor) -> None:
+        """Draws new goals for the rows that ``reached`` theirs, bool ``[N, 1]``."""
+        # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
+        if reached.device.type == "cpu" and not reached.any():
+            return
+        reference = state.reference
+        drawn = self._placement.draw_goal(state.keys, state.goals, reference.position, reached, state.goal)
+        state.goal = torch.where(reached, drawn, state.goal)
+        target = target_info(reference.position, reference.yaw, state.goal)
+        state.target, state.goals = torch.where(reached, target, state.target), state.goals + reached
+
+    def _end(self, state: StepState) -> None:
         """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""
         terminated = state.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
             terminated = terminated | state.outcome.get("goal_reached")
-        steps = state.task.steps if state.world_steps is None else state.world_steps
+        steps = state.steps if state.world_steps is None else state.world_steps
         truncated = (steps >= self.length) & ~terminated
-        if active is not None:
-            terminated = torch.where(active, terminated, state.terminated)
-            truncated = torch.where(active, truncated, state.truncated)
+        if state.active is not None:
+            terminated = torch.where(state.active, terminated, state.terminated)
+            truncated = torch.where(state.active, truncated, state.truncated)
         state.terminated, state.truncated = terminated, truncated
 
-    def _next_goals(self, state: StepState, task: TaskState, reached: Tensor, keys: Tensor) -> TaskState:
-        """Draws a new goal for the rows that reached theirs, and computes the target to it."""
-        # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
-        if reached.device.type == "cpu" and not reached.any():
-            return task
-        reference = state.reference
-        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached, task.goal)
-        goal = torch.where(reached, drawn, task.goal)
-        target = target_info(reference.position, reference.yaw, goal)
-        return replace(task, goal=goal, target=target, goals=task.goals + reached)
 
-
-def _outcome(state: StepState, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
-    return pack_outcome(
-        events,
-        phase=phase,
-        progress=progress,
-        alignment=alignment,
-        linear_velocity=state.reference.rover.linear_velocity,
-        angular_velocity=state.reference.rover.angular_velocity,
-        steps=state.task.steps,
-        total_steps=state.task.total_steps,
-        **({} if state.world is None else {"world": state.world}),
-        **state.movers,
-    )
+def _outcome(state: StepState, events: Tensor, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
+    entries = dict(zip(EVENTS, events.split(1, -1), strict=True))
+    entries |= {"phase": phase, "progress": progress, "alignment": alignment}
+    rover = state.reference.rover
+    entries |= {"linear_velocity": rover.linear_velocity, "angular_velocity": rover.angular_velocity}
+    entries |= {"steps": state.steps, "total_steps": state.total_steps}
+    if state.world is not None:
+        entries["world"] = state.world
+    return unchecked_tensordict({**entries, **state.movers}, events.shape[:1])

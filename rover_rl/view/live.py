@@ -13,7 +13,7 @@ from rover_rl.algos.deploy.driving import Moment as Status
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
-from rover_rl.envs import RoverEnv
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.view.cameras import Cameras

@@ -121,7 +121,7 @@ def test_sixteen_rovers_see_one_another_within_a_centimeter(backend: str) -> Non
             assert (seen < alone.scan.numpy()).mean() > 0.02
         td = shared.step(td.set("action", action))["next"]
         alone.step(alone.rand_action().set("action", action))
-    tilts = shared.sensed_state.orientation[:, :2].abs().amax()
+    tilts = shared.state.sensed.rover.orientation[:, :2].abs().amax()
     assert tilts > 0.03
 
 
@@ -129,7 +129,7 @@ def test_a_sensor_of_rays_sees_the_others() -> None:
     env = make(2, 2)
     env.reset(start=torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]]), goal=torch.tensor([[5.0, 5.0], [-5.0, 5.0]]))
     origins, directions = torch.tensor([[[0.0, 0.0, 0.135]], [[3.0, 0.0, 0.135]]]), torch.tensor([[[1.0, 0, 0]]])
-    ranges = env._surroundings.cast(origins, torch.cat((directions, -directions)))
+    ranges = env._simulation.surroundings.cast(origins, torch.cat((directions, -directions)))
     # To the chassis of the other.
     assert ranges.flatten().tolist() == pytest.approx([2.8, 2.8], abs=0.01)
 
@@ -168,7 +168,7 @@ def test_other_robots_see_and_stop_one_another(make_robot: Callable[[Path], Robo
     )
     # The lidars are above the bodies. A ray at their height meets the back of the other.
     origins, ahead = env.rover_state.position[:, None] + torch.tensor([0.0, 0.0, 0.2]), torch.tensor([[[1.0, 0, 0]]])
-    assert env._surroundings.cast(origins, ahead.expand(2, 1, 3))[0].item() == pytest.approx(2.7, abs=0.01)
+    assert env._simulation.surroundings.cast(origins, ahead.expand(2, 1, 3))[0].item() == pytest.approx(2.7, abs=0.01)
     felt = False
     still = torch.tensor([[1.0, 0.0], [0.0, 0.0]])
     for _ in range(80):

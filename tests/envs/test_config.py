@@ -18,8 +18,17 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from rover_rl import RewardConfig, RoverEnv, make_env
-from rover_rl.envs import ActionConfig, EnvConfig, HeadingGains, LidarConfig, Randomization, TaskConfig
-from rover_rl.envs.config import env_from_plain, plain_env, require_match
+from rover_rl.envs.config import (
+    ActionConfig,
+    EnvConfig,
+    HeadingGains,
+    LidarConfig,
+    Randomization,
+    TaskConfig,
+    env_from_plain,
+    plain_env,
+    require_match,
+)
 from rover_rl.envs.rewards import GoalReward
 from rover_rl.robots import RobotOptions, get_robot
 from rover_rl.sims.bullet import BulletSettings

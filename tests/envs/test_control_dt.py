@@ -8,7 +8,7 @@ import torch
 from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from rover_rl.sims import make_simulator
 from rover_rl.sims.bullet import BulletSettings

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, World, box
-from rover_rl.envs import GuardConfig, TaskConfig
+from rover_rl.envs.config import GuardConfig, TaskConfig
 from rover_rl.worlds import Terrain
 
 WALL = World("wall", Terrain.flat((20.0, 20.0)), [box((2.0, 0.0, 0.5), (0.2, 3.0, 1.0))])

@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 from torchrl.envs import Transform
 
-from rover_rl.envs.goal_pay import pays_for_goals
-from rover_rl.envs.rewards import ClearancePenalty, RewardComponent, RewardConfig, contract_reward, reward_components
+from rover_rl.envs.rewards import (
+    ClearancePenalty,
+    RewardComponent,
+    RewardConfig,
+    contract_reward,
+    pays_for_goals,
+    reward_components,
+)
 from rover_rl.envs.task import StepEvent
 
 

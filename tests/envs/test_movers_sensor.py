@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, TRACKED, Movers, movers_of, predicted_scans
 from rover_rl.envs.sensors.route import Route

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.sensors.past_scans import PastScans
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Box, Mover, Waypoints

@@ -10,7 +10,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl import Randomization, RoverEnv
-from rover_rl.envs import EnvConfig, LidarConfig, imperfect
+from rover_rl.envs.config import EnvConfig, LidarConfig
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.rotations import wrap_angle
 from rover_rl.worlds import Terrain, World
@@ -30,7 +31,7 @@ def driven(rows: int = 12, randomization: Randomization = LATE, **settings: Any)
     for step in range(STEPS):
         turn = 1.2 if step < STEPS // 2 else -0.8
         td = env.step(td.set("action", torch.tensor([(0.9, turn)]).expand(rows, 2)))["next"]
-        state, pose = env.sensed_state, env.sensed_pose
+        state, pose = env.state.sensed.rover, env.state.pose
         seen.append(td.select(*KEYS, "outcome", strict=False))
         parts = pose.position[:, :2], pose.yaw, state.linear_velocity, state.angular_velocity
         truth.append(torch.cat(parts, -1))

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, make_env
-from rover_rl.envs import Randomization
+from rover_rl.envs.config import Randomization
 from rover_rl.envs.placement import draw_dynamics
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.rover_state import Dynamics
@@ -96,7 +96,7 @@ def test_sensors_have_the_noise_that_was_asked_for():
         states = []
         for _ in range(10):
             td = env.step(td.set("action", action))["next"]
-            states.append((env.sensed_scan, env.sensed_state.orientation))
+            states.append((env.state.sensed.ranges, env.state.sensed.rover.orientation))
         return tuple(torch.stack(column) for column in zip(*states, strict=True))
 
     true_ranges, true_orientation = standing(None)
@@ -123,7 +123,7 @@ def test_wheel_odometry_has_the_noise_that_was_asked_for():
     for step in range(25):
         td = env.step(td.set("action", torch.tensor([[0.3, 0.0]] * 32)))["next"]
         if step >= 10:
-            speeds.append(env.sensed_state.linear_velocity)
+            speeds.append(env.state.sensed.rover.linear_velocity)
     assert (torch.stack(speeds) / 0.3).std().item() == pytest.approx(0.05, rel=0.2)
 
 

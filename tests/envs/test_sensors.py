@@ -13,10 +13,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl import Bounds, EnvConfig, LidarConfig, Randomization, RoverEnv, Sensor, Terrain, World, box, make_env
-from rover_rl.envs import SensorInput
 from rover_rl.envs.config import plain_env, require_match
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.gym import GymWrapper
+from rover_rl.envs.sensors.base import SensorInput
 from rover_rl.envs.sensors.suite import register_sensor
 from tests.envs.scripted import ScriptedBackend, ScriptedSimulator
 from tests.extras import BACKENDS

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from rover_rl import Randomization, World
-from rover_rl.envs import EnvConfig, LidarConfig, PoseConfig, imperfect
+from rover_rl.envs.config import EnvConfig, LidarConfig, PoseConfig
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.worlds import Terrain
 from rover_rl.worlds.movers import Cylinder, Mover, Waypoints

@@ -9,9 +9,9 @@ from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardComponent, RewardConfig, RoverEnv, contract_reward, make_env
-from rover_rl.envs import StepEvent, TotalReward, add_reward
-from rover_rl.envs.rewards import ProgressReward, TurnPenalty
-from rover_rl.envs.task import EVENTS
+from rover_rl.envs.make import add_reward
+from rover_rl.envs.rewards import ProgressReward, TotalReward, TurnPenalty
+from rover_rl.envs.task import EVENTS, StepEvent
 from tests.envs.test_goal_pay import Tilt
 
 NAMES = ["goal", "progress", "velocity", "turn", "collision", "stuck", "general", "out_of_bounds"]

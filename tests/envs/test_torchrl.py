@@ -24,7 +24,7 @@ from torchrl.envs import (
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import Randomization, RoverEnv, make_env
-from rover_rl.envs import RewardedEnv
+from rover_rl.envs.make import RewardedEnv
 from rover_rl.envs.specs import available_device
 
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")

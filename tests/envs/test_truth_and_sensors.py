@@ -4,7 +4,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardComponent, RoverEnv, make_env
-from rover_rl.envs import Randomization
+from rover_rl.envs.config import Randomization
 
 NOISY = Randomization(range_noise=0.3, dropout=0.2, odometry_noise=0.3, imu_noise=0.2)
 ROWS = 16
@@ -24,26 +24,26 @@ def rollouts(**settings):
 def test_states_are_the_same_without_noise():
     env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3)
     env.step(env.rand_action(env.reset()))
-    assert env.sensed_state is env.rover_state
+    assert env.state.sensed.rover is env.rover_state
 
 
 def test_observations_are_sensed_and_outcomes_are_true_or_follow_the_sensors_as_on_a_live_robot():
     by_truth, env = rollouts(randomization=NOISY)
-    truth, sensed = env.rover_state, env.sensed_state
-    assert not torch.equal(env.scan, env.sensed_scan)
+    truth, sensed = env.rover_state, env.state.sensed.rover
+    assert not torch.equal(env.scan, env.state.sensed.ranges)
     assert torch.equal(truth.position, sensed.position)
     last = by_truth[:, -1]["next"]
     assert torch.equal(last["velocities"][:, :1], sensed.linear_velocity)
     assert torch.equal(last["outcome", "linear_velocity"], truth.linear_velocity)
-    assert torch.equal(last["lidar"], env.lidar(env.sensed_scan))
-    collision = env.lidar(env.scan).amin(-1, keepdim=True) < env.task.collision_threshold
+    assert torch.equal(last["lidar"], env.lidar(env.state.sensed.ranges))
+    collision = env.lidar(env.scan).amin(-1, keepdim=True) < env.config.task.collision_threshold
     assert torch.equal(last["outcome", "collision"], collision)
     by_sensors, env = rollouts(randomization=NOISY, outcome_from="sensors")
     last = by_sensors[:, -1]["next"]
-    assert torch.equal(last["outcome", "linear_velocity"], env.sensed_state.linear_velocity)
-    collision = last["lidar"].amin(-1, keepdim=True) < env.task.collision_threshold
+    assert torch.equal(last["outcome", "linear_velocity"], env.state.sensed.rover.linear_velocity)
+    collision = last["lidar"].amin(-1, keepdim=True) < env.config.task.collision_threshold
     assert torch.equal(last["outcome", "collision"], collision)
-    assert not torch.equal(env.sensed_state.linear_velocity, env.rover_state.linear_velocity)
+    assert not torch.equal(env.state.sensed.rover.linear_velocity, env.rover_state.linear_velocity)
     # The source of the outcome changes nothing else.
     ended = (by_truth["next", "done"] | by_sensors["next", "done"]).squeeze(-1)
     running = ended.cumsum(1) - ended.long() == 0

@@ -12,8 +12,7 @@ from torchrl.envs.utils import check_env_specs
 
 from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv, contract_reward, make_env
 from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
-from rover_rl.envs import Randomization
-from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.config import ActionConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock

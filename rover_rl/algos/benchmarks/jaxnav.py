@@ -17,7 +17,7 @@ import numpy as np
 from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_npz
 from rover_rl.algos.evaluation.metrics import Estimate, ratio
 from rover_rl.algos.evaluation.trajectory import Trajectory
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.worlds import boxes
 from rover_rl.worlds.files.rectangles import cover
 

@@ -32,7 +32,7 @@ from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, pla
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.specs import action_bounds
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.robots import Robot, get_robot

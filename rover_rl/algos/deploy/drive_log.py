@@ -18,7 +18,7 @@ from torch import Tensor
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.trajectory import Trajectory, count_reversals
-from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.files import check_writable
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler

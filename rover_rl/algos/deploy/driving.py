@@ -25,8 +25,9 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.driving import ENDINGS, RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
-from rover_rl.envs import RoverEnv, StepEvent
 from rover_rl.envs.config import EnvConfig, require_match
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.task import StepEvent
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 

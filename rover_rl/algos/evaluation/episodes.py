@@ -26,9 +26,8 @@ from torch import Tensor
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
-from rover_rl.envs import EnvConfig, TaskConfig
-from rover_rl.envs.config import RobotLike
-from rover_rl.envs.group_placement import GroupPlacement
+from rover_rl.envs.config import EnvConfig, RobotLike, TaskConfig
+from rover_rl.envs.groups import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.names import Name
 from rover_rl.progress import ProgressDisplay

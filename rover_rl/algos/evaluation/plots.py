@@ -27,7 +27,7 @@ from torch import Tensor
 from rover_rl.algos.driving import CONTACT, ENDINGS, TIME_LIMIT
 from rover_rl.algos.evaluation.results import Evaluation, worst_worlds
 from rover_rl.algos.evaluation.trajectory import Trajectory
-from rover_rl.envs import StepEvent
+from rover_rl.envs.task import StepEvent
 from rover_rl.files import written_whole
 from rover_rl.sims.movers.draw import EDGES, WAY, seen_from_above
 from rover_rl.sims.rendering.looks import looks_of

@@ -19,7 +19,7 @@ from rover_rl.algos.evaluation.metrics import Estimate, Row, compute_metrics, ep
 from rover_rl.algos.evaluation.tables import finite_row
 from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
-from rover_rl.envs.row_robots import RowRobots
+from rover_rl.envs.rows import drawn_robots
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.sims.backends import name_of
@@ -82,7 +82,8 @@ class Evaluation:
         keys = episode_keys(row_keys(first, len(self.trajectories), torch.device("cpu")), 1)
         # All of them fit in the worlds of an evaluation.
         robots = RobotGroups(get_robots(self.env.robot)).robots
-        return [*RowRobots(robots, keys, torch.tensor([[0, len(robots)]] * len(keys))).fleet]
+        choices = torch.tensor([[0, len(robots)]] * len(keys))
+        return [robots[number] for number in drawn_robots(choices, keys).tolist()]
 
     @cached_property
     def wall_contacts(self) -> list[Tensor]:

@@ -43,8 +43,7 @@ from rover_rl.algos.train.run_folder import (
 )
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
-from rover_rl.envs.goal_pay import pays_for_goals
-from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.rewards import pays_for_goals, reward_components
 from rover_rl.envs.specs import available_device
 from rover_rl.names import check_training_seed
 from rover_rl.robots import check_training_robots
@@ -334,7 +333,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
             f"curriculum chooses among the worlds of a range, as in 'maze:*', or of a WorldPool, got {env.world!r}"
         )
     check_training_robots(env.robot)
-    if not pays_for_goals(reward_components(env.reward, env.contract_reward), env):
+    if not pays_for_goals(reward_components(env.reward, env.contract_reward)):
         warnings.warn(
             f"no component of reward={env.reward!r} pays for a goal, so that the policy need not learn to reach one; "
             "add it to the contract's, which does: --reward contract ..., or reward=[*contract_reward(), ...]",

@@ -24,7 +24,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.video.recording import Moment, Recording, record_endless, record_episodes
 from rover_rl.algos.video.views import ChaseView, TopView
 from rover_rl.checks import MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import View

@@ -23,9 +23,10 @@ from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import sensors_for
-from rover_rl.envs import EnvConfig, RoverEnv
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.progress import ProgressDisplay
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion

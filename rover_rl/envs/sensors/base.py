@@ -15,9 +15,8 @@ from torch import Tensor
 
 from rover_rl.checks import MAX_COUNT, check_at_least, check_topics
 from rover_rl.envs.config import LidarConfig, Randomization
-from rover_rl.envs.delays import SensorDelays
-from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.specs import Bounds
+from rover_rl.envs.stages import Perception, SensedPose, SensorDelays
 from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import LiveRover

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig, Randomization
-from rover_rl.envs.perception import Perception
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
+from rover_rl.envs.stages import Perception
 from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
 from rover_rl.rotations import quaternion_product
 from rover_rl.sims.base import LiveRover

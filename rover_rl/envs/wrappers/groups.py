@@ -11,7 +11,7 @@ from torchrl.data import Binary, Composite, TensorSpec
 from torchrl.envs import EnvBase
 
 from rover_rl.envs.specs import done_spec
-from rover_rl.envs.wrappers.learning_options import base_env
+from rover_rl.envs.wrappers.numpy_batch import base_env
 
 ENDS = ("done", "terminated", "truncated")
 """Entries of the ends of episodes."""
@@ -76,7 +76,6 @@ class GroupedRovers(EnvBase):
         self.full_done_spec = ends
 
     def _grouped_spec(self, spec: TensorSpec) -> Any:
-        """Returns the spec of ``[G, agents, ...]`` for that of ``[N, ...]``."""
         return spec.unflatten(0, (*self.batch_size, self.agents))
 
     def _under_rovers(self, spec: TensorSpec) -> Composite:
@@ -130,7 +129,6 @@ class GroupedRovers(EnvBase):
         return TensorDict({"rovers": rovers, **ends}, self.batch_size, device=self.device)
 
     def _in_rows(self, mask: Tensor) -> Tensor:
-        """Returns a mask of rows, bool ``[N, 1]``, for one of rovers, ``[G, agents]``."""
         return mask.reshape(-1, 1)
 
     def close(self, *, raise_if_closed: bool = False) -> None:

@@ -1,10 +1,11 @@
-"""NumPy interface of the environment, shared by the Gymnasium and Stable-Baselines3 classes."""
+"""NumPy interface of the environment, shared by the Gymnasium, Stable-Baselines3 and PettingZoo classes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+import math
+from collections.abc import Mapping, Sequence
+from inspect import signature
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -13,37 +14,28 @@ from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase, RewardScaling, TransformedEnv
+from torchrl.envs.transforms import Transform
 
-from rover_rl.checks import MAX_COUNT, check_count, check_seed
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_count, check_positive, check_seed
+from rover_rl.envs.encoding import EncodedObservation, ObservationEncoder
+from rover_rl.envs.make import add_reward
+from rover_rl.envs.rewards import RewardComponent, RewardConfig
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import EVENTS
-from rover_rl.envs.transforms.encoded_observation import EncodedObservation
-from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, steps_per_action, with_options
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.base import View
 from rover_rl.tensordicts import in_rows
 from rover_rl.torch_defaults import with_torch_defaults
 
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
 Observation: TypeAlias = Any
 """A dictionary of arrays by entry, or one array if observations are scaled. All arrays are float32."""
 Mask: TypeAlias = NDArray[np.bool_]
+Reward: TypeAlias = str | RewardConfig | Sequence[RewardComponent]
 TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 
 
-class WrapperOptions(LearningOptions, total=False):
-    """Keyword arguments of the classes that wrap an environment: see :class:`~rover_rl.GymWrapper`."""
-
-    reward: Reward | None
-    time_limit: TimeLimit
-    render_mode: str | None
-    camera: View
-    max_episode_steps: int | None
-
-
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """Result of a step, copied: observations ``[N, k]`` per entry, the others ``[N]``."""
 
     observation: Observation
@@ -54,14 +46,33 @@ class Step:
 
     @property
     def ended(self) -> Mask:
-        """Whether the episode of each row ended in this step, bool ``[N]``."""
         return self.terminated | self.truncated
 
 
 class NumpyBatch:
-    """Resets, steps and renders a :class:`~rover_rl.envs.RoverEnv` with NumPy arrays: see ``GymWrapper``.
+    """Resets, steps and renders a :class:`~rover_rl.RoverEnv` with NumPy arrays.
 
     Spaces are those of one row, after the transforms.
+
+    Args:
+        env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
+        reward: reward of a ``RoverEnv``: ``"contract"`` (also ``None``), ``"task"``, a ``RewardConfig`` or a list of
+            components. A ``TransformedEnv`` already has its reward.
+        time_limit: signal at the end of an episode's length: ``"terminated"`` as in the contract (``truncated`` is
+            never true), or ``"truncated"`` as in Gymnasium's API.
+        render_mode: ``None``, or ``"rgb_array"``: ``render()`` returns an image.
+        camera: camera position: behind the rover (``"chase"``) or above it (``"top"``).
+        max_episode_steps: number of actions after which an episode is truncated, as by Gymnasium's ``TimeLimit``. The
+            environment has a length of its own besides.
+        action_repeat: number of steps of 0.05 s that each action is held for. The reward is their sum. Exploration
+            noise at 20 Hz averages out; 4 is a good value for the algorithms of other libraries.
+        reward_scale: factor of the reward, whose components are between -0.03 and 100. 0.05 is a good value.
+        scale_observations: whether an observation is one vector of float32 features of about [-1, 1], instead of a
+            dictionary in meters and radians: that of ``ObservationEncoder.of``, which leaves out the pose.
+
+    Raises:
+        TypeError: if ``env`` has another type.
+        ValueError: if an option is out of range.
     """
 
     @with_torch_defaults
@@ -74,29 +85,52 @@ class NumpyBatch:
         render_mode: str | None = None,
         camera: View = "chase",
         max_episode_steps: int | None = None,
-        **options: Unpack[LearningOptions],
+        action_repeat: int = 1,
+        reward_scale: float = 1.0,
+        scale_observations: bool = False,
     ) -> None:
-        require_one_of("time_limit", time_limit, get_args(TimeLimit))
-        require_one_of("render_mode", render_mode, (None, "rgb_array"))
-        require_one_of("camera", camera, get_args(View))
+        _require_one_of("time_limit", time_limit, get_args(TimeLimit))
+        _require_one_of("render_mode", render_mode, (None, "rgb_array"))
+        _require_one_of("camera", camera, get_args(View))
+        check_positive(MAX_NUMBER, reward_scale=reward_scale)
         self.base_env = base_env(env)
-        self.env, self.reward_config = with_options(env, reward, options)
-        self._flat = bool(options.get("scale_observations"))
-        self.num_envs: int = self.base_env.num_envs
-        self.observation_space = _observation_space(self.env, self._flat)
-        self.action_space = _box(self.env.action_spec_unbatched)
+        transforms: list[Transform] = [] if action_repeat == 1 else [ActionRepeat(action_repeat)]
+        if reward_scale != 1:
+            transforms.append(RewardScaling(loc=0.0, scale=reward_scale))
+        if scale_observations:
+            transforms.append(EncodedObservation(ObservationEncoder.of(self.base_env.config)))
+        self.reward_config: RewardConfig | None = None
+        if isinstance(env, TransformedEnv):
+            if reward is not None:
+                raise ValueError(
+                    "a TransformedEnv has its reward already: leave out reward=, or give the bare RoverEnv"
+                )
+            env = TransformedEnv(env, Compose(*transforms)) if transforms else env
+        else:
+            reward = "contract" if reward is None else reward
+            config = RewardConfig() if isinstance(reward, str) and reward == "contract" else reward
+            self.reward_config = config if isinstance(config, RewardConfig) else None
+            env = add_reward(env, reward)
+            for transform in transforms:
+                env = env.append_transform(transform)
+        self.env, self._flat, self.num_envs = env, scale_observations, self.base_env.num_envs
+        self._keys, spec = [*self.base_env.sensors], env.observation_spec_unbatched
+        self.observation_space: spaces.Space[Any]
+        if scale_observations:
+            self.observation_space = _box(spec[EncodedObservation.KEY])
+        else:
+            if missing := [key for key in self._keys if key not in spec]:
+                raise ValueError(f"the observation lacks {missing}, which a transform has removed; all are needed")
+            self.observation_space = spaces.Dict({key: _box(spec[key]) for key in self._keys})
+        self.action_space = _box(env.action_spec_unbatched)
         self.render_mode, self._camera, self._time_limit = render_mode, camera, time_limit
         # Gymnasium takes -1 for no limit.
         limited = max_episode_steps is not None and max_episode_steps != -1
         self._most = check_count(MAX_COUNT, max_episode_steps=max_episode_steps) if limited else None
-        self._actions = np.zeros(self.num_envs, np.int64)
+        repeats = [part.repeat for part in env.modules() if isinstance(part, ActionRepeat)]
+        self.frames_per_second = max(1, round(1 / (self.base_env.control_dt * math.prod(repeats))))
         self._root: TensorDictBase | None = None
-        self._goals = np.zeros(self.num_envs, np.int64)
-
-    @property
-    def frames_per_second(self) -> int:
-        """Frame rate of a video with one image per step."""
-        return max(1, round(1 / (self.base_env.control_dt * steps_per_action(self.env))))
+        self._goals, self._actions = np.zeros(self.num_envs, np.int64), np.zeros(self.num_envs, np.int64)
 
     @property
     def total_steps(self) -> NDArray[np.int64]:
@@ -104,13 +138,11 @@ class NumpyBatch:
         return _flat(self._started("total_steps")["outcome", "total_steps"])
 
     def observation(self) -> Observation:
-        """Returns the current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
-        if self._flat:
-            return self.entry(EncodedObservation.KEY)
-        return {key: self.entry(key) for key in self.base_env.sensors}
+        """Current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
+        return self.entry(EncodedObservation.KEY) if self._flat else {key: self.entry(key) for key in self._keys}
 
     def entry(self, key: str) -> NDArray[np.float32]:
-        """Returns one entry of the current observation, ``[N, k]``."""
+        """One entry of the current observation, ``[N, k]``."""
         return in_rows(self._started("the observation")).get(key).numpy(force=True).copy()
 
     @with_torch_defaults
@@ -158,29 +190,28 @@ class NumpyBatch:
         # Otherwise the next step would skip the same rows.
         result.pop("_step", None)
         self._root = self.env.step_mdp(result)
-        return self._unpack(result.get("next"), rows)
+        return self._unpack(result.get("next"), np.ones(self.num_envs, np.bool_) if rows is None else rows)
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """Renders one rover, uint8 ``[height, width, 3]``."""
         self._require_open("render")
         return self.base_env.render(row, self._camera).numpy(force=True)
 
-    def _unpack(self, result: TensorDictBase, rows: Mask | None) -> Step:
-        active = np.ones(self.num_envs, np.bool_) if rows is None else rows
+    def _unpack(self, result: TensorDictBase, active: Mask) -> Step:
         outcome = result.get("outcome")
         reward = np.where(active, _flat(result.get("reward")).astype(np.float64), 0.0)
         events = {event: _flat(outcome.get(event)) & active for event in EVENTS}
         self._goals += _flat(outcome.get("goals")) * active if "goals" in outcome else events["goal_reached"]
-        terminated = _flat(result.get("terminated")) & active
-        truncated = _flat(result.get("truncated")) & active
+        terminated, truncated = (_flat(result.get(key)) & active for key in ("terminated", "truncated"))
         if self._time_limit == "terminated":
             terminated, truncated = terminated | truncated, np.zeros_like(truncated)
         self._actions += active
         if self._most is not None:
             truncated = truncated | (active & (self._actions >= self._most))
+        world = outcome.get("world", None)
         info: dict[str, NDArray[Any]] = {
             "steps": _flat(outcome.get("steps")),
-            **({"world": _flat(world)} if (world := outcome.get("world", None)) is not None else {}),
+            **({} if world is None else {"world": _flat(world)}),
             "total_steps": self.total_steps,
             "reward": reward.copy(),
             "goals": self._goals.copy(),
@@ -202,10 +233,20 @@ class NumpyBatch:
         return torch.tensor(rows, device=self.env.device).reshape(*self.env.batch_size, 1)
 
 
-def pop_options(arguments: dict[str, Any]) -> WrapperOptions:
-    """Removes the options of :class:`WrapperOptions` from arguments, and returns them."""
-    given: Any = {key: arguments.pop(key) for key in [*arguments] if key in WrapperOptions.__annotations__}
-    return given
+def pop_options(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Removes the options of :class:`NumpyBatch` from arguments, and returns them."""
+    options = signature(NumpyBatch).parameters.keys() - {"env"}
+    return {key: arguments.pop(key) for key in [*arguments] if key in options}
+
+
+def base_env(env: EnvBase) -> RoverEnv:
+    """Returns the :class:`RoverEnv` under the transforms of ``env``, or raises ``TypeError`` if there is none."""
+    inner = env
+    while isinstance(inner, TransformedEnv):
+        inner = inner.base_env
+    if not isinstance(inner, RoverEnv):
+        raise TypeError(f"a rover_rl.RoverEnv, or a TransformedEnv of one, is needed; got {type(env).__name__}")
+    return inner
 
 
 def row_of(observation: Observation, row: int) -> Observation:
@@ -215,23 +256,12 @@ def row_of(observation: Observation, row: int) -> Observation:
     return {key: value[row].copy() for key, value in observation.items()}
 
 
-def require_one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
-    """Raises ``ValueError`` unless an option has one of the allowed values."""
+def _require_one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
     if value not in allowed:
         raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
 
 
-def _observation_space(env: EnvBase, flat: bool) -> spaces.Space[Any]:
-    if flat:
-        return _box(env.observation_spec_unbatched[EncodedObservation.KEY])
-    keys = [*base_env(env).sensors]
-    if missing := [key for key in keys if key not in env.observation_spec]:
-        raise ValueError(f"the observation lacks {missing}, which a transform has removed; {keys} are needed")
-    return spaces.Dict({key: _box(env.observation_spec_unbatched[key]) for key in keys})
-
-
 def _box(spec: TensorSpec) -> spaces.Box:
-    """Returns the space of the spec of one row."""
     if isinstance(spec, Bounded):
         low, high = spec.space.low.numpy(force=True), spec.space.high.numpy(force=True)
         return spaces.Box(low, high, dtype=np.float32)

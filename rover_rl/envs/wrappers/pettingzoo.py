@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
-from rover_rl.envs.wrappers.learning_options import base_env
-from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, WrapperOptions, row_of
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
+from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, base_env, row_of
 
 try:
     from pettingzoo import ParallelEnv
@@ -32,8 +28,8 @@ class RoverParallelEnv(ParallelEnv):
 
     Args:
         env: ``RoverEnv`` with ``num_envs`` equal to ``agents``, or a ``TransformedEnv`` of one.
-        **options: ``reward``, ``render_mode``, ``camera``, ``time_limit`` (here ``"truncated"`` by default) and the
-            options for learning: see :class:`~rover_rl.GymWrapper`.
+        **options: options of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. The default of ``time_limit`` is
+            ``"truncated"``.
 
     Attributes:
         possible_agents: names of all rovers: ``"rover_0"`` and so on.
@@ -53,7 +49,7 @@ class RoverParallelEnv(ParallelEnv):
         ['rover_0', 'rover_1', 'rover_2', 'rover_3']
     """
 
-    def __init__(self, env: EnvBase, **options: Unpack[WrapperOptions]) -> None:
+    def __init__(self, env: EnvBase, **options: Any) -> None:
         rovers, agents = base_env(env).num_envs, base_env(env).config.agents
         if rovers != agents:
             raise ValueError(f"RoverParallelEnv is for one group, got num_envs={rovers} and agents={agents}")
@@ -71,25 +67,18 @@ class RoverParallelEnv(ParallelEnv):
         self._row_of = {agent: row for row, agent in enumerate(self.possible_agents)}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Returns the space of the observations of an agent, the same for all."""
         return self._batch.observation_space
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Returns the space of the actions of an agent, the same for all."""
         return self._batch.action_space
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, ArrayLike] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begins the next episode.
+        """Begins the next episode, with a ``seed`` of the first rover, or ``None`` for the current one.
 
-        Args:
-            seed: seed of the first rover, in this and the following episodes. ``None`` continues with the current seed.
-            options: ``"start"`` ``[agents, 3]`` (x, y in m, yaw in rad) and ``"goal"`` ``[agents, 2]`` (m), both
-                optional. Others have no effect.
-
-        Returns:
-            The observation and an empty info of each agent.
+        Options are ``"start"`` ``[agents, 3]`` (x, y in m, yaw in rad) and ``"goal"`` ``[agents, 2]`` (m), both
+        optional. Others have no effect.
         """
         places = {key: value for key, value in (options or {}).items() if key in ("start", "goal")}
         observation = self._batch.reset(seed=seed, options=places)
@@ -99,17 +88,7 @@ class RoverParallelEnv(ParallelEnv):
     def step(
         self, actions: Mapping[str, ArrayLike]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Takes one step.
-
-        Args:
-            actions: action of each agent: see :meth:`~rover_rl.GymWrapper.step`.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos of the agents.
-
-        Raises:
-            ValueError: if an agent has no action, or one of the wrong shape.
-        """
+        """Takes one step with an action of each agent, and returns what ``GymWrapper`` does, by agent."""
         if missing := [agent for agent in self.agents if agent not in actions]:
             raise ValueError(f"each agent needs an action, {missing} have none")
         taken = np.zeros((len(self.possible_agents), *self._batch.action_space.shape), np.float32)
@@ -142,5 +121,4 @@ class RoverParallelEnv(ParallelEnv):
         self._batch.env.close()
 
     def _of_agents(self, observation: Observation) -> dict[str, Observation]:
-        """Returns the observations of the agents whose episodes have not ended."""
         return {agent: row_of(observation, self._row_of[agent]) for agent in self.agents}

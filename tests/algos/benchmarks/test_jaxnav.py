@@ -17,7 +17,7 @@ from rover_rl.algos.benchmarks.suite import Course, Result, print_results, run_s
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from tests.algos.benchmarks.mini import levels, write_levels
 from tests.algos.drivers import standing

@@ -17,8 +17,7 @@ from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
-from rover_rl.envs import EnvConfig
-from rover_rl.envs.config import ActionConfig, LidarConfig, Randomization
+from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, Randomization
 from rover_rl.worlds import Terrain, box
 from tests.algos.drivers import ahead, straight
 from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, printed

@@ -10,7 +10,7 @@ import torch
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.plots import draw_paths
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import standing

@@ -14,7 +14,7 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.metrics import compute_metrics, episode_row
 from rover_rl.algos.evaluation.trajectory import Encounters, Trajectory
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints

@@ -19,8 +19,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes, endless_episodes, 
 from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, usual_seconds
 from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.envs import EnvConfig
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain
 from tests.algos.evaluation.drives import assert_same

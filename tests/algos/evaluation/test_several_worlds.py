@@ -19,8 +19,7 @@ from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
-from rover_rl.envs import EnvConfig
-from rover_rl.envs.config import Randomization
+from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.pool import WorldPool

@@ -6,7 +6,7 @@ import torch
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.runner import Policy, PolicyRunner, sensors_for
-from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Waypoints
 

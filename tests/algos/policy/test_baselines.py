@@ -14,7 +14,7 @@ from torch import Tensor
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, drive_towards, steer
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.robots.rover_zero import ROVER_ZERO
 
 CLEAR = torch.full((1, 32), 12.0)

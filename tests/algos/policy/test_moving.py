@@ -14,7 +14,7 @@ from rover_rl.algos.policy.grid_planner import GridPlanner, MovingGridPlanner
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
 from rover_rl.algos.policy.predictive import PredictivePolicy
 from rover_rl.algos.policy.runner import sensors_for
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.robots.rover_zero import ROVER_ZERO

@@ -19,7 +19,8 @@ from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.progress import TIME
 from rover_rl.algos.train.run import TrainingSummary
-from rover_rl.envs import EnvConfig, RoverEnv
+from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.rover import RoverEnv
 from tests.algos.train.runs import BOTH, FIELD, PPO, equal, progress_of, run, state_of
 
 Trained = Callable[[str], TrainingSummary]

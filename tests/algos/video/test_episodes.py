@@ -22,7 +22,8 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.video.recording import record_episodes, recording_of_log
 from rover_rl.cli.film import Film
 from rover_rl.cli.main import main
-from rover_rl.envs import EnvConfig, Randomization, RoverEnv
+from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.worlds import Terrain, box
 
 SMALL = {"width": 64, "height": 48, "fps": 2}

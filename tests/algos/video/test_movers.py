@@ -14,7 +14,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.video.film import Style, film
 from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides
-from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import straight

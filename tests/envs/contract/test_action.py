@@ -10,7 +10,8 @@ import torch
 from hypothesis import strategies as st
 from torchrl.envs import EnvBase
 
-from rover_rl.envs.control import HeadingController, HeadingGains
+from rover_rl.envs.config import HeadingGains
+from rover_rl.envs.stages import HeadingController
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import FAR_GOAL, bare, pairs, scripted
 from tests.envs.scripted import Moment

@@ -6,7 +6,7 @@ import inspect
 from dataclasses import asdict
 
 from rover_rl import RewardConfig, RoverEnv
-from rover_rl.envs.control import HeadingGains
+from rover_rl.envs.config import HeadingGains
 
 
 def test_the_constructor_takes_the_contracts_ten_arguments_in_order_with_their_defaults():

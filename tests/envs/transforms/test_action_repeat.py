@@ -9,7 +9,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import TaskConfig, World, make_env
-from rover_rl.envs import StepEvent
+from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.worlds import Terrain
 

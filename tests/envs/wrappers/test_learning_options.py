@@ -11,9 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 from rover_rl import LEARNING_ENV_ID, GymVectorWrapper, GymWrapper, TaskConfig, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
-from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.encoding import EncodedObservation, ObservationEncoder
 from rover_rl.envs.gym import RoverEnv
-from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 
 OPTIONS = {"action_repeat": 4, "reward_scale": 0.05, "scale_observations": True}
 ROWS = 3

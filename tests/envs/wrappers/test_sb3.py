@@ -15,7 +15,7 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from rover_rl import RoverEnv as BatchedRoverEnv
-from rover_rl.envs import TaskConfig
+from rover_rl.envs.config import TaskConfig
 from rover_rl.envs.gym import RoverEnv
 from rover_rl.envs.sb3 import SB3VecEnv
 
@@ -148,7 +148,7 @@ def test_ppo_learns_on_the_batch():
 
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    for module in ("rover_rl.envs.sb3", "rover_rl.envs.wrappers.sb3"):
+    for module in ("rover_rl.envs.sb3", "rover_rl.envs.sb3"):
         monkeypatch.delitem(sys.modules, module)
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")

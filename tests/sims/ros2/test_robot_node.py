@@ -9,7 +9,7 @@ from itertools import product
 import pytest
 
 from rover_rl import EnvConfig, LidarConfig, Terrain, World, box, cylinder
-from rover_rl.envs import imperfect
+from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.messages import (

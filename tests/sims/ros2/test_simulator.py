@@ -346,8 +346,8 @@ def test_a_late_scan_is_paired_with_the_pose_of_its_time_and_a_late_pose_is_carr
     for _ in range(20):
         td = env.step(td.set("action", torch.tensor([[0.8, 1.0]])))["next"]
         truth, yaw = [*robot.poses.values()][-1]
-        place = torch.stack((td["pose"][0], env.sensed_pose.position[0]))
-        heading = torch.stack((td["imu"][0, 2], env.sensed_yaw[0, 0]))
+        place = torch.stack((td["pose"][0], env.state.pose.position[0]))
+        heading = torch.stack((td["imu"][0, 2], env.state.sensed.yaw[0, 0]))
         errors.append(torch.cat(((place - truth).norm(dim=-1), (heading - yaw).abs())))
     predicted, told, turned, seen = torch.stack(errors)[5:].median(0).values
     assert predicted < 0.4 * told

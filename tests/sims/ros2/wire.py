@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from rover_rl.envs import EnvConfig, LidarConfig, Randomization
+from rover_rl.envs.config import EnvConfig, LidarConfig, Randomization
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler

@@ -1,0 +1,220 @@
+"""``Simulation``: the simulator of a batch of rovers, their lidars, the movers around them, and the stages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.config import SCAN_POSE, EnvConfig
+from rover_rl.envs.emergency_brake import EmergencyBrake
+from rover_rl.envs.prediction import Prediction
+from rover_rl.envs.rows import Episodes, RowRobots, RowWorlds
+from rover_rl.envs.sensors.base import Sensor, Surroundings
+from rover_rl.envs.sensors.standard import LidarPooling, LivePooling
+from rover_rl.envs.stages import (
+    CommandDelay,
+    DriveBounds,
+    Localization,
+    Perception,
+    RowLimits,
+    SensorDelays,
+    Stage,
+    StepState,
+    scans_with_period,
+)
+from rover_rl.robots.fleet import Fleet
+from rover_rl.sims import make_simulator
+from rover_rl.sims.backends import make_scanner
+from rover_rl.sims.base import MAX_AGE, Feature
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.other_rovers import OtherRovers
+from rover_rl.sims.movers.scanner import MoverScanner
+from rover_rl.sims.rays import in_view
+from rover_rl.sims.rover_state import RoverState
+from rover_rl.worlds import World
+from rover_rl.worlds.movers import Rovers
+
+
+class Simulation:
+    """Simulator, lidars and movers of a batch, and the stages that commands and readings pass.
+
+    The first reset must be of all rows.
+
+    Args:
+        config: description of the environment.
+        worlds: world of each row.
+        robots: robot of each row.
+        sensors: sensors that the environment reads.
+        pooling: pooling of the scans.
+
+    Attributes:
+        simulator: simulator.
+        scanner: lidar in a full turn, which scans what does not move.
+        pooling: pooling of the scans of the robots' lidars, which see movers.
+        movers: movers of each row.
+        surroundings: what sensors cast rays at.
+        changes_worlds: whether rows draw worlds, and the simulator lets them change.
+        stages: stages, in their order.
+        command_delay: delay of the commands.
+        delays: delays of the sensors. ``None`` if there are none.
+
+    Raises:
+        ValueError: if the simulator or a robot cannot do what the environment needs.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        worlds: RowWorlds,
+        robots: RowRobots,
+        sensors: Mapping[str, Sensor],
+        pooling: LidarPooling,
+    ) -> None:
+        fleet, self._worlds, self._device, self._agents = robots.fleet, worlds, robots.fleet.index.device, config.agents
+        self.has_movers = config.agents > 1 or worlds.have_movers
+        self.simulator = simulator = make_simulator(
+            config.backend,
+            worlds=worlds.table,
+            robot=fleet,
+            physics=config.preset,
+            control_rate=config.control_rate,
+            connection=config.connection,
+            device=self._device,
+        )
+        live, dt, robot = simulator.live, simulator.control_dt, fleet.largest
+        try:
+            self._require(config, fleet, sensors)
+            if fields := {field for sensor in sensors.values() for field in sensor.needs}:
+                simulator.measure(fields)
+        except ValueError:
+            simulator.close()
+            raise
+        self.scanner = lidar = make_scanner(simulator, worlds.table, robot, config.lidar.beams)
+        self.pooling = pooling if live is None else LivePooling(live, pooling)
+        others = OtherRovers(robot, config.agents, len(fleet), dt, self._device) if config.agents > 1 else None
+        self.movers = MoverField(worlds.table, dt, robot.radius, live is not None, others)
+        self._rover_radius = robot.radius
+        self.surroundings = Surroundings(worlds.table, self.movers)
+        self.surroundings.live = live
+        if self.has_movers:
+            lidar = MoverScanner(lidar, self.movers, simulator, fleet)
+        self._lidar = in_view(lidar, fleet)
+        if "movers" in simulator.features:
+            simulator.add_movers(self.movers)
+        if config.compensate_delay and live is not None:
+            live.follow_clock()
+        self.changes_worlds = worlds.is_drawn and "worlds" in simulator.features
+        if self.changes_worlds:
+
+            def prepare(world: World) -> None:
+                free_space(world, robots.robot_in(world))
+                simulator.prepare_world(world)
+
+            worlds.open(prepare)
+            simulator.enter_worlds()
+        self._init_stages(config, robots)
+
+    def _init_stages(self, config: EnvConfig, robots: RowRobots) -> None:
+        noise, period, fleet, live = config.randomization, config.lidar.period, robots.fleet, self.simulator.live
+        rows, device, dt = len(fleet), self._device, self.simulator.control_dt
+        self.stages: list[Stage] = [Localization(config.pose, noise)]
+        self.delays, self._scans = None, scans_with_period(period)
+        if config.late_scans:
+            self.delays = SensorDelays(noise, period, rows, device, live)
+            self._scans = self.delays.scans
+            self.stages.append(self.delays)
+        if robots.are_several:
+            self.stages.append(DriveBounds(fleet))
+        if config.guard.deceleration:
+            self.stages.append(EmergencyBrake(config.guard, fleet, self._lidar.angles, self.delays))
+        # A live rover limits its commands itself.
+        if config.limits.apply and live is None:
+            self.stages.append(RowLimits(config.limits, noise.limits, fleet))
+        most = noise.state_latency[1] + (0 if live is None else math.ceil(MAX_AGE / dt))
+        if config.compensate_delay and most and self.delays is not None:
+            self.stages.append(Prediction(fleet, dt, most, noise.latency, self.delays, live))
+        self.command_delay = CommandDelay(noise.latency, rows, device)
+        if noise.latency[1]:
+            self.stages.append(self.command_delay)
+
+    def _require(self, config: EnvConfig, fleet: Fleet, sensors: Mapping[str, Sensor]) -> None:
+        """Raises an error for the first thing that the environment needs and its simulator or robot cannot do."""
+        simulator, live, agents = self.simulator, self.simulator.live is not None, config.agents
+        needs: dict[Feature, str] = {}
+        if config.task.collision_from == "contact":
+            needs["contacts"] = "a task with collision_from='contact' needs a backend that reports contacts"
+        if config.randomization.varies_dynamics:
+            needs["dynamics"] = "randomized friction, mass and motors need a backend in which they can be varied"
+        if self.has_movers and not live:
+            needs["movers"] = "a world with movers needs a backend that lets them push the rovers"
+        if len(fleet.robots) > 1:
+            needs["robots"] = "several robots in one batch need a backend that simulates them"
+        if agents > 1:
+            needs["movers"] = f"agents={agents} need a backend in which rovers push one another"
+        for key, sensor in sensors.items():
+            needs |= dict.fromkeys(sensor.needs, f"sensor {key!r} needs a backend that measures it")
+        for feature, need in needs.items():
+            if feature not in simulator.features:
+                raise ValueError(f"{need}: {type(simulator).__name__} does not state the feature {feature!r}")
+        sideways = config.action.max_sideways
+        if sideways and live:
+            raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
+        if config.compensate_delay and live and not config.late_scans:
+            raise ValueError(
+                f"compensate_delay needs sensors=({SCAN_POSE!r},) with a live rover, whose scans can be late"
+            )
+        if agents > 1 and len(fleet.robots) > 1:
+            raise ValueError(f"agents={agents} need one robot for all rows, got {len(fleet.robots)} robots")
+        robot = next((robot for robot in fleet.robots if not robot.drive.sideways), None)
+        if sideways and robot is not None:
+            drive = type(robot.drive).__name__
+            raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")
+
+    def reset(self, state: StepState, mask: Tensor, poses: Tensor) -> None:
+        """Places the rovers of ``mask`` (bool ``[N, 1]``) at ``poses`` ``[N, 3]``, and writes their true state."""
+        rows = mask.squeeze(-1).to(self.simulator.device)
+        self._perceive(state, self.simulator.reset(rows, poses.to(rows.device)), rows, mask)
+
+    def step(self, state: StepState, command: Tensor, episodes: Episodes) -> None:
+        """Advances the ``active`` rovers and the movers around them, and writes their true state."""
+        active, device = state.active, self.simulator.device
+        if self.has_movers:
+            truth = state.truth
+            heading = torch.cat((truth.yaw.cos(), truth.yaw.sin()), -1)
+            velocity = (truth.rover.linear_velocity * heading)[:, None]
+            rovers = Rovers(truth.position[:, None], velocity, self._rover_radius)
+            self.movers.advance(episodes.advance(active), rovers, active)
+        rows = None if active is None else active.squeeze(-1).to(device)
+        with self._worlds.preparing():
+            rover = self.simulator.step(command.to(device), rows)
+        self._perceive(state, rover, rows, active)
+
+    def _perceive(self, state: StepState, rover: RoverState, rows: Tensor | None, moved: Tensor | None) -> None:
+        """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same."""
+        if self._agents > 1:
+            self.movers.follow(rover, moved, state.steps == 0)
+        scanning = self._scans(state.keys, state.steps)
+        if scanning is None:
+            scanning = rows
+        else:
+            scanning = scanning.to(self.simulator.device)
+            scanning = scanning if rows is None else scanning & rows
+        ranges = self._lidar.scan(scanning)
+        if self.simulator.device != self._device:
+            rover, ranges = rover.to(self._device), ranges.to(self._device)
+        state.truth = truth = Perception(rover, ranges, self.pooling)
+        if self.has_movers:
+            distance, speed = self.movers.nearest(truth.position)
+            touched = rover.mover_contact
+            if touched is None:
+                touched = torch.zeros_like(distance, dtype=torch.bool)
+            state.movers = {"mover_contact": touched, "mover_distance": distance, "mover_speed": speed}
+
+    def close(self) -> None:
+        """Releases the simulator. Idempotent."""
+        self.simulator.close()
+        self._worlds.close()

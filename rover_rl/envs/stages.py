@@ -1,0 +1,433 @@
+"""State of a step, and the stages between policy and physics: what commands and readings pass.
+
+Every row has its own delays and errors, drawn at each reset. Random numbers depend on the row's seed, its episode and
+the step alone. Before the first value of an episode has arrived, a sensor tells what it told at the start, where the
+rover stood, and a command is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torch.nn.functional import pad
+
+from rover_rl import rng
+from rover_rl.envs.config import HeadingGains, LimitsConfig, PoseConfig, Randomization
+from rover_rl.robots.fleet import Fleet
+from rover_rl.rotations import quaternion_to_euler, wrap_angle
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
+
+_LATENCY, _SCAN_LATENCY, _STATE_LATENCY, _SCAN_PERIOD, _LOST_SCANS = 3, 18, 19, 20, 21
+_DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE, _LIMITS = 7, 8, 9, 23, 24, 26
+"""Streams of random numbers."""
+
+
+class Perception:
+    """State of the rovers with the attitude, heading, position and pooled lidar scan derived from it.
+
+    Attributes:
+        rover: state of the rovers, ``[N]``.
+        ranges: raw lidar scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid.
+        euler: roll, pitch and yaw, ``[N, 3]``, rad.
+        yaw: heading, ``[N, 1]``, rad.
+        position: horizontal position (x, y), ``[N, 2]``, m.
+        readings: pooled lidar scan, ``[N, lidar_points]``, m.
+    """
+
+    def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
+        self.rover, self.ranges = rover, ranges
+        self.euler = quaternion_to_euler(rover.orientation)
+        self.yaw = self.euler[:, 2:]
+        self.position = rover.position[:, :2]
+        self.readings = pooling(ranges)
+
+
+class SensedPose(NamedTuple):
+    """Pose as the sensors report it: position ``[N, 3]`` (m) and heading ``[N, 1]`` (rad)."""
+
+    position: Tensor
+    yaw: Tensor
+
+
+class StepState:
+    """State of the environment between two steps.
+
+    This is a plain object because ``EnvBase`` is a ``torch.nn.Module``, in which assigning attributes is slow.
+    """
+
+    keys: Tensor
+    """Random keys of the episodes, int64 ``[N, 1]``."""
+    active: Tensor | None = None
+    """Rows that take the step, bool ``[N, 1]``. ``None``: all."""
+    truth: Perception
+    """True state of the rovers."""
+    sensed: Perception
+    """State by their sensors. The same object as ``truth`` if there is no sensor noise."""
+    reference: Perception
+    """The one of ``truth`` and ``sensed`` that events and rewards are computed from."""
+    pose: SensedPose
+    """Pose by the sensors, without delay."""
+    known: SensedPose
+    """Pose that the robot knows, which may be late, or predicted."""
+    scan_pose: Tensor | None = None
+    """Where the last known scan was taken, ``[N, 6]``, relative to the known pose. ``None`` if nothing reads it."""
+    predicted: Mapping[str, Tensor] = {}
+    """Entries of the observation that are predicted and not read."""
+    goal: Tensor
+    """Position of the goal, ``[N, 2]``, m."""
+    target: Tensor
+    """Distance (m) and relative angle (rad) of the goal from ``reference``, ``[N, 2]``, unclipped."""
+    goals: Tensor
+    """Number of goals set in the episode, int64 ``[N, 1]``."""
+    collision_steps: Tensor
+    """Number of consecutive steps in collision, int64 ``[N, 1]``."""
+    steps: Tensor
+    """Number of steps in the episode, int64 ``[N, 1]``."""
+    total_steps: Tensor
+    """Number of steps of the row since it was last seeded, int64 ``[N, 1]``."""
+    world: Tensor | None = None
+    """Index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one."""
+    world_steps: Tensor | None = None
+    """Number of steps since the worlds of groups changed, at which episodes are truncated. ``None``: ``steps``."""
+    movers: Mapping[str, Tensor] = {}
+    """Entries of ``outcome`` on movers. Empty if no world has any."""
+    outcome: TensorDict
+    """Events and measurements of the last step."""
+    terminated: Tensor
+    truncated: Tensor
+    """Whether the last step ended the episode, bool ``[N, 1]``."""
+
+    def __init__(self, num_envs: int, device: torch.device) -> None:
+        self.steps = self.total_steps = self.goals = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
+        self.collision_steps = self.steps
+        self.goal = self.target = torch.zeros(num_envs, 2, device=device)
+
+
+class Stage:
+    """What commands pass on their way to the simulator, or readings on their way to the observation."""
+
+    def begin(self, mask: Tensor, keys: Tensor) -> None:
+        """Begins episodes in the rows of ``mask`` (bool ``[N, 1]``). ``keys`` ``[N, 1]`` are those of all rows."""
+
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        """Returns the command for the next stage.
+
+        Args:
+            command: forward speed (m/s), yaw rate (rad/s) and, if there is one, speed to the left (m/s), ``[N, A]``.
+            state: state before the step.
+        """
+        return command
+
+    def read(self, state: StepState) -> None:
+        """Changes the readings in the state after a step or reset."""
+
+
+def scans_with_period(period: int) -> Callable[[Tensor, Tensor], Tensor | None]:
+    """Returns a function of keys and steps that tells which rows scan, bool ``[N]``; ``None`` for all."""
+    return lambda keys, steps: None if period == 1 else (steps % period == 0).squeeze(-1)
+
+
+def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Clips actions ``[*batch_size, A]`` to ``bounds``, and returns them ``[N, A]``, and rows that are not finite.
+
+    Values that are not finite raise an error on the CPU. On an accelerator they are only flagged, because raising an
+    error would require synchronization with the device.
+
+    Raises:
+        ValueError: if the shape is wrong, or values are not finite.
+    """
+    expected = (*batch_size, len(bounds[0]))
+    if action.shape != expected:
+        raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
+    # A policy may have another precision, and gradients, which end here.
+    action = action.detach().reshape(-1, len(bounds[0])).to(bounds[0].dtype)
+    invalid = ~torch.isfinite(action).all(-1, keepdim=True)
+    if action.device.type == "cpu" and invalid.any():
+        rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()
+        raise ValueError(f"action must be finite numbers, got NaN or infinity in rows {rows}")
+    return torch.clamp(action, *bounds), invalid
+
+
+class HeadingController:
+    """PID controller per row that turns the rover toward a heading."""
+
+    def __init__(
+        self, num_envs: int, gains: HeadingGains | None = None, device: torch.device | str | None = None
+    ) -> None:
+        self.gains = gains or HeadingGains()
+        self._error = torch.zeros(num_envs, 1, device=device)
+        self._integral = torch.zeros(num_envs, 1, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Clears the error and integral of the rows of ``mask`` (bool ``[N, 1]``)."""
+        self._error = self._error.masked_fill(mask, 0.0)
+        self._integral = self._integral.masked_fill(mask, 0.0)
+
+    def __call__(self, desired: Tensor, current: Tensor, dt: Tensor, active: Tensor | None = None) -> Tensor:
+        """Returns the yaw rate that turns the rover toward the desired heading, ``[N, 1]``, rad/s.
+
+        Args:
+            desired, current: headings in the world frame, ``[N, 1]``, rad.
+            dt: time since the previous call, ``[N, 1]``, s.
+            active: rows to update, bool ``[N, 1]``. The other rows keep their error and integral.
+        """
+        error = wrap_angle(desired - current)
+        integral = torch.addcmul(self._integral, error, dt)
+        change = (error - self._error) / dt
+        gains = self.gains
+        rate = gains.kp * error + gains.ki * integral + gains.kd * change
+        self._error = error if active is None else torch.where(active, error, self._error)
+        self._integral = integral if active is None else torch.where(active, integral, self._integral)
+        return rate.clamp(-gains.max_output, gains.max_output)
+
+
+class DriveBounds(Stage):
+    """Limits the commands of several robots to what the drive of each can do."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        names = ("max_speed", "max_yaw_rate", "max_speed")
+        self._fleet, self._limits = fleet, fleet.table(lambda robot: [getattr(robot.drive, name) for name in names])
+
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        limits = self._limits[self._fleet.index, : command.shape[-1]]
+        return torch.clamp(command, -limits, limits)
+
+
+class RowLimits(Stage):
+    """Limits commands as ``rover-rl drive`` does for a live rover.
+
+    Limits that ``config`` does not state are those of the robots. Each episode draws a factor of all limits from the
+    range ``factors``.
+    """
+
+    def __init__(self, config: LimitsConfig, factors: tuple[float, float], fleet: Fleet) -> None:
+        self._factors, self._fleet = factors, fleet
+        self._table = fleet.table(lambda robot: [*CommandLimits.of(robot, config)])
+        self._limiter = CommandLimiter(config.min_reversal, len(fleet), fleet.index.device)
+        self._last: Tensor | None = None
+        self._factor: Tensor | float = 1.0
+
+    def begin(self, mask: Tensor, keys: Tensor) -> None:
+        self._limiter.reset(mask)
+        if self._last is not None:
+            self._last = self._last.masked_fill(mask, 0.0)
+        if self._factors != (1.0, 1.0):
+            self._factor = rng.between(rng.random_bits(keys, _LIMITS, 0, 1), self._factors)
+
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        last, active = torch.zeros_like(command) if self._last is None else self._last, state.active
+        limits = self._table[self._fleet.index] * self._factor
+        limited = self._limiter(last, command, state.sensed.rover.dt, limits, active)
+        self._last = limited if active is None else torch.where(active, limited, last)
+        return limited
+
+
+class DelayLine:
+    """Values of the last steps of each row, by name, from which those up to ``most`` steps late are taken."""
+
+    def __init__(self, most: int) -> None:
+        self._size = most + 1
+        self._rings: dict[str, Tensor] = {}
+
+    def __call__(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
+        """Stores a value, and returns that of ``delay`` steps ago, or of step 0, ``[N, k]``.
+
+        Args:
+            name: name of the value.
+            value: value at this step, ``[N, k]``. A row may store its value of a step again.
+            steps: number of steps of each row's episode, int64 ``[N, 1]``.
+            delay: delay of each row, steps, int64 ``[N, 1]``.
+        """
+        if name not in self._rings:
+            self._rings[name] = value.new_zeros(len(value), self._size, value.shape[-1])
+        ring, rows, now = self._rings[name], torch.arange(len(value), device=value.device), steps.squeeze(-1)
+        ring[rows, now % self._size] = value
+        return ring[rows, (now - torch.minimum(delay.squeeze(-1), now)) % self._size]
+
+
+class CommandDelay(Stage):
+    """Delays each row's commands by a number of control steps from a range.
+
+    Attributes:
+        steps: current delay of each row, control steps, int64 ``[N, 1]``.
+    """
+
+    def __init__(self, latency: tuple[int, int], num_envs: int, device: torch.device) -> None:
+        self._latency, self._line = latency, DelayLine(latency[1])
+        self.steps = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
+
+    def begin(self, mask: Tensor, keys: Tensor) -> None:
+        self.steps = rng.whole_between(rng.random_bits(keys, _LATENCY, 0, 1), self._latency)
+
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        return self.delayed(command, state.steps)
+
+    def delayed(self, command: Tensor, steps: Tensor) -> Tensor:
+        """Stores a command and returns the delayed one: 0 before the first one has arrived."""
+        return self._line("command", command, steps, self.steps).masked_fill(steps < self.steps, 0.0)
+
+
+class Localization(Stage):
+    """Sets the pose that the sensors report.
+
+    The error of a localization is the sum of two parts. One drifts: an Ornstein-Uhlenbeck process, exact in discrete
+    time, ``e' = a e + s sqrt(1 - a^2) n`` with ``a = exp(-dt / drift_time)``, the standard deviation ``s`` and a
+    standard normal number ``n`` (C. Gardiner, *Stochastic Methods*, 2009, section 3.8.4). The other is constant until a
+    jump draws it anew; jumps are a Poisson process.
+    """
+
+    def __init__(self, config: PoseConfig, randomization: Randomization) -> None:
+        self._config, self._randomization = config, randomization
+        self._steps: Tensor | None = None
+        # Position and heading of dead reckoning.
+        self._pose: tuple[Tensor, Tensor] | None = None
+        # Error of a localization that drifts, and the one that jumps: x, y and heading.
+        self._error: tuple[Tensor, Tensor] | None = None
+
+    def read(self, state: StepState) -> None:
+        state.pose = state.known = self._sensed(state)
+
+    def _sensed(self, state: StepState) -> SensedPose:
+        sensed, steps, source = state.sensed, state.steps, self._config.source
+        if source == "truth":
+            return SensedPose(sensed.rover.position, sensed.yaw)
+        begins = steps == 0
+        # A row whose number of steps is that of the last call keeps its pose.
+        moves = torch.ones_like(begins) if self._steps is None else (steps != self._steps) & ~begins
+        self._steps = steps
+        if source == "odometry":
+            return self._dead_reckoning(state, begins, moves)
+        localized = self._localized(state, begins, moves)
+        if source == "localized":
+            return localized
+        odometry = self._dead_reckoning(state, begins, moves)
+        by_odometry = rng.random_bits(state.keys, _SOURCE, 0, 1) < 0
+        return SensedPose(*(torch.where(by_odometry, *pair) for pair in zip(odometry, localized, strict=True)))
+
+    def _dead_reckoning(self, state: StepState, begins: Tensor, moves: Tensor) -> SensedPose:
+        """Adds the path of the wheels since the last step, along the mean of the headings at its start and its end."""
+        truth, rover = state.truth.rover, state.sensed.rover
+        pitch, yaw = state.sensed.euler[:, 1:2], state.sensed.yaw
+        if any(self._randomization.yaw_bias):
+            bias = rng.between(rng.random_bits(state.keys, _YAW_BIAS, 0, 1), self._randomization.yaw_bias)
+            yaw = wrap_angle(yaw + bias * truth.dt * state.steps)
+        last, last_yaw = self._pose or (truth.position, yaw)
+        heading = last_yaw + wrap_angle(yaw - last_yaw) / 2
+        forward = rover.dt * rover.linear_velocity
+        cos, sin = heading.cos(), heading.sin()
+        way = torch.cat((forward * pitch.cos() * cos, forward * pitch.cos() * sin, -forward * pitch.sin()), -1)
+        if rover.lateral_velocity is not None:
+            left = rover.dt * rover.lateral_velocity
+            way = way + torch.cat((-left * sin, left * cos, torch.zeros_like(left)), -1)
+        position = torch.where(begins, truth.position, torch.where(moves, last + way, last))
+        self._pose = position, torch.where(begins | moves, yaw, last_yaw)
+        return SensedPose(position, yaw)
+
+    def _localized(self, state: StepState, begins: Tensor, moves: Tensor) -> SensedPose:
+        """Adds the drifting error, and the one that jumps."""
+        config, dt, keys, steps = self._config, state.truth.rover.dt, state.keys, state.steps
+        deviations = dt.new_tensor((config.drift, config.drift, config.drift_heading))
+        severity = self._randomization.severity_of(keys)
+        drawn = severity * deviations * rng.to_normal(rng.random_bits(keys, _DRIFT, steps, 3))
+        jumps_by = dt.new_tensor((config.jump, config.jump, config.jump_heading))
+        offset = severity * jumps_by * rng.to_normal(rng.random_bits(keys, _JUMP, steps, 3))
+        last_drift, last_offset = self._error or (drawn, offset)
+        kept = (-dt / config.drift_time).exp()
+        drift = torch.where(moves, kept * last_drift + (1 - kept.square()).sqrt() * drawn, last_drift)
+        jumps = rng.to_unit(rng.random_bits(keys, _JUMPS, steps, 1)) < 1 - (-config.jump_rate * dt).exp()
+        drift = torch.where(begins, drawn, drift)
+        offset = torch.where(begins | (moves & jumps), offset, last_offset)
+        self._error = drift, offset
+        error = drift + offset
+        shift = pad(error[:, :2], (0, 1))
+        return SensedPose(state.sensed.rover.position + shift, wrap_angle(state.sensed.yaw + error[:, 2:]))
+
+
+class SensorDelays(Stage):
+    """Tells when lidars scan, and how late scans, poses and other sensors arrive.
+
+    A scan has a stamp, and so has a pose. So the robot knows where it was when it scanned, as with ROS's tf: a scan
+    waits for the pose of its time, and is never newer than the pose.
+
+    Scans are timed so that they arrive at steps that are multiples of their period, at which policies decide.
+
+    Args:
+        randomization: ranges of the delays and of the period, and the share of lost scans.
+        period: steps from one scan to the next, if the randomization does not say.
+        rows: number N of rovers.
+        device: device of the readings.
+        live: simulator of a live rover, whose stamps tell where scans were taken. ``None``: not live.
+
+    Attributes:
+        scan: current delay of the scans of each row, control steps, int64 ``[N, 1]``.
+        state: current delay of its other sensors, control steps, int64 ``[N, 1]``.
+        scan_step: step at which the last scan was taken that is not lost, int64 ``[N, 1]``.
+        known: pose that is known: x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``.
+    """
+
+    known: Tensor
+
+    def __init__(
+        self, randomization: Randomization, period: int, rows: int, device: torch.device, live: Any = None
+    ) -> None:
+        self._randomization, self._live = randomization, live
+        self._line = DelayLine(max(randomization.scan_latency[1], randomization.state_latency[1]))
+        self._periods = randomization.scan_period or (period, period)
+        zeros = torch.zeros(rows, 1, dtype=torch.int64, device=device)
+        self.scan = self.state = self.scan_step = zeros
+        self._period = zeros + period
+        self._scan_pose = torch.zeros(rows, 6, device=device)
+
+    def begin(self, mask: Tensor, keys: Tensor) -> None:
+        ranges = self._randomization
+        self.state = rng.whole_between(rng.random_bits(keys, _STATE_LATENCY, 0, 1), ranges.state_latency)
+        scan = rng.whole_between(rng.random_bits(keys, _SCAN_LATENCY, 0, 1), ranges.scan_latency)
+        self.scan = torch.maximum(scan, self.state)
+        self._period = rng.whole_between(rng.random_bits(keys, _SCAN_PERIOD, 0, 1), self._periods)
+
+    def scans(self, keys: Tensor, steps: Tensor) -> Tensor:
+        """Returns which rows scan after ``steps`` steps of their episodes, int64 ``[N, 1]``: bool ``[N]``."""
+        share = self._randomization.lost_scans * self._randomization.severity_of(keys)
+        lost = rng.to_unit(rng.random_bits(keys, _LOST_SCANS, steps, 1)) < share
+        due = ((steps + self.scan) % self._period == 0) & ~lost
+        taken = due | (steps == 0)
+        self.scan_step = torch.where(taken, steps, self.scan_step)
+        return taken.squeeze(-1)
+
+    def read(self, state: StepState) -> None:
+        euler, steps = state.sensed.euler, state.steps
+        now = torch.cat((state.pose.position, euler[:, 1:2], euler[:, :1], state.pose.yaw), -1)
+        if self._live is None:
+            self._scan_pose = torch.where(self.scan_step == steps, now, self._scan_pose)
+        else:
+            position, orientation = self._live.scan_pose()
+            roll, pitch, yaw = quaternion_to_euler(orientation).split(1, -1)
+            self._scan_pose = torch.cat((position, pitch, roll, yaw), -1)
+        self.known = self.late("known pose", now, steps, self.state)
+        self._scan = self.late("pose of the scan", self._scan_pose, steps, self.scan)
+        self.tell(self.known, state)
+
+    def tell(self, known: Tensor, state: StepState) -> None:
+        """Writes a pose ``[N, 6]`` as the known one, and the pose of the scan relative to it."""
+        state.known = SensedPose(known[:, :3], known[:, 5:])
+        state.scan_pose = relative_pose(known, self._scan)
+
+    def late(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
+        """Returns a value as it arrives: see :class:`DelayLine`."""
+        return self._line(name, value, steps, delay)
+
+
+def relative_pose(known: Tensor, scan: Tensor) -> Tensor:
+    """Returns the pose of a scan relative to a known one: ahead, left and up (m), pitch, roll, and the turn (rad).
+
+    Both are x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``. Pitch and roll are those of the scan.
+    """
+    (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
+    pitch, roll = scan[:, 3:5].split(1, -1)
+    cos, sin = known[:, 5:].cos(), known[:, 5:].sin()
+    return torch.cat((cos * dx + sin * dy, cos * dy - sin * dx, dz, pitch, roll, wrap_angle(turn)), -1)
