@@ -561,11 +561,11 @@ class EnvConfig:
             if len(args) > 1 or settings:
                 raise TypeError("an EnvConfig is given alone; use dataclasses.replace(config, ...) to change it")
             return args[0]
-        known, changes, parts = [*CONTRACT, *(item.name for item in fields(cls))], {}, {}
-        if len(args) > 10 or (twice := settings.keys() & set(known[: len(args)])):
-            raise TypeError(
-                f"there are 10 positional arguments; got {len(args)}" if len(args) > 10 else f"{twice}: given twice"
-            )
+        known = [*CONTRACT, *(item.name for item in fields(cls))]
+        changes: dict[str, Any] = {}
+        parts: dict[str, dict[str, Any]] = {}
+        if len(args) > 10 or settings.keys() & set(known[: len(args)]):
+            raise TypeError(f"an environment takes the contract's 10 arguments by position, each once, got {len(args)}")
         for name, value in (dict(zip(CONTRACT, args, strict=False)) | settings).items():
             if name not in known:
                 raise TypeError(f"there is no setting {name!r}{perhaps(name, known)}")
@@ -734,8 +734,8 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
         yield "the robot", *_robots(made_for, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     # A robot whose limits are tighter bounds what the policy does.
-    bounds = (astuple(config.action if several else config.bounded_action) for config in (made_for, env))
-    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *bounds
+    expected, actual = (config.action if several else config.bounded_action for config in (made_for, env))
+    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", astuple(expected), astuple(actual)
     gains = astuple(made_for.heading_gains), astuple(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 

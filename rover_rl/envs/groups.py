@@ -30,6 +30,8 @@ class GroupEpisodes(Episodes):
     its world and the movers in it do, too. The keys of the worlds are those of the first row of each group.
     """
 
+    world_steps: Tensor
+
     def __init__(self, seed: int, num_envs: int, device: torch.device, agents: int) -> None:
         super().__init__(seed, num_envs, device)
         self._agents = agents
