@@ -14,6 +14,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -35,7 +36,7 @@ rover_rl.worlds rover_rl.worlds.pool rover_rl.worlds.table
 """Modules whose public names examples of docstrings may use."""
 DOCSTRINGS = [path for path in sorted((ROOT / "rover_rl").rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
 PAGES = [page for page in pages() if blocks(page.read_text(encoding="utf-8"), "python")]
-EXAMPLES, RSL_RL = ROOT / "examples", "rover_rl.envs.wrappers.rsl_rl"
+EXAMPLES = ROOT / "examples"
 
 
 class Checker(doctest.OutputChecker):
@@ -180,6 +181,38 @@ def test_programs_for_other_libraries_use_what_exists(path: Path) -> None:
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "rover_rl":
             assert hasattr(import_module("rover_rl"), node.attr)
         elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("rover_rl"):
-            assert node.module == RSL_RL or all(hasattr(import_module(node.module), each.name) for each in node.names)
+            assert all(hasattr(import_module(node.module), each.name) for each in node.names)
     assert "rover_rl" in ast.unparse(tree)
     assert path.name in (ROOT / "docs" / "gymnasium.md").read_text(encoding="utf-8")
+
+
+def test_the_environment_for_rsl_rl_resets_rovers_whose_episode_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library is not installed here: its base class has no behavior, and its runner steps the environment."""
+    taken = []
+
+    class Runner:
+        def __init__(self, envs: Any, settings: Any, **_: Any) -> None:
+            self.envs, self.groups = envs, settings["obs_groups"]
+
+        def learn(self, updates: int, **_: Any) -> None:
+            self.envs.episode_length_buf = torch.tensor([self.envs.max_episode_length - 2, 0])
+            for _ in range(3):
+                observations, rewards, dones, extras = self.envs.step(torch.zeros(2, 2))
+                assert (observations[self.groups["actor"][0]].shape, rewards.shape) == ((2, 41), (2,))
+                taken.append((dones.tolist(), extras["time_outs"].tolist(), self.envs.episode_length_buf.tolist()))
+
+    library = {
+        "rsl_rl": {},
+        "rsl_rl.env": {"VecEnv": type("VecEnv", (), {})},
+        "rsl_rl.runners": {"OnPolicyRunner": Runner},
+    }
+    for name, attributes in library.items():
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(**attributes))
+    code = (
+        (EXAMPLES / "other_libraries" / "rsl_rl_ppo.py")
+        .read_text(encoding="utf-8")
+        .replace("ROVERS = 256", "ROVERS = 2")
+    )
+    exec(compile(code, "rsl_rl_ppo.py", "exec"), {})
+    no, ended = [False, False], [True, False]
+    assert taken == [(no, no, [499, 1]), (ended, ended, [0, 2]), (no, no, [1, 3])]

@@ -15,7 +15,9 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
+from inspect import Parameter, Signature
 from itertools import pairwise
+from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import tyro
@@ -668,6 +670,15 @@ CONTRACT = {
     "lidar_beams": "lidar.beams",
 }
 """Settings by the names of the contract's ten arguments, in their order, and of one more that goes with them."""
+
+
+def env_signature() -> Signature:
+    """Signature of an environment: the contract's arguments and the settings, for ``help()`` and editors."""
+    default = EnvConfig()
+    paths = CONTRACT | {item.name: item.name for item in fields(EnvConfig)}
+    kinds = [Parameter.POSITIONAL_OR_KEYWORD] * 10 + [Parameter.KEYWORD_ONLY] * (len(paths) - 10)
+    defaults = (attrgetter(path)(default) for path in paths.values())
+    return Signature([Parameter(*each, default=value) for *each, value in zip(paths, kinds, defaults, strict=True)])
 
 
 def describe_settings() -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from rover_rl.envs.config import EnvConfig, RewardLike
+from rover_rl.envs.config import EnvConfig, RewardLike, env_signature
 from rover_rl.envs.rewards import TotalReward, reward_components
 from rover_rl.envs.rover import RoverEnv
 
@@ -58,6 +58,9 @@ def make_env(*args: Any, **settings: Any) -> EnvBase:
     # Raises an error for an unknown reward before the simulator is built.
     reward_components(config.reward, config.contract_reward)
     return add_reward(RoverEnv(config), config.reward, config)
+
+
+make_env.__signature__ = env_signature()  # type: ignore[attr-defined]
 
 
 def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:

@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts, torch_defaults
 from rover_rl.envs import placement, privileged, rows, specs, stages, task
-from rover_rl.envs.config import EnvConfig, describe_settings
+from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
 from rover_rl.sims.base import View
@@ -403,3 +403,5 @@ class RoverEnv(EnvBase):
 
 
 RoverEnv.__doc__ = f"{RoverEnv.__doc__}\nSettings of :class:`EnvConfig`:\n\n{describe_settings()}\n"
+# The metaclass of EnvBase hides the arguments from help() and editors.
+RoverEnv.__signature__ = env_signature()

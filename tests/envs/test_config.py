@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from rover_rl import RewardConfig, RoverEnv, make_env
+from rover_rl import RewardConfig, RoverEnv, contract_reward, make_env
 from rover_rl.envs.config import (
     ActionConfig,
     EnvConfig,
@@ -29,7 +29,6 @@ from rover_rl.envs.config import (
     plain_env,
     require_match,
 )
-from rover_rl.envs.rewards import GoalReward
 from rover_rl.robots import RobotOptions, get_robot
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.settings import Connection
@@ -93,13 +92,12 @@ def test_make_env_of_a_description_and_of_arguments_are_the_same() -> None:
 
 def test_names_of_the_contract_and_of_the_description_are_the_same() -> None:
     connection, task = Connection("/front/scan", timeout=3.0), TaskConfig(success_distance=0.7)
-    new = make_env(world="maze", lidar=LidarConfig(16, 64, 9.0, 2), connection=connection, task=task, num_envs=2)
+    new = make_env(world="maze", lidar=LidarConfig(16, 64, 9.0), connection=connection, task=task, num_envs=2)
     old = make_env(
         world_n="maze",
         lidar_points=16,
         lidar_beams=64,
         max_lidar_range=9.0,
-        lidar_period=2,
         scan_topic="/front/scan",
         connection_check_timeout=3.0,
         task=task,
@@ -109,11 +107,13 @@ def test_names_of_the_contract_and_of_the_description_are_the_same() -> None:
     assert RoverEnv(world="maze", lidar=LidarConfig(points=8)).config.lidar.points == 8
 
 
-def test_the_signature_shows_every_name_once() -> None:
+def test_help_has_the_description_of_every_setting() -> None:
+    text = RoverEnv.__doc__ or ""
+    assert all(f"\n{item.name}: " in text for item in fields(EnvConfig))
+    assert "\nlidar.points: Number of readings in an observation" in text
     shown = inspect.signature(make_env).parameters
     assert {item.name for item in fields(EnvConfig)} <= shown.keys()
-    assert all(name in str(inspect.signature(RoverEnv)) for name in ("world_n: 'WorldLike' = 'inspect'", "lidar: "))
-    assert (shown["lidar_points"].default, shown["length"].default, shown["lidar"].default) == (32, 2000, None)
+    assert (shown["lidar_points"].default, shown["length"].default) == (32, 2000)
 
 
 @pytest.mark.parametrize(
@@ -123,18 +123,18 @@ def test_the_signature_shows_every_name_once() -> None:
             make_env,
             (),
             {"world": "maze", "world_n": "moon"},
-            "^make_env: world and world_n set the same: give one of them$",
+            "world_n and another argument set world: give one of them",
         ),
         (
             make_env,
             (),
             {"lidar": LidarConfig(), "lidar_points": 16},
-            "^make_env: lidar and lidar_points set the same: give",
+            "lidar_points and another argument set lidar: give one",
         ),
-        (make_env, (), {"wrld": "maze"}, "^make_env: got an unexpected keyword argument 'wrld', perhaps 'world'$"),
-        (make_env, (EnvConfig(),), {"num_envs": 4}, "make_env takes an EnvConfig alone"),
-        (make_env, (EnvConfig(),), {"reward": "task"}, "make_env takes an EnvConfig alone"),
-        (RoverEnv, (EnvConfig(),), {"num_envs": 4}, "RoverEnv takes an EnvConfig alone"),
+        (make_env, (), {"wrld": "maze"}, "there is no setting 'wrld', perhaps 'world'"),
+        (make_env, (EnvConfig(),), {"num_envs": 4}, "an EnvConfig is given alone"),
+        (make_env, (EnvConfig(),), {"reward": "task"}, "an EnvConfig is given alone"),
+        (RoverEnv, (EnvConfig(),), {"num_envs": 4}, "an EnvConfig is given alone"),
     ],
 )
 def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(
@@ -216,7 +216,7 @@ def test_a_policy_matches_an_environment_that_states_the_speeds_of_its_robot() -
         ({"lidar": {"points": "3"}}, r"^lidar.points in file: a value of type int is needed, got '3'$"),
         ({"lidar": {"point": 3}}, r"^lidar in file: there is no setting point; use some of"),
         ({"world": 3}, r"^world in file: a value of type .* is needed, got 3$"),
-        ({"task": {"stuck_window": 0}}, r"^task in file: stuck_window must be positive, got 0$"),
+        ({"task": {"stuck_window": 0}}, r"^task in file: stuck_window must be positive"),
         ({"outcome_from": "luck"}, r"^outcome_from in file: one of \['truth', 'sensors'\] is needed, got 'luck'$"),
         ({"randomization": {"friction": [2, 1]}}, r"^randomization in file: friction must be a range"),
         ({"length": True}, r"^length in file: a value of type int is needed, got True$"),
@@ -236,7 +236,7 @@ def test_a_file_that_describes_no_environment_is_refused_in_one_sentence(data: A
     [
         (EnvConfig(world=get_world("maze")), "a World cannot be written to a file"),
         (EnvConfig(robot=get_robot("rover_zero")), "a Robot cannot be written to a file"),
-        (EnvConfig(reward=[GoalReward()]), "a reward object cannot be written to a file"),
+        (EnvConfig(reward=contract_reward()), "a reward object cannot be written to a file"),
     ],
 )
 def test_objects_are_refused_where_only_names_can_be_written(config: EnvConfig, message: str) -> None:

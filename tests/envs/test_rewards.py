@@ -10,7 +10,13 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardConfig, contract_reward, make_env
-from rover_rl.envs.rewards import ActionRatePenalty, ClearancePenalty, MoverContactPenalty, MoverProximityPenalty
+from rover_rl.envs.rewards import (
+    MoverContactPenalty,
+    MoverProximityPenalty,
+    RewardComponent,
+    pays_for_goals,
+    reward_components,
+)
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from tests.envs.contract.scripted_env import pairs, play, scripted
@@ -54,12 +60,14 @@ def test_the_clearance_penalty_grows_linearly_below_its_distance():
 def test_only_the_nearest_reading_counts_for_the_clearance():
     readings = [5.0] * 32
     readings[20] = 0.2
-    results = play(scripted([Moment(ranges=readings)], reward=[ClearancePenalty(-1.0, 0.8)]), 1)
+    results = play(
+        scripted([Moment(ranges=readings)], reward=RewardConfig(clearance_penalty=-1.0, clearance_distance=0.8)), 1
+    )
     assert component(results, "clearance") == [[-0.75]]
 
 
 def test_a_clearance_distance_of_0_is_refused():
-    with pytest.raises(ValueError, match="clearance_distance must be positive, got 0"):
+    with pytest.raises(ValueError, match="clearance_distance must be positive"):
         RewardConfig(clearance_distance=0)
 
 
@@ -70,13 +78,13 @@ def test_the_action_rate_penalty_is_the_squared_change_of_the_action():
 
 
 def test_opposite_bounds_of_the_heading_are_the_same_direction():
-    env = scripted([Moment()], reward=[ActionRatePenalty(-1.0)])
+    env = scripted([Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
     results = act(env, [(0.0, math.pi - 0.1), (0.0, -math.pi + 0.1)])
     assert component(results, "action_rate")[1] == [pytest.approx(-0.04, abs=1e-4)]
 
 
 def test_the_first_action_of_each_episode_is_free():
-    env = scripted([Moment()], [Moment()], reward=[ActionRatePenalty(-1.0)])
+    env = scripted([Moment()], [Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
     td = act(env, [(1.0, 0.0)])[-1]
     td["_reset"] = torch.tensor([[True], [False]])
     td = env.reset(td)
@@ -85,14 +93,14 @@ def test_the_first_action_of_each_episode_is_free():
 
 
 def test_a_held_row_keeps_its_last_action():
-    env = scripted([Moment()], [Moment()], reward=[ActionRatePenalty(-1.0)])
+    env = scripted([Moment()], [Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
     results = act(env, [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0)], held=(1,))
     assert component(results, "action_rate")[0] == [0.0, 0.0]
     assert component(results, "action_rate")[2] == [0.0, -1.0]
 
 
 def test_a_repeated_action_changes_once():
-    env = scripted([Moment()], reward=[ActionRatePenalty(-1.0)]).append_transform(ActionRepeat(4))
+    env = scripted([Moment()], reward=RewardConfig(action_rate_penalty=-1.0)).append_transform(ActionRepeat(4))
     results = act(env, [(0.1, 0.0), (0.6, 0.0), (0.6, 0.0), (0.1, 0.0)])
     assert component(results, "action_rate") == [[0.0], [-0.25], [0.0], [-0.25]]
 
@@ -127,7 +135,7 @@ def met(speed, contact, distance, before):
 
 
 def test_a_contact_with_a_mover_costs_by_whose_fault_it_is():
-    penalty = MoverContactPenalty(mover_contact_penalty=-2.0, struck_penalty=-0.5)
+    penalty = MoverContactPenalty(RewardConfig(mover_contact_penalty=-2.0, struck_penalty=-0.5))
     # The mover pushes all of them in this step.
     before = [0.8, -0.3, 0.0, 0.8]
     results = met([0.5] * 4, [True, True, True, False], [0.1] * 4, before)
@@ -136,7 +144,34 @@ def test_a_contact_with_a_mover_costs_by_whose_fault_it_is():
 
 def test_closeness_and_haste_near_movers_cost():
     penalty = MoverProximityPenalty(
-        intrusion_penalty=-0.1, haste_penalty=-0.4, risk_penalty=-1.0, intrusion_distance=1.0, risk_distance=0.25
+        RewardConfig(
+            intrusion_penalty=-0.1, haste_penalty=-0.4, risk_penalty=-1.0, intrusion_distance=1.0, risk_distance=0.25
+        )
     )
     results = met([0.0, 1.0, -1.0, 1.0, 1.0], [False] * 5, [0.5, 0.5, 0.5, 0.2, math.inf], [0.0] * 5)
     assert component([penalty._step(*results)], "mover_proximity") == [[-0.05, -0.25, -0.25, -1.4, 0.0]]
+
+
+class Haste(RewardComponent):
+    name = "haste"
+
+    def value(self, outcome, observation):
+        return -1.0 * (~outcome["goal_reached"]).float()
+
+
+class Caution(Haste):
+    phases = (StepEvent.DENSE,)
+
+
+@pytest.mark.parametrize(
+    ("components", "pays"),
+    [
+        (contract_reward(), True),
+        (reward_components("task"), True),
+        ([Haste()], True),
+        (contract_reward()[1:], False),
+        ([Caution(), *contract_reward(RewardConfig(clearance_penalty=-1.0))[1:]], False),
+    ],
+)
+def test_whether_a_reward_pays_for_a_goal(components, pays):
+    assert pays_for_goals(components) == pays

@@ -22,8 +22,8 @@ class ActionRepeat(Transform):
     ``done`` of the last step.)
 
     ``outcome`` covers all steps of the repeat: the events of any step, the ``phase`` with the highest priority in the
-    order of :class:`~rover_rl.envs.StepEvent`, and the sum of ``progress``. Its other entries are those of the last
-    step. The transform adds ``("outcome", "goals")``, the number of goals reached, int64 ``[N, 1]``.
+    order of :class:`~rover_rl.envs.task.StepEvent`, and the sum of ``progress``. Its other entries are those of the
+    last step. The transform adds ``("outcome", "goals")``, the number of goals reached, int64 ``[N, 1]``.
 
     Append transforms that count actions or sum rewards over an episode after this one.
 

@@ -42,7 +42,7 @@ def test_further_settings_are_keyword_only_with_the_defaults_of_the_design():
 
 
 def test_the_task_has_the_contracts_thresholds():
-    assert asdict(RoverEnv(backend="warp").task) == {
+    assert asdict(RoverEnv(backend="warp").config.task) == {
         "success_distance": 0.5,
         "min_goal_distance": 1.0,
         "collision_threshold": 0.3,

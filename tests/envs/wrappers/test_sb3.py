@@ -113,14 +113,15 @@ def test_wrong_options_and_seeds_are_refused(shared):
 def test_attributes_are_those_of_the_batched_environment(shared):
     assert shared.get_attr("length") == [5] * ROWS
     assert shared.get_attr("length", indices=1) == [5]
-    assert shared.has_attr("task")
+    assert shared.has_attr("config")
     assert not shared.has_attr("no_such_thing")
-    shared.set_attr("size", (1, 1))
-    assert shared.base_env.size == (1, 1)
+    shared.set_attr("length", 6)
+    assert shared.base_env.length == 6
+    shared.set_attr("length", 5)
     assert shared.env_method("extra_repr") == [shared.base_env.extra_repr()] * ROWS
     assert shared.env_is_wrapped(object) == [False] * ROWS
     with pytest.raises(ValueError, match="share one RoverEnv"):
-        shared.set_attr("size", (1, 1), indices=[0])
+        shared.set_attr("length", 6, indices=[0])
     with pytest.raises(ValueError, match="share one RoverEnv"):
         shared.env_method("extra_repr", indices=0)
 
@@ -148,7 +149,6 @@ def test_ppo_learns_on_the_batch():
 
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    for module in ("rover_rl.envs.sb3", "rover_rl.envs.sb3"):
-        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.delitem(sys.modules, "rover_rl.envs.sb3")
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
