@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tests.envs.test_goal_pay import Tilt
 from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -17,6 +16,7 @@ from rover_rl.envs.config import ActionConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock
+from tests.envs.test_specs import Tilt
 
 
 def make(num_envs, **settings):
