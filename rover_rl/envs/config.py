@@ -676,9 +676,11 @@ def env_signature() -> Signature:
     """Signature of an environment: the contract's arguments and the settings, for ``help()`` and editors."""
     default = EnvConfig()
     paths = CONTRACT | {item.name: item.name for item in fields(EnvConfig)}
-    kinds = [Parameter.POSITIONAL_OR_KEYWORD] * 10 + [Parameter.KEYWORD_ONLY] * (len(paths) - 10)
-    defaults = (attrgetter(path)(default) for path in paths.values())
-    return Signature([Parameter(*each, default=value) for *each, value in zip(paths, kinds, defaults, strict=True)])
+    parameters = []
+    for number, (name, path) in enumerate(paths.items()):
+        kind = Parameter.POSITIONAL_OR_KEYWORD if number < 10 else Parameter.KEYWORD_ONLY
+        parameters.append(Parameter(name, kind, default=attrgetter(path)(default)))
+    return Signature(parameters)
 
 
 def describe_settings() -> str:
