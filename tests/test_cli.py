@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 import torch
 
 import rover_rl
-from rover_rl.algos.config import PPOConfig, SACConfig, training_config, with_settings
+from rover_rl.algos.config import SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
@@ -181,39 +180,6 @@ def test_results_are_shown_where_they_cannot_be_written(capsys: pytest.CaptureFi
     )
 
 
-def test_a_reader_that_leaves_early_ends_a_command_quietly() -> None:
-    command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "--help"]
-    read, write = os.pipe()
-    os.close(read)
-    with os.fdopen(write) as closed:
-        ended = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE)
-    assert (ended.returncode, ended.stderr) == (141, b"")
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        torch.OutOfMemoryError(
-            "CUDA out of memory. Tried to allocate 12.00 GiB. GPU 0 has a total capacity of 139 GiB"
-        ),
-        RuntimeError("Warp CUDA error 2: out of memory (in function wp_alloc_device_default)"),
-        RuntimeError("CUDA error: an illegal memory access was encountered"),
-    ],
-)
-def test_too_little_memory_of_a_gpu_is_told_in_one_line_and_its_other_errors_are_shown_whole(
-    error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **_options: object) -> None:
-        raise error
-
-    monkeypatch.setattr("rover_rl.algos.train.train", fail)
-    if "illegal" in str(error):
-        with pytest.raises(RuntimeError, match="illegal memory access"):
-            main(["train"])
-        return
-    assert failed(capsys, "train").startswith("rover-rl: not enough memory on the GPU; use fewer rovers (--num-envs)")
-
-
 SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "64", "--hidden", "16"]
 
 
@@ -257,21 +223,6 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
     assert "give one of them" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
     assert "no settings at" in failed(capsys, "train", "--resume", tmp_path / "nothing")
     assert "does not know: ['sped']" in failed(capsys, "train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
-
-
-def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = ["--config", "pretrained:anywhere", "--world", "maze", "--max-minutes", "1e-6"]
-    given += ["--curriculum", "none", "--collector", "process"]
-    assert main(["train", *given, "--runs", str(tmp_path), *SIZE]) == 0
-    config, pretrained = read_config(tmp_path / "ppo-maze" / "config.yaml"), load_pretrained("anywhere").config
-    assert (config.env.world, config.env.backend) == ("maze", "warp")
-    # A setting that is neither given nor a default.
-    assert isinstance(config.algorithm, PPOConfig)
-    assert isinstance(pretrained.algorithm, PPOConfig)
-    assert config.algorithm.minibatch == pretrained.algorithm.minibatch != PPOConfig().minibatch
-    assert config.run.started_from is None
-    capsys.readouterr()
-    assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
 
 
 def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

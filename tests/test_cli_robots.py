@@ -50,14 +50,6 @@ def test_a_urdf_is_shown_as_it_was_understood(capsys: pytest.CaptureFixture[str]
         assert len(set(picture.convert("RGB").resize((200, 128)).getdata())) > 20
 
 
-def test_a_car_is_shown_with_its_turning_circle(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    text = printed(capsys, "robots", "show", car().write(tmp_path), "--out", "pictures/car.png")
-    assert "Ackermann, 12.6 kg" in text
-    assert "smallest radius" in text
-    assert "effective track" not in text
-    assert Path("pictures/car.png").stat().st_size > 10_000
-
-
 def test_options_of_a_robot_are_part_of_its_name_in_all_commands() -> None:
     options = EnvOptions(robot="scout.urdf", robot_options=RobotOptions(drive="skid_steer", lidar="0 0 0.5"))
     assert options.given_robot == "scout.urdf,drive=skid_steer,lidar=0:0:0.5"

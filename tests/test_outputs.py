@@ -127,15 +127,6 @@ def test_the_same_command_works_twice(folder: Path, line: list[str]) -> None:
     assert main(line) == 0
 
 
-def test_force_writes_over_everything(folder: Path) -> None:
-    (folder / "maze.world.png").write_text("mine")
-    line = ["worlds", "show", "maze"]
-    assert main(line) == 2
-    assert main([*line, "--force"]) == 0
-    assert Image.open("maze.world.png").size[0] > 100
-    assert main(line) == 0
-
-
 def test_links_and_devices_are_not_replaced(folder: Path) -> None:
     (folder / "nowhere.gif").symlink_to("not-there.gif")
     os.mkfifo("pipe.gif")

@@ -80,15 +80,6 @@ def test_an_estimate_that_has_turned_out_wrong_is_not_shown(terminal: bool) -> N
     assert "left" not in output.getvalue()[start:]
 
 
-@pytest.mark.parametrize("terminal", [False, True])
-def test_a_line_is_said_at_once_as_it_is(terminal: bool) -> None:
-    output = Watched()
-    with display_on(output, terminal) as display:
-        display.update(0.5, "[/status]")
-        display.say("runs/[/b] c")
-    assert "runs/[/b] c\n" in output.getvalue()
-
-
 def test_a_terminal_shows_a_bar() -> None:
     output = Watched()
     with display_on(output, terminal=True, keep=True) as display:

@@ -53,7 +53,6 @@ class BarnBenchmark(_Benchmark):
         return _run(Barn(courses, runs=self.runs, seed=self.seed), self)
 
     def _numbers(self) -> list[int] | None:
-        """Returns the numbers of the worlds; ``None`` for all that the data have."""
         from rover_rl.algos.benchmarks.barn import TEST_WORLDS, WORLDS
 
         sets = {"test": [*TEST_WORLDS], "train": [n for n in range(WORLDS) if n not in TEST_WORLDS], "all": None}
@@ -115,7 +114,6 @@ def _parsed(worlds: str, count: int, names: str) -> list[int]:
 
 
 def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
-    """Runs the policies in a suite, writes the results, and prints a table."""
     from rover_rl.algos.benchmarks.suite import draw_worst_runs, print_results, run_suite, write_results
 
     out, policies = options.out, _policies(suite.name, options)
@@ -138,7 +136,6 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
 
 
 def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
-    """Returns the policies that a command names, and their environments."""
     environment = options.environment
     resolved = resolve_policies(options.policies, (suite,), environment.given_robot)
     return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

@@ -66,7 +66,6 @@ class Demo:
         return 0
 
     def _config(self, base: TrainingConfig) -> TrainingConfig:
-        """Returns the settings of the training: those of a pretrained policy, but for the worlds and the duration."""
         names = (f"demo-{self.world}" if number == 1 else f"demo-{self.world}-{number}" for number in count(1))
         return with_settings(
             base,
@@ -79,7 +78,6 @@ class Demo:
         )
 
     def _evaluate(self, folder: Path) -> None:
-        """Evaluates the trained policy beside others, draws its learning curve, and films it."""
         from rover_rl.algos.experiments.curves import draw_learning_curve
         from rover_rl.algos.policy.checkpoint import Checkpoint
         from rover_rl.algos.video.film import film_to_goal

@@ -100,7 +100,6 @@ class Drive:
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
 
     def __call__(self) -> int:
-        """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached."""
         self._check()
         endings = []
         with ExitStack() as stack:
@@ -166,7 +165,6 @@ class Drive:
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
     def _check(self) -> None:
-        """Checks that all options are in range."""
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
         if not (self.goal or self.goals or self.random):
@@ -178,7 +176,6 @@ class Drive:
         check_seed(self.seed)
 
     def _policy(self) -> ResolvedPolicy:
-        """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
         from rover_rl.names import Name
 
         robot = None if self.robot is None else with_options(self.robot, self.robot_options)
@@ -212,7 +209,6 @@ class Drive:
         return replace(given, command="none") if self.dry_run else given
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
-        """Describes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.algos.policy.runner import sensors_for
 
@@ -237,7 +233,6 @@ class Drive:
         return sensors_for(policy.module, environment_for(policy.module, described))
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
-        """Returns all goals: those of the command line, of the file, and the random ones."""
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.worlds import get_world
 
@@ -304,7 +299,6 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
-    """Yields a function that shows the status of a drive, in one line of a terminal or in one line per step."""
     told = set()  # goals for which it is told that the drive waits for room
     with Live(console=console, refresh_per_second=10, transient=True, auto_refresh=console.is_terminal) as live:
 

@@ -7,7 +7,7 @@ from functools import partial
 from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import tyro
 
@@ -28,6 +28,14 @@ if TYPE_CHECKING:
 
 EXACT = "exact"
 """Name of exact sensors beside those of imperfections."""
+
+
+class _Run(NamedTuple):
+    """What is evaluated, with which imperfection, and in which picture its paths are drawn."""
+
+    request: Request
+    imperfection: str
+    picture: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +93,7 @@ class Evaluate:
     def __call__(self) -> int:
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.evaluate import check_options
+        from rover_rl.algos.evaluation.parallel import evaluate_all
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
@@ -106,29 +115,30 @@ class Evaluate:
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
-        requests, imperfections = self._requests(policies, sets, backends)
-        files = _pictures(requests, imperfections, out, len(backends) > 1)
+        runs = self._runs(policies, sets, backends, out)
         of_logs = {
             out / f"paths-{log.stem}{f'-{number}' if number else ''}.png": [drive]
             for log, drives in logs.items()
             for number, drive in enumerate(drives)
         }
         tables = [out / f"evaluation{part}" for part in (".json", ".csv", "-summary.csv", "-worlds.csv")]
-        written = [*tables, *dict.fromkeys(filter(None, files)), *of_logs, *([self.html] if self.html else [])]
+        pictures = dict.fromkeys(run.picture for run in runs if run.picture is not None)
+        written = [*tables, *pictures, *of_logs, *([self.html] if self.html else [])]
         # Fails before the evaluation, which can take minutes.
         check_outputs(*written, inputs=[*self.policies, *self.world], force=self.force)
         out.mkdir(parents=True, exist_ok=True)
-        results = self._evaluate(requests, imperfections)
-        pictures: dict[Path, list[Evaluation]] = {}
-        for file, result in zip(files, results, strict=True):
-            if file is not None:
-                pictures.setdefault(file, []).append(result)
-        pictures |= of_logs
+        results = evaluate_all([run.request for run in runs], self.workers)
+        results = [replace(result, imperfection=run.imperfection) for run, result in zip(runs, results, strict=True)]
+        drawn: dict[Path, list[Evaluation]] = {}
+        for run, result in zip(runs, results, strict=True):
+            if run.picture is not None:
+                drawn.setdefault(run.picture, []).append(result)
+        drawn |= of_logs
         results += [drive for drives in logs.values() for drive in drives]
         trained = {policy.name: policy.config for policy in policies if policy.config}
         try:
             write_evaluation(out / "evaluation.json", results)
-            for picture, shown in pictures.items():
+            for picture, shown in drawn.items():
                 draw_paths(shown, picture)
         finally:
             # Prints the results even if a file could not be written.
@@ -136,7 +146,7 @@ class Evaluate:
             print_table(results, groups=groups, columns=self.columns)
         by_world = ", evaluation-worlds.csv" if any(episodes.several_worlds for episodes in sets.values()) else ""
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv (episodes), evaluation-summary.csv{by_world}")
-        print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
+        print("Paths driven: " + ", ".join(map(str, drawn)))
         if self.html is not None:
             shown = [result for result in results if not result.endless and result.backend != "ros2"]
             count = write_worst(shown, policies, out / "evaluation.json", self.html)
@@ -166,13 +176,11 @@ class Evaluate:
         return [*names] or [None]
 
     def _env(self, policy: Policy | None, backend: str | None, imperfection: str = "") -> EnvConfig:
-        """Returns the environment for a policy, in a backend, with an imperfection or as it is."""
         env = self.environment.description(policy, backend)
         env = imperfect(env, imperfection) if imperfection else env
         return env if self.agents is None else replace(env, agents=self.agents)
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
-        """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
         from rover_rl.worlds import get_world
         from rover_rl.worlds.pool import WorldPool
@@ -187,54 +195,30 @@ class Evaluate:
         choose = partial(choose_episodes, robot=env.robot, workers=self.workers, agents=env.agents)
         return {world: choose(world, self.count, self.seed) for world in worlds}
 
-    def _requests(
-        self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
-    ) -> tuple[list[Request], list[str]]:
-        """Returns what to evaluate in each world and backend, and with which imperfections."""
+    def _runs(
+        self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None], out: Path
+    ) -> list[_Run]:
         from rover_rl.algos.evaluation.episodes import endless_episodes
         from rover_rl.algos.evaluation.parallel import Request
         from rover_rl.algos.evaluation.plots import TRACE
 
-        requests: list[Request] = []
-        names: list[str] = []
+        runs = []
         for world, episodes in sets.items():
-            runs: list[tuple[ResolvedPolicy, str, dict[str, Any]]] = []
+            endless = []
             for policy, backend, name in product(policies, backends, ("", *dict.fromkeys(self.imperfect))):
-                if world in (policy.worlds or sets):
-                    env = self._env(policy.module, backend, name)
-                    runs.append((policy, name, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            for policy, name, settings in runs:
+                if world not in (policy.worlds or sets):
+                    continue
+                env = self._env(policy.module, backend, name)
+                settings = {"name": policy.name, "action_repeat": self.action_repeat, "env": env}
+                # The name of an environment with exact sensors is needed only beside others.
+                imperfection = name or EXACT if self.imperfect else ""
+                simulator = env.backend if isinstance(env.backend, str) else name_of(env.backend)
+                parts = ("paths", len(sets) > 1 and world, len(backends) > 1 and simulator, imperfection)
+                picture = "-".join(part for part in parts if part).replace(":", "-").replace("*", "x")
                 options = {**settings, "seconds": self.seconds, "track_movers": TRACE}
-                requests.append(Request(policy.module, episodes, options))
-                names.append(name)
-            for policy, name, settings in runs if self.endless else ():
-                episodes = endless_episodes(world, robot=settings["env"].robot)
-                requests.append(Request(policy.module, episodes, {**settings, "jam": self.jam}))
-                names.append(name)
-        # The name of an environment with exact sensors is needed only beside others.
-        return requests, [name or EXACT if self.imperfect else "" for name in names]
-
-    def _evaluate(self, requests: list[Request], imperfections: list[str]) -> list[Evaluation]:
-        """Evaluates the policies."""
-        from rover_rl.algos.evaluation.parallel import evaluate_all
-
-        results = evaluate_all(requests, self.workers)
-        return [replace(result, imperfection=name) for result, name in zip(results, imperfections, strict=True)]
-
-
-def _pictures(
-    requests: list[Request], imperfections: list[str], out: Path, several_backends: bool
-) -> list[Path | None]:
-    """Returns the picture that each evaluation to a goal is drawn in: one per world, backend and imperfection."""
-    several_worlds = len({request.episodes.name for request in requests if not request.episodes.endless}) > 1
-    pictures: list[Path | None] = []
-    for request, imperfection in zip(requests, imperfections, strict=True):
-        if request.episodes.endless:
-            pictures.append(None)
-            continue
-        backend = request.options["env"].backend
-        backend = backend if isinstance(backend, str) else name_of(backend)
-        parts = ("paths", several_worlds and request.episodes.name, several_backends and backend, imperfection)
-        name = "-".join(part for part in parts if part).replace(":", "-").replace("*", "x")
-        pictures.append(out / f"{name}.png")
-    return pictures
+                runs.append(_Run(Request(policy.module, episodes, options), imperfection, out / f"{picture}.png"))
+                if self.endless:
+                    again = endless_episodes(world, robot=env.robot)
+                    endless.append(_Run(Request(policy.module, again, {**settings, "jam": self.jam}), imperfection))
+            runs += endless
+        return runs

@@ -85,7 +85,6 @@ class Film:
         return 0
 
     def _check(self) -> None:
-        """Checks the settings before the drive, which takes seconds."""
         self._style.check(self.out if self.html is None else Path("page.gif"))
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
@@ -131,7 +130,6 @@ class Film:
         return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.given_robot)
 
     def _film_episodes(self) -> None:
-        """Films one episode, or those that failed."""
         policy = self._resolve()
         stored = self._stored(policy)
         if stored is None:
@@ -162,7 +160,6 @@ class Film:
         return None
 
     def _film_undriven(self, policy: ResolvedPolicy) -> None:
-        """Films an episode of a world, with the policy's usual time limit."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
         from rover_rl.algos.video.recording import record_episodes
         from rover_rl.worlds.pool import WorldPool
@@ -179,7 +176,6 @@ class Film:
         self._film(drive, self._out, f"of the episodes for {world}")
 
     def _film_endless(self) -> None:
-        """Films rovers that drive from goal to goal."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
         from rover_rl.algos.video.recording import record_endless
@@ -217,7 +213,6 @@ def _write_page(recording: Recording, path: Path) -> None:
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:
-    """Drives an episode of an evaluation again, and says so if it ends otherwise."""
     from rover_rl.algos.video.recording import record_stored
 
     driven = record_stored(policy.module, stored, episode)

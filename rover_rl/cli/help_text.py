@@ -37,7 +37,6 @@ class ReadableHelp(ConstructorRegistry):
         self.struct_rule(self._options)
 
     def _value(self, info: PrimitiveTypeInfo) -> Any:
-        """Names the values of an option that may be left out, without ``{None}``."""
         found = self._others(self.get_primitive_spec, info)
         if not isinstance(found, PrimitiveConstructorSpec) or "None" not in found.metavar:
             return None

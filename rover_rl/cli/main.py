@@ -113,7 +113,6 @@ def main(args: list[str] | None = None) -> int:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Prints warnings as one line, without the file and the line of the code."""
     usual = warnings.formatwarning
     warnings.formatwarning = lambda message, *_, **__: f"rover-rl: {message}\n"
     try:
@@ -133,7 +132,6 @@ def _flush() -> None:
 
 
 def _error_message(error: Exception) -> str:
-    """Returns the message of an error; for an error of the operating system, the file and the reason."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)

@@ -68,7 +68,6 @@ class RobotCommand:
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
 
     def __call__(self) -> int:
-        """Runs the robot until it is interrupted."""
         check_positive(MAX_RATE, rate=self.rate)
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
         if self.lidar_view is not None:
@@ -108,7 +107,6 @@ class RobotCommand:
         return 0
 
     def _environment(self) -> EnvConfig:
-        """Returns the description of the environment: the file's, else the default, with the options on top."""
         config = EnvConfig(world="maze") if self.env is None else read_env(self.env)
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}

@@ -57,7 +57,6 @@ class ShowRobot:
         return 0
 
     def _spin(self, robot: Robot) -> str:
-        """Returns a line on the effective track of a skid-steer robot."""
         from rover_rl.robots.drives import SkidSteer
         from rover_rl.sims.effective_track import measured_track
 
@@ -152,7 +151,6 @@ def _joints(robot: Robot) -> list[tuple[str, tuple[str, ...]]]:
 
 
 def _notes(name: str) -> list[str]:
-    """Returns what was assumed of a URDF file."""
     own, options = split_options(name)
     if not is_robot_file(own):
         return []

@@ -165,14 +165,12 @@ def train_defaults(args: Sequence[str]) -> Train:
 
 
 def _imperfection(names: Sequence[str]) -> str:
-    """Returns the imperfection that --randomize names: that of a typical rover if it names none."""
     if len(names) > 1:
         raise ValueError(f"--randomize takes one name, got {' '.join(names)}")
     return names[0] if names else "typical"
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:
-    """Parses the options that determine the defaults of the others. They are parsed again with the others."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for option in ("--algo", "--config", "--resume", "--backend", "--total-steps"):
         parser.add_argument(option, nargs="?")
@@ -183,7 +181,6 @@ def _early_options(args: Sequence[str]) -> argparse.Namespace:
 
 
 def _starting_settings(given: argparse.Namespace) -> TrainingConfig:
-    """Returns the settings that the other options override."""
     if given.config is not None and given.config.startswith(PRETRAINED):
         return with_settings(load_policy(given.config).config, runs=RunConfig.runs, name=None)
     if given.config is not None:

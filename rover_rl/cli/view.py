@@ -48,7 +48,6 @@ class View:
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND.replace("bullet.", "warp."))] = None
 
     def __call__(self) -> int:
-        """Runs the command until Ctrl-C."""
         check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
         check_seed(self.seed)
         viewer = self._open_replay() if self.evaluation or self.policy.endswith(LOG) else self._open()
@@ -62,7 +61,6 @@ class View:
         return 0
 
     def _open_replay(self) -> ReplayPage:
-        """Opens the page of the drives of an evaluation or a log."""
         from rover_rl.view.page import check_address
         from rover_rl.view.replay import ReplayPage
 
@@ -79,7 +77,6 @@ class View:
         return ReplayPage(drives, self.host, self.port)
 
     def _open(self) -> Viewer:
-        """Opens the page."""
         # Says first if the extra is missing.
         from rover_rl.view.page import check_address
         from rover_rl.view.viewer import Viewer

@@ -174,7 +174,6 @@ class Worlds:
 
 
 def _place(name: str, numbers: tuple[float, ...] | None) -> Any:
-    """Returns a point, a rectangle or a polygon from the numbers on the command line."""
     if numbers is None:
         return None
     if len(numbers) < 2 or len(numbers) % 2:
@@ -184,7 +183,6 @@ def _place(name: str, numbers: tuple[float, ...] | None) -> Any:
 
 
 def _description(world: World) -> str:
-    """Describes a world: its size, and what the importer has to say."""
     from rover_rl.envs.sensors.standard import clipped_pose
     from rover_rl.worlds.generators.crowds import ground_of_episodes
 

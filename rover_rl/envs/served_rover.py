@@ -102,7 +102,6 @@ class ServedRover:
         self.env.close()
 
     def _map(self, scan: HeightScan, position: torch.Tensor) -> ElevationMap:
-        """Returns the elevation map around a position that a height scan reads, whatever the heading."""
         reach = math.hypot(scan.ahead + scan.spacing * scan.size[0] / 2, scan.spacing * scan.size[1] / 2)
         count = math.ceil(reach / MAP_CELL) + 1
         # Cells stay where they are when the map moves.

@@ -87,7 +87,7 @@ class DriveLog:
 
 
 def _pose(rover: RoverState, scan: Tensor) -> dict[str, list[float] | list[float | None]]:
-    """Pose and lidar scan of a rover. At most :data:`BEAMS` readings are kept, to the centimeter; no return is null."""
+    # Readings are kept to the centimeter; no return is null.
     step = -(-scan.shape[1] // BEAMS)
     ranges = [round(value, 2) if math.isfinite(value) else None for value in scan[0, ::step].tolist()]
     angles = _rounded(quaternion_to_euler(rover.orientation)[0])
@@ -99,12 +99,7 @@ def _rounded(values: Tensor) -> list[float]:
 
 
 def check_log(path: Path) -> None:
-    """Checks that a file is new or empty, or a log, to which drives can be appended.
-
-    Raises:
-        FileExistsError: if it is another file.
-        PermissionError: if it cannot be written.
-    """
+    """Checks that drives can be appended: raises ``FileExistsError`` for another file than a log."""
     check_writable(path, "--log")
     head = json.dumps({"format": FORMAT})[:-1]
     if path.is_file() and path.read_bytes()[: len(head)] not in (b"", head.encode()):
@@ -117,9 +112,7 @@ def read_drives(path: Path) -> list[Evaluation]:
     The shortest path of a drive is computed on the map of the world. If the start or the goal is not free on the map,
     the straight line is used.
 
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is no log of drives, or no drive in it has ended.
+    Raises ``ValueError`` if the file is no log of drives, or no drive in it has ended.
     """
     groups: dict[tuple[str, str, str, float], list[LoggedDrive]] = {}
     for drive in logged_drives(path):
@@ -138,7 +131,6 @@ def read_drives(path: Path) -> list[Evaluation]:
 
 
 def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:
-    """Returns the starts and goals of the drives as a set of episodes."""
     world = get_world(world_name)
     start = torch.tensor([[*drive.entries[0]["position"][:2], drive.entries[0]["angles"][2]] for drive in drives])
     goal = torch.tensor([drive.goal for drive in drives])
@@ -186,7 +178,6 @@ class LoggedDrive:
         return torch.tensor([[math.inf if reading is None else reading for reading in scan] for scan in scans])
 
     def _times(self) -> list[float]:
-        """Times of the entries since the start, s."""
         return list(accumulate((entry["dt"] for entry in self.entries[1:]), initial=0.0))
 
     def _nearest(self) -> Tensor:
@@ -197,7 +188,7 @@ class LoggedDrive:
 
 
 def logged_drives(path: Path) -> list[LoggedDrive]:
-    """Reads the drives of a log that have ended. Raises the errors of :func:`read_drives`."""
+    """Reads the drives of a log that have ended."""
     entries = list(_entries(path))
     if not entries or entries[0].get("format") != FORMAT:
         raise ValueError(f"{path} is no log of drives")
@@ -208,7 +199,6 @@ def logged_drives(path: Path) -> list[LoggedDrive]:
 
 
 def _entries(path: Path) -> Iterator[dict[str, Any]]:
-    """Reads the lines of a log and skips incomplete ones."""
     for line in path.read_text(errors="replace").splitlines():
         try:
             entry = json.loads(line)

@@ -19,15 +19,13 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.deploy.drive_log import DriveLog
-from rover_rl.algos.driving import ENDINGS, RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR, Drive, ending_of
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.task import StepEvent
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 
@@ -104,7 +102,47 @@ def drive_to(
     rover = env.simulator
     if not isinstance(rover, Ros2Simulator):
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
-    runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy, env=env)
+    drive = Drive(env, policy)
+    _require_rover(rover, env, drive.runner, allow_unseen)
+    runner, ending, elapsed, held = drive.runner, "", 0.0, math.inf
+    try:
+        with torch.no_grad():
+            PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
+        # The memory of the runner is kept from goal to goal.
+        drive.observation = env.reset(goal=torch.tensor([goal]))
+        if log is not None:
+            log.begin(env.rover_state, env.scan, goal)
+        first = env.rover_state.stamp
+        while drive.observation["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
+            watch(_moment(rover, drive.observation, 0.0))
+            drive.observation = env.reset(goal=env.goal)
+        while not ending:
+            before = env.rover_state
+            due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
+            now = drive.step(drive.decide(torch.tensor([due]))).observation
+            dt = env.rover_state.dt.item()
+            elapsed, held = elapsed + dt, dt if due else held + dt
+            moment = _moment(rover, now, elapsed)
+            watch(moment)
+            if log is not None:
+                log.add(env.rover_state, env.scan, now["outcome"], moment.command, moment.latency, moment.held)
+            if reason := _restart(before, env.rover_state):
+                _log.warning("the robot seems to have been restarted: %s", reason)
+                ending = RESTARTED
+            elif bool(now["done"]):
+                ending = ending_of(now)
+            elif elapsed >= seconds:
+                ending = TIME_LIMIT
+            elif moment.nearest < clearance:
+                ending = TOO_NEAR
+    finally:
+        rover.stop()
+        if log is not None:
+            log.end(ending or STOPPED)
+    return ending
+
+
+def _require_rover(rover: Ros2Simulator, env: RoverEnv, runner: PolicyRunner, allow_unseen: bool) -> None:
     made_for: EnvConfig | None = getattr(runner.policy, "made_for", None)
     if made_for:
         require_match(made_for, env.config)
@@ -118,50 +156,6 @@ def drive_to(
             f"{math.degrees(trained_view):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
             "directions"
         )
-    ending, elapsed, held = "", 0.0, math.inf
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
-            tensordict = env.reset(goal=torch.tensor([goal]))
-            if log is not None:
-                log.begin(env.rover_state, env.scan, goal)
-            tensordict = _wait_for_room(env, rover, tensordict, clearance, patience, watch)
-            while not ending:
-                before = env.rover_state
-                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
-                action = runner(tensordict, due=torch.tensor([due]))
-                tensordict = env.step(tensordict.set("action", action))["next"]
-                dt = env.rover_state.dt.item()
-                elapsed, held = elapsed + dt, dt if due else held + dt
-                moment = _moment(rover, tensordict, elapsed)
-                watch(moment)
-                if log is not None:
-                    state = env.rover_state, env.scan, tensordict["outcome"]
-                    log.add(*state, moment.command, moment.latency, moment.held)
-                if reason := _restart(before, env.rover_state):
-                    _log.warning("the robot seems to have been restarted: %s", reason)
-                ending = RESTARTED if reason else _ending(tensordict, moment, clearance, seconds)
-    finally:
-        rover.stop()
-        if log is not None:
-            log.end(ending or STOPPED)
-    return ending
-
-
-def _wait_for_room(
-    env: RoverEnv,
-    rover: Ros2Simulator,
-    tensordict: TensorDictBase,
-    clearance: float,
-    patience: float,
-    watch: Callable[[Moment], None],
-) -> TensorDictBase:
-    """Begins the episode again, with a rover at rest, until nothing is too near or the patience is at its end."""
-    first = env.rover_state.stamp
-    while tensordict["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
-        watch(_moment(rover, tensordict, 0.0))
-        tensordict = env.reset(goal=env.goal)
-    return tensordict
 
 
 def _moment(rover: Ros2Simulator, tensordict: TensorDictBase, seconds: float) -> Moment:
@@ -185,12 +179,3 @@ def _restart(before: RoverState, after: RoverState) -> str:
     if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # 2 m/s, twice the top speed
         return f"its pose jumped by {moved:.1f} m"
     return ""
-
-
-def _ending(tensordict: TensorDictBase, moment: Moment, clearance: float, seconds: float) -> str:
-    """Returns how the drive has ended; empty if it has not ended."""
-    if bool(tensordict["terminated"]):
-        return ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))]
-    if bool(tensordict["truncated"]) or moment.seconds >= seconds:
-        return TIME_LIMIT
-    return TOO_NEAR if moment.nearest < clearance else ""

@@ -151,7 +151,6 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
 
 
 def _action_difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: int) -> float:
-    """Returns the largest difference of actions; NaN if one is."""
     rows = TensorDict(random_observations(checkpoint, CHECKED)).auto_batch_size_(1)
     runner, state, differences = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, state_size), []
     robot = {ROBOT: _robot_numbers(checkpoint)} if ROBOT in checkpoint.config.network.observation else {}
@@ -207,7 +206,6 @@ def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> byt
 
 
 def _open_onnx(path: Path) -> InferenceSession:
-    """Opens an ONNX file in ONNX Runtime, on one thread, after verifying its checksum."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -290,7 +288,6 @@ class OnnxPolicy:
         return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``, and the next state, row by row: the file has a batch size of 1."""
         rows = now.select(*self._entries).split(1)
         if self._state_size is None:
             return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))

@@ -165,7 +165,6 @@ class Commands:
             self._watchdog.rest()
 
     def _other(self) -> _Heard | None:
-        """Returns the last command of another driver that sends now."""
         heard = self._heard
         return heard if heard is not None and time.monotonic() - heard.time < OTHER_TIME else None
 

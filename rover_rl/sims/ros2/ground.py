@@ -114,7 +114,6 @@ class LivePoints:
         return read_points(msg)
 
     def _place(self, found: _Framed, mount: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of a message."""
         is_map = isinstance(found.value, ElevationMap)
         in_base = found.frame == self._base
         if not in_base and (is_map or (found.frame and found.frame == self._sensors.pose_frame)):

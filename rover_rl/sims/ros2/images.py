@@ -151,7 +151,6 @@ def _read_compressed_depth(msg: Any) -> Tensor:
 
 
 def _opened(data: bytes) -> Any:
-    """Decodes a JPEG or PNG file. Raises ``ValueError`` if it is none, or broken."""
     try:
         image = Image.open(BytesIO(data), formats=("JPEG", "PNG"))
         image.load()

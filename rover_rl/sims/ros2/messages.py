@@ -67,7 +67,6 @@ def message_class(ros_type: str, types: Typestore = TYPES, base: type[Message] =
 
 
 def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
-    """Returns the function that makes the default of a field."""
     if node == Nodetype.NAME:
         return types.types[content]
     if node == Nodetype.BASE:

@@ -138,7 +138,6 @@ def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) ->
 
 
 def _ask_for(target: TargetPose) -> None:
-    """Asks a person on the terminal to move the rover, and waits for the person's answer."""
     where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
     try:
         input(f"Put the rover at {where}, and press Enter: ")

@@ -163,5 +163,4 @@ def yaw_of(orientation: Tensor | None) -> float:
 
 
 def _rotate_yaw(orientation: Tensor, yaw: float) -> Tensor:
-    """Rotates an orientation ``[4]`` by ``yaw`` (rad) about the world's vertical axis."""
     return quaternion_product(torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]), orientation)

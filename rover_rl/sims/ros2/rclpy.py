@@ -169,7 +169,6 @@ def _ros_class(kind: Any) -> Any:
 
 
 def _to_ros(value: Any) -> Any:
-    """Turns a message, in fields and lists too, into an instance of ROS's class; leaves other values unchanged."""
     if is_dataclass(value):
         ros = _ros_class(value)()
         for field in fields(value):

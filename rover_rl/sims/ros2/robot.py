@@ -157,7 +157,6 @@ class RobotNode:
         self._log.warning(reason, "%s: ignored a pose, and the rover stays where it is: %s", self._reset_topic, reason)
 
     def _check_types(self) -> None:
-        """Warns of publishers whose messages never arrive, as they are of another type."""
         if time.monotonic() < self._types_checked + TYPES_PERIOD:
             return
         self._types_checked = time.monotonic()

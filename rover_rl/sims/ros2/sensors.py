@@ -273,7 +273,6 @@ class Sensors:
         return f"{silence}: choose pose={fits[0]!r}, --pose {fits[0]}" if kind == "pose" and fits else silence
 
     def _check_scan_rate(self, stamp: float) -> None:
-        """Warns of a scan rate, by the stamps or by the arrivals if the stamps do not advance, that is unsupported."""
         self._scan_times.append((stamp, time.monotonic()))
         if len(self._scan_times) <= RATE_WINDOW:
             return

@@ -130,18 +130,15 @@ class Ros2Simulator(Simulator):
 
     @property
     def last_command(self) -> tuple[float, float]:
-        """Forward speed (m/s) and yaw rate (rad/s) of the last command."""
         return self._commands.last
 
     @property
     def field_of_view(self) -> float:
-        """Angle that the latest scan covers, rad; 0 before the first scan."""
         scan = self._sensors.messages.latest("scan")
         return 0.0 if scan is None else scan.value.field_of_view
 
     @property
     def robot_connected(self) -> bool:
-        """Whether usable scans arrive."""
         return self._sensors.has_recent_scan
 
     def wait_for_robot(self, timeout: float) -> bool:
@@ -169,26 +166,14 @@ class Ros2Simulator(Simulator):
         self._require_one_robot()
 
     def receive(self, kind: str, msg: Any) -> bool:
-        """Processes a message as if it had arrived on its topic.
+        """Processes a message as if it had arrived on its topic, and returns whether it is usable.
 
-        A malformed message is ignored with a warning, at most every five seconds for each kind.
-
-        Args:
-            kind: kind of the message: ``"scan"``, ``"imu"``, ``"odometry"`` or ``"pose"``.
-            msg: message, or any object with its attributes.
-
-        Returns:
-            Whether the message is usable.
-
-        Raises:
-            ValueError: if the kind is unknown. ``"pose"`` is unknown with ``pose="wheels"``.
+        Its kind is ``"scan"``, ``"imu"``, ``"odometry"`` or, except with ``pose="wheels"``, ``"pose"``.
         """
         return self._sensors.receive(kind, msg)
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Stops the rover, moves it to ``poses``, and waits until it is at rest: see :meth:`Simulator.reset`.
-
-        Without a robot, warns and returns zeros.
+        """Stops the rover, moves it to ``poses``, and waits until it is at rest. Without a robot, warns.
 
         Raises:
             PoseResetError: if the rover does not come to rest at the pose in time.
@@ -217,7 +202,6 @@ class Ros2Simulator(Simulator):
         return self.state()
 
     def scanner(self, beams: int) -> Ros2Scanner:
-        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
         self._set_beams(beams)
         return Ros2Scanner(self, beams)
 
@@ -230,25 +214,20 @@ class Ros2Simulator(Simulator):
         self._aligned_scan = self._align(self._scan.value) if self._scan else nothing
 
     def ranges(self) -> Tensor:
-        """Returns the latest scan, ``[1, beams]``, m. Directions that no beam covers are unknown, never free."""
         scan = self._aligned_scan
         return scan.ranges.masked_fill(~scan.seen & (self._scan is not None), self.settings.unseen_range)[None]
 
     def covered(self) -> Tensor:
-        """Returns which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
         return self._aligned_scan.seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        """Returns the segments of the latest raw scan: see :meth:`~rover_rl.sims.base.ScanCarrier.segments`."""
         if self._scan is None:
             return None
         found = cut(self._scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted), points)
         return None if found is None else found[None]
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Sends a command within the limits, and waits for the next scan: see :meth:`Simulator.step`.
-
-        Without recent scans, sends a stop command instead.
+        """Sends a command within the limits, without recent scans a stop command, and waits for the next scan.
 
         Raises:
             RobotLostError: if a topic is silent for ``step_timeout``, there are several robots, or another node
@@ -276,7 +255,6 @@ class Ros2Simulator(Simulator):
         return self.state()
 
     def _limited(self, commands: Tensor) -> tuple[float, float]:
-        """Returns the command within the limits. Raises ``ValueError`` if it is not finite."""
         if not torch.isfinite(commands).all():
             raise ValueError(f"a command must be finite, got {commands[0, 0]} m/s and {commands[0, 1]} rad/s")
         last = torch.tensor([self._commands.last], dtype=torch.float64)
@@ -285,7 +263,6 @@ class Ros2Simulator(Simulator):
         return speed, yaw_rate
 
     def stop(self) -> None:
-        """Sends a stop command, several times."""
         self._commands.stop()
 
     def halt(self) -> None:
@@ -293,7 +270,6 @@ class Ros2Simulator(Simulator):
         self._commands.halt()
 
     def state(self) -> RoverState:
-        """Returns the state from the messages of the latest step's scan; zeros before the first ones."""
         company = {} if self._scan is None else self._scan.company
         twist = company.get("odometry", self._sensors.wheel_velocity)[None]
         pose, imu = company.get("pose", self._sensors.pose), company.get("imu", self._sensors.imu_orientation)
@@ -310,41 +286,33 @@ class Ros2Simulator(Simulator):
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Raises ``NotImplementedError``."""
         raise NotImplementedError("backend 'ros2' has no rendering; use RViz to visualize the rover")
 
     def close(self) -> None:
-        """Stops the rover and closes the connection. Idempotent."""
         self._finalizer()
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
-        """Returns where the rover was at the time of the latest scan, ``[1, 3]`` (m) and ``[1, 4]``."""
         stamp = 0.0 if self._scan is None else self._scan.value.stamp
         position, orientation = self._sensors.pose_at(stamp)
         return position[None], orientation[None]
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest depth image: see :meth:`~rover_rl.sims.base.DepthCarrier.depth_image`."""
         image = self._sensors.image("depth", topic)
         return torch.zeros(size) if image is None else resized(image, size)
 
     def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the latest color image: see :meth:`~rover_rl.sims.base.ColorCarrier.color_image`."""
         image = self._sensors.image("colors", topic)
         return torch.zeros(3, *size) if image is None else resized(image, size)
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
-        """Returns the latest points of a 3D lidar: see :meth:`~rover_rl.sims.base.PointCarrier.point_cloud`."""
         return self._points.cloud(topic)
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        """Returns heights of the ground: see :meth:`~rover_rl.sims.base.PointCarrier.ground_at`."""
         return self._points.ground_at(grid, yaw, cell, topic, layer, mount)
 
     def follow_clock(self) -> None:
-        """Begins to read ``/clock``, which simulators publish."""
         self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
 
     def state_age(self) -> Tensor:
@@ -359,7 +327,6 @@ class Ros2Simulator(Simulator):
         return torch.full((1, 1), age or 0.0)
 
     def _world_pose(self) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world."""
         return self._pose_estimator.estimate(self._sensors.pose, self._sensors.imu_orientation)
 
     def _take_next_scan(self, after: int) -> None:
@@ -393,7 +360,6 @@ class Ros2Simulator(Simulator):
         return scan
 
     def _require_only_driver(self, since: float = -math.inf) -> None:
-        """Raises an error if another node has sent commands since then: it and this one would drive by turns."""
         if not self.settings.give_way and (other := self._commands.other(since)):
             if self._commands.last != (0.0, 0.0):
                 self.stop()
@@ -444,16 +410,12 @@ class Ros2Simulator(Simulator):
             )
 
     def _lost(self, kind: str) -> RobotLostError:
-        """Stops the rover, and returns an error that names the silent topic."""
         self.stop()
         topic, silence = self._sensors.topics[kind], self._sensors.describe_silence(kind)
         return RobotLostError(f"lost the robot: {topic} ({kind}): {silence}; a stop command was sent")
 
     def _wait_until_at_rest(self, target: TargetPose, poses_before: int) -> None:
-        """Waits until the rover has been at rest for the settling time, at the target if it was moved.
-
-        ``poses_before`` is the number of pose messages before the reset.
-        """
+        # ``poses_before`` is the number of pose messages before the reset.
         settings, messages = self.settings, self._sensors.messages
         began = time.monotonic()
         deadline = began + settings.reset_timeout
@@ -482,7 +444,6 @@ class Ros2Simulator(Simulator):
         return speed < REST_VELOCITY[0] and yaw_rate < REST_VELOCITY[1]
 
     def _is_at_target(self, target: TargetPose, poses_before: int) -> bool:
-        """Whether a pose newer than the reset matches its target; always true for resets that do not move the rover."""
         if not self._placer.moves:
             return True
         pose, is_new = self._sensors.pose, self._sensors.messages.count("pose") > poses_before
@@ -490,14 +451,13 @@ class Ros2Simulator(Simulator):
 
 
 class Ros2Scanner:
-    """Lidar of a live rover: see :class:`rover_rl.sims.base.Scanner`. It scans when the rover's does."""
+    """Lidar of a live rover. It scans when the rover's does."""
 
     def __init__(self, simulator: Ros2Simulator, beams: int) -> None:
         self.angles = beam_angles(beams).float()
         self._simulator = simulator
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Returns the latest scan, infinite ranges before the first one."""
         return self._simulator.ranges()
 
 

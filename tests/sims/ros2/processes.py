@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -83,16 +82,4 @@ def start_robot(environment: dict[str, str], *arguments: str) -> Command:
     robot = Command(environment, *ROBOT, *arguments)
     until(lambda: "on ROS 2" in robot.output or not robot.running)
     assert robot.running, robot.output
-    return robot
-
-
-def start_fresh_robot(environment: dict[str, str]) -> subprocess.Popen[str]:
-    """Starts ``rover-rl robot`` in a new interpreter, which runs its own exit, and waits until it is ready."""
-    program = "import sys; from rover_rl.cli import main; sys.exit(main())"
-    # Standard error is inherited: a full pipe that nobody reads would block the process.
-    robot = subprocess.Popen(
-        [sys.executable, "-c", program, *ROBOT], env=environment, stdout=subprocess.PIPE, text=True
-    )
-    assert robot.stdout is not None
-    assert "on ROS 2" in robot.stdout.readline()
     return robot

@@ -104,7 +104,7 @@ def driving(environment, log) -> Iterator[Callable[..., Command]]:
 
 
 def test_drive_writes_a_log_that_evaluate_reads(driving, observer, log, tmp_path):
-    goals = ("--random", "2", "--seconds", "3", "--clearance", "0")
+    goals = ("--random", "2", "--seconds", "1", "--clearance", "0")
     drive = driving("pretrained:anywhere", "--world", "maze", *goals)
     code = drive.wait(90)
     assert code in (0, 1), drive.output
@@ -201,15 +201,10 @@ def test_drive_without_a_robot_reports_an_error(log, domain):
         ),
         ("drive scripted --goal 1 1 --clearance -1", "clearance must be at least 0 and at most 1e+30, got -1.0"),
         ("drive scripted --goal 1 1 --timeout nan", "timeout must be at least 0 and at most 1e+06, got nan"),
-        ("drive scripted --random -1", "random must be at least 0 and at most 1e+12, got -1"),
-        ("drive scripted --goal 1 1 --seconds 0", "seconds must be positive and at most 1e+06, got 0"),
         ("drive scripted --goal 1 1 --lidar-yaw nan", "lidar_yaw must be a finite angle in rad, got nan"),
         ("drive scripted --goal 1 1 --max-speed 0", "max_speed must be positive and finite, got 0"),
-        ("drive scripted --goal 1 1 --max-acceleration inf", "max_acceleration must be positive and finite, got inf"),
         ("drive scripted --world maze --goals goals.csv", "goals.csv must have two numbers a line"),
         ("robot --rate 0", "rate must be positive and at most 1000, got 0"),
-        ("robot --rate nan", "rate must be positive and at most 1000, got nan"),
-        ("robot --seed -1", "seed must be a whole number from 0 to"),
         ("robot --lidar-beams 0", "lidar_beams must be at least 1 and at most 16383, got 0"),
         ("robot --lidar-view 0", "lidar_view must be positive and at most 360, got 0"),
     ],

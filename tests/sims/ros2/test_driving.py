@@ -10,11 +10,9 @@ import torch
 from rover_rl import RoverEnv
 from rover_rl.algos.deploy.drive_log import DriveLog, read_drives
 from rover_rl.algos.deploy.driving import Moment, drive_to
-from rover_rl.algos.deploy.export import OnnxPolicy, export
 from rover_rl.algos.driving import STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
 from rover_rl.sims.ros2.messages import LaserScan, Twist
 from rover_rl.worlds import get_world
@@ -75,17 +73,6 @@ def test_a_drive_begins_when_who_stands_at_the_rover_has_gone(env, wire):
     assert len(waiting) > 1
     assert {(moment.command, round(moment.nearest, 2)) for moment in waiting} == {((0.0, 0.0), 0.15)}
     assert all(moment.nearest > 0.2 for moment in moments[len(waiting) :])
-
-
-def test_a_drive_ends_if_who_stands_at_the_rover_stays(started, wire):
-    robot, env = started
-    wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[0.15, *scan.ranges[1:]])
-    moments: list[Moment] = []
-    before = robot.rover.env.rover_state.stamp
-    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, patience=2.0, watch=moments.append) == TOO_NEAR
-    assert 2.0 <= (robot.rover.env.rover_state.stamp - before).item() < 5.0  # it looks again about once a second
-    assert torch.dist(robot.position[:2], torch.tensor(START[:2])) < 0.05
-    assert len([moment for moment in moments if moment.seconds == 0]) > 1
 
 
 def test_a_drive_that_is_stopped_while_it_waits_is_logged_as_stopped(env, wire, tmp_path):
@@ -184,23 +171,3 @@ def test_times_are_the_rovers(tmp_path):
     assert trajectory.seconds == pytest.approx(1.0)
     assert trajectory.length == pytest.approx(1.0)
     assert trajectory.collision.nonzero().flatten().tolist() == [9]
-
-
-@pytest.mark.parametrize("content", ["", "no log\n", '{"format": "else"}\n', "[1]\n"])
-def test_an_invalid_log_is_rejected(tmp_path, content):
-    path = tmp_path / "drive.jsonl"
-    path.write_text(content)
-    with pytest.raises(ValueError, match="is no log of drives"):
-        read_drives(path)
-    path.unlink()
-    with DriveLog(path, "inspect", "scripted", 60.0), pytest.raises(ValueError, match="no drive in"):
-        read_drives(path)
-
-
-@pytest.mark.slow
-def test_an_exported_policy_drives_the_rover(env, tmp_path):
-    pytest.importorskip("onnxscript", reason="needs rover_rl[onnx]")
-    pytest.importorskip("onnxruntime", reason="needs rover_rl[onnx]")
-    path = tmp_path / "moon.onnx"
-    export(load_pretrained("moon-ppo"), path)
-    assert drive_to(env, OnnxPolicy(path), GOAL) == "goal"

@@ -18,7 +18,6 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.driving import RESTARTED, TIME_LIMIT
 from rover_rl.algos.evaluation.trajectory import count_reversals
-from rover_rl.algos.policy.names import make_baseline
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
@@ -33,8 +32,6 @@ COURSE = World(
 )
 FRONT, TAIL = 0.265, 0.27
 """Length of the rover ahead of and behind its center, m."""
-FORWARD = "rover_zero,lidar_view=3.1416"
-"""Rover whose lidar sees half a turn."""
 
 
 @pytest.fixture
@@ -110,14 +107,6 @@ def test_a_policy_with_a_forward_lidar_does_not_hit_a_wall(start):
     drive_to(env, policy, (-6.0, 0.0), seconds=5.0, allow_unseen=True, clearance=0.2)
     assert min(robot.driven) - TAIL > BEHIND
     assert max(robot.driven) + FRONT < AHEAD
-
-
-def test_a_policy_for_a_forward_lidar_drives_one(start):
-    policy = make_baseline("gridplanner", FORWARD)
-    robot, env = start(view=math.pi, made_for=policy.made_for)
-    # Behind the rover, where it does not see.
-    assert drive_to(env, policy, (0.4, -1.5), seconds=20.0) == "goal"
-    assert robot.position[:2].tolist() == pytest.approx([0.4, -1.5], abs=0.5)
 
 
 def clock_went_back(scan: LaserScan) -> LaserScan:

@@ -88,14 +88,6 @@ def test_a_map_is_read_whatever_its_circular_buffer_starts_with(start):
     assert back[1:] == (CENTER, CELL, "elevation")
 
 
-def test_rows_may_be_stored_one_after_another():
-    msg = grid_map()
-    by_row = ros.MultiArrayLayout([*reversed(msg.data[1].layout.dim)])
-    data = msg.data[1].data.reshape(4, 6).T.flatten()
-    turned = replace(msg, layers=["elevation"], data=[ros.Float32MultiArray(by_row, data)])
-    torch.testing.assert_close(read_elevation_map(turned).heights, read_elevation_map(msg).heights, equal_nan=True)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -151,13 +143,6 @@ def cloud(order: str = "<", shape: tuple[int, int] = (1, 6), kind: str = "f4", p
 )
 def test_finite_points_are_read_whatever_the_layout(order, shape, kind, padding):
     assert read_points(ros.decode(ros.PointCloud2, ros.encode(cloud(order, shape, kind, padding)))).equal(KEPT)
-
-
-def test_an_empty_cloud_has_no_points_and_an_organized_one_is_sent_unchanged():
-    assert read_points(ros.PointCloud2(fields=cloud().fields, point_step=30)).shape == (0, 3)
-    assert read_points(cloud(row_step=0)).equal(KEPT)
-    sent = point_cloud_message(torch.from_numpy(POINTS).reshape(2, 3, 3), ros.Time(), "lidar")
-    assert read_points(ros.decode(ros.PointCloud2, ros.encode(sent))).equal(KEPT)
 
 
 @pytest.mark.parametrize(
@@ -326,11 +311,6 @@ def test_a_topic_without_usable_messages_stops_the_rover(wire, sensor, message, 
     with pytest.raises(RobotLostError, match=f"{text}.*; a stop command was sent"):
         env.step_commands(STOP)
     env.close()
-
-
-def test_the_ground_is_not_read_from_other_messages(wire):
-    with pytest.raises(ValueError, match=r"read from \['grid_map.*/PointCloud2'\], and /g has \['sensor"):
-        live_env(wire, HeightScan(topic="/g"), ros.LaserScan())
 
 
 @pytest.mark.ros2

@@ -17,11 +17,9 @@ from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.ray_images import DepthCamera, SegmentationCamera
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
-from rover_rl.sims.ros2.dds import DdsTransport
-from rover_rl.sims.ros2.images import image_format, resized
+from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.messages import CompressedImage, Header, Image
 from rover_rl.sims.ros2.robot import RobotNode
-from tests.sims.ros2.processes import until
 
 WORLD = World("wall", Terrain.flat((16.0, 16.0)), [box((3.0, 0.5, 0.5), (0.4, 2.0, 1.0))])
 CAMERA = DepthCamera(size=(12, 16))
@@ -137,13 +135,6 @@ def test_a_compressed_image_that_cannot_be_read_is_refused(kind, topic, encoding
         image_format(kind, topic).read(compressed(encoding, data))
 
 
-def test_another_size_takes_the_nearest_pixels():
-    depth = torch.arange(16.0).reshape(4, 4)
-    assert resized(depth, (2, 2)).equal(depth[1::2, 1::2])
-    assert resized(torch.stack((depth, -depth)), (2, 2))[1].equal(-depth[1::2, 1::2])
-    assert set(resized(depth, (7, 5)).flatten().tolist()) <= set(depth.flatten().tolist())
-
-
 def live_env(wire, *sensors, cameras=(CAMERA,)) -> RoverEnv:
     """Starts a robot with cameras on the wire, and the environment that drives it with sensors."""
     rover = ServedRover(EnvConfig(world=WORLD, seed=0, backend="warp", sensors=cameras))
@@ -196,19 +187,3 @@ def test_the_robot_publishes_the_cameras_that_are_asked_for(wire, monkeypatch):
     main(["robot", "--backend", "warp", "--lidar-beams", "16", "--sensors", "colors", "depth", *topics])
     images = {topic: type(sent[0]) for topic, sent in wire.sent.items() if type(sent[0]) in (Image, CompressedImage)}
     assert images == {"/d/compressedDepth": CompressedImage, "/c/compressed": CompressedImage}
-
-
-@pytest.mark.ros2
-def test_images_of_a_dds_publisher_arrive(domain):
-    talker, listener = DdsTransport("talker", domain), DdsTransport("listener", domain)
-    depth, received = 0.001 * torch.randint(0, 60000, (48, 64)), {}
-    for kind, topic, image in (("depth", "/depth", depth), ("colors", "/c/compressed", SMOOTH)):
-        form = image_format(kind, topic)
-        listener.subscribe(topic, form.message, lambda message, topic=topic: received.update({topic: message}))
-        publish = talker.publisher(topic, form.message, reliable=True)
-        until(lambda topic=topic: talker.subscribers(topic))
-        publish(form.write(image, Header().stamp, "camera"))
-        until(lambda topic=topic: topic in received)
-        torch.testing.assert_close(form.read(received[topic]), image, atol=0.03 if kind == "colors" else 1e-5, rtol=0)
-    talker.close()
-    listener.close()

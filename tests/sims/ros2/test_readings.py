@@ -11,22 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rover_rl.envs.sensors.standard import LidarPooling
-from rover_rl.sims.ros2.messages import (
-    Header,
-    LaserScan,
-    Odometry,
-    Point,
-    Pose,
-    PoseArray,
-    Quaternion,
-    Time,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-)
-from rover_rl.sims.ros2.poses import read_orientation, read_pose_array
+from rover_rl.sims.ros2.messages import Header, LaserScan, Quaternion, Time
+from rover_rl.sims.ros2.poses import read_orientation
 from rover_rl.sims.ros2.scans import SECTOR, ScanAlignment, UnseenGuard, cut, read_scan
-from rover_rl.sims.ros2.sensors import read_twist
 
 
 def scan(ranges, first=0.0, increment=None) -> LaserScan:
@@ -75,31 +62,6 @@ def test_a_scan_with_too_many_invalid_readings_is_rejected(ranges, announced, me
     assert (~read_scan(scan([math.nan] * 64 + [1.0] * 576)).valid).sum() == 64
 
 
-def test_an_inconsistent_angle_max_announces_no_readings():
-    message = scan([1.0, 2.0], first=0.0, increment=0.1)
-    for last in (0.0, math.nan, math.inf, -1.0):
-        message.angle_max = last
-        assert len(read_scan(message).ranges) == 2
-
-
-def test_field_of_view():
-    assert read_scan(scan([1.0] * 64)).field_of_view == pytest.approx(2 * math.pi)
-    assert read_scan(scan([1.0] * 100, increment=0.01)).field_of_view == pytest.approx(1.0)
-    assert read_scan(scan([1.0] * 100, increment=-0.01)).field_of_view == pytest.approx(1.0)
-    assert read_scan(scan([1.0] * 1000, increment=0.01)).field_of_view == 2 * math.pi
-
-
-def test_ranges_must_be_numbers_and_angles_finite_with_an_increment_other_than_zero():
-    message = scan([1.0])
-    for ranges in ([], 3.0, [[1.0], [2.0]]):
-        message.ranges = ranges
-        with pytest.raises(ValueError, match="list of ranges"):
-            read_scan(message)
-    for first, increment in ((math.nan, 0.1), (0.0, 0.0), (0.0, math.inf), (math.inf, 0.1)):
-        with pytest.raises(ValueError, match="must have a finite angle_min"):
-            read_scan(scan([1.0, 2.0], first, increment))
-
-
 def test_a_clockwise_scan_is_reversed():
     message = scan([1.0, 2.0, 3.0], first=0.5, increment=-0.1)
     message.angle_max = 0.3
@@ -140,17 +102,8 @@ def test_alignment_matches_a_reference_implementation(readings, beams, yaw, shar
     assert aligned.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
 
 
-def test_a_full_scan_with_the_same_number_of_beams_is_only_rotated():
-    ranges = torch.arange(8.0)
-    behind = scan(ranges.tolist(), first=-math.pi)
-    assert ScanAlignment(8, yaw=math.pi)(read_scan(behind)).ranges.tolist() == ranges.tolist()
-    assert ScanAlignment(8, yaw=0.0)(read_scan(behind)).ranges.tolist() == ranges.roll(-4).tolist()
-
-
-@pytest.mark.parametrize("count", [640, 360, 1440, 720, 1081, 37])
-@pytest.mark.parametrize(
-    ("yaw", "first"), [(math.pi, -math.pi), (0.0, -math.pi), (0.0, 0.0), (3.14, -math.pi), (2.0, 0.5)]
-)
+@pytest.mark.parametrize("count", [640, 1081, 37])
+@pytest.mark.parametrize(("yaw", "first"), [(math.pi, -math.pi), (3.14, -math.pi), (2.0, 0.5)])
 def test_segments_are_the_contracts_cut_of_the_raw_scan(count, yaw, first):
     ranges = np.random.default_rng(count).uniform(0.2, 11.0, count).astype(np.float32)
     increment = np.float32(2 * math.pi / count).item()
@@ -162,16 +115,7 @@ def test_segments_are_the_contracts_cut_of_the_raw_scan(count, yaw, first):
     assert (cut(read.mounted(yaw), 32) == LidarPooling(count, 32, 12.0)(torch.from_numpy(ahead)[None])[0]).all()
 
 
-def test_segments_of_a_scan_that_is_no_full_turn_or_has_too_few_readings():
-    half = read_scan(scan(np.arange(1.0, 322.0), first=-math.pi / 2, increment=2 * math.pi / 640))
-    segments = cut(half.mounted(0.0), 32)
-    assert segments[0] == 161.0  # straight ahead
-    assert torch.isposinf(segments[9:24]).all()
-    assert segments[24] == 1.0  # from the right on
-    assert cut(read_scan(scan([1.0] * 31)).mounted(0.0), 32) is None
-
-
-@pytest.mark.parametrize("yaw", [0.0, math.pi, math.pi / 2, 0.3])
+@pytest.mark.parametrize("yaw", [math.pi, 0.3])
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_a_lidar_that_hangs_upside_down_is_rolled_before_it_is_turned(yaw, clockwise):
     angles = -math.pi + np.arange(360) * 2 * math.pi / 360
@@ -186,36 +130,12 @@ def test_a_lidar_that_hangs_upside_down_is_rolled_before_it_is_turned(yaw, clock
     assert cut(read.mounted(yaw, inverted=True), 360)[[beam - 1, beam, (beam + 1) % 360]].min() == 1.0
 
 
-def test_the_layout_of_scans_may_change():
-    align = ScanAlignment(4, 0.0)
-    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
-    assert align(read_scan(scan([5.0, 6.0, 7.0, 8.0, 9.0]))).ranges.tolist() == [5, 6, 7, 9]
-    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
-
-
 def test_an_orientation_is_normalized_from_any_object_with_the_attributes_and_must_be_valid():
     orientation = read_orientation(SimpleNamespace(x=0.0, y=0.0, z=3.0, w=4.0))
     np.testing.assert_allclose(orientation, [0, 0, 0.6, 0.8], atol=1e-6)
     for quaternion in ((0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)):
         with pytest.raises(ValueError, match="finite quaternion other than zero"):
             read_orientation(Quaternion(*quaternion))
-
-
-def test_the_first_pose_of_an_array_is_read():
-    array = PoseArray(poses=[Pose(Point(1.0, 2.0, 3.0)), Pose(Point(9.0, 9.0, 9.0))])
-    assert read_pose_array(array).position.tolist() == [1, 2, 3]
-    with pytest.raises(ValueError, match="at least one pose"):
-        read_pose_array(PoseArray())
-    with pytest.raises(ValueError, match="position must be finite"):
-        read_pose_array(PoseArray(poses=[Pose(Point(math.nan, 0.0, 0.0))]))
-
-
-def test_odometry_provides_speed_and_yaw_rate():
-    message = Odometry(twist=TwistWithCovariance(Twist(Vector3(0.5, 7.0, 7.0), Vector3(7.0, 7.0, 0.25))))
-    assert read_twist(message).tolist() == [0.5, 0.25]
-    message.twist.twist.linear.x = math.nan
-    with pytest.raises(ValueError, match="velocity must be finite"):
-        read_twist(message)
 
 
 @pytest.mark.parametrize(("speed", "direction"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])

@@ -44,13 +44,6 @@ def test_commands_never_exceed_the_limits(wanted, speed, yaw_rate):
         last = sent
 
 
-def test_commands_within_the_limits_are_reached_and_held():
-    limiter, last = CommandLimiter(MIN_REVERSAL), (0.0, 0.0)
-    for _ in range(20):
-        last = limited(limiter, last, (-0.7, 1.5))
-    assert last == (-0.7, 1.5)
-
-
 def test_a_large_reversal_is_executed_and_a_small_one_stops_turning():
     limiter = CommandLimiter(MIN_REVERSAL)
     assert limited(limiter, (0.0, 0.0), (0.0, 0.2))[1] == pytest.approx(0.2)

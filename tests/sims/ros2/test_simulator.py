@@ -10,8 +10,6 @@ import torch
 from rover_rl import Randomization, RoverEnv, TaskConfig
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
 from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.robots import get_robot
-from rover_rl.sims import make_simulator
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.messages import (
     Imu,
@@ -57,16 +55,12 @@ def test_dt_is_the_difference_of_scan_stamps(rover, sim):
     rover.stamp_step = 0.08
     drive(sim)
     assert sim.state().dt.item() == pytest.approx(0.08, abs=1e-6)
-    rover.stamp = -1000.0  # the clock has jumped
+    rover.stamp_step = 0.01  # scans of a fast lidar are skipped
+    drive(sim)
+    assert sim.state().dt.item() == pytest.approx(0.04, abs=1e-6)
+    rover.stamp, rover.stamp_step = -1000.0, 0.08  # the clock has jumped
     drive(sim)
     assert sim.state().dt.item() == pytest.approx(0.05)
-
-
-def test_scans_of_a_fast_lidar_are_skipped(rover, sim):
-    rover.stamp_step = 0.01
-    for _ in range(3):
-        drive(sim)
-        assert sim.state().dt.item() == pytest.approx(0.04, abs=1e-6)
 
 
 def test_stamped_commands(wire, rover):
@@ -95,19 +89,7 @@ def test_without_a_robot_observations_are_empty_with_a_warning(wire, caplog):
     assert all(twist == Twist() for twist in wire.sent["/cmd_vel"])  # no motion without a scan
 
 
-def test_a_robot_may_appear_after_the_simulator_and_leave(wire, rover):
-    rover.silence()
-    sim = simulator(timeout=0.05, reset="none", step_timeout=0.5)
-    rover.silent.clear()
-    assert sim.wait_for_robot(10.0)
-    assert sim.reset(ALL, POSE).position[0, :2].tolist() == pytest.approx([1.0, 2.0])
-    rover.silence()
-    time.sleep(0.6)
-    assert not sim.wait_for_robot(0.0)
-    assert not sim.robot_connected
-
-
-@pytest.mark.parametrize("kind", ["imu", "odometry", "pose"])
+@pytest.mark.parametrize("kind", ["odometry"])
 def test_a_topic_may_start_after_the_scan(wire, rover, kind):
     rover.silent.add(kind)
     wire.rovers.append(lambda: rover.stamp > 1.0 and rover.silent.clear())
@@ -126,12 +108,6 @@ def test_a_silent_topic_stops_the_rover(wire, rover, kind, topic):
     with pytest.raises(RobotLostError, match=rf"lost the robot: {topic} \({kind}\): the last message is \d+.\d s old"):
         drive(sim, steps=10**6)
     assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
-
-
-def test_a_topic_that_never_starts_is_reported(rover):
-    rover.silent.add("imu")
-    with pytest.raises(RobotLostError, match=r"/imu/data \(imu\): no message has arrived yet"):
-        simulator(step_timeout=0.3).reset(ALL, POSE)
 
 
 def test_malformed_messages_are_ignored_and_the_last_valid_value_remains(sim, caplog):
@@ -194,8 +170,7 @@ def test_every_lidar_reading_becomes_a_valid_observation(rover, ranges, seen):
     env.close()
 
 
-@pytest.mark.parametrize("count", [640, 360, 1440])
-@pytest.mark.parametrize("yaw", [0.0, math.pi])
+@pytest.mark.parametrize(("count", "yaw"), [(640, math.pi), (1440, 0.0)])
 def test_the_observed_segments_are_cut_from_the_raw_scan(rover, count, yaw):
     rover.ranges = np.random.default_rng(0).uniform(0.5, 14.0, count).astype(np.float32)
     rover.ranges[7], rover.ranges[-9] = math.inf, -math.inf
@@ -238,19 +213,6 @@ def test_a_rover_does_not_move_towards_unseen_directions(wire, rover, caplog, fr
     assert ("no beam covers all of that direction" in caplog.text) == sim.held
 
 
-def test_directions_without_beams_are_unknown_not_free(wire, rover):
-    """With a lidar of 180 degrees, directions behind read 1 m, and the rover does not back up."""
-    rover.ranges, rover.layout = np.full(64, 5.0, np.float32), (-math.pi / 2, math.pi / 64)
-    sim = simulator(reset="none", lidar_yaw=0.0, beams=64)
-    sim.reset(ALL, POSE)
-    scanner = sim.scanner(64)
-    assert sim.field_of_view == pytest.approx(math.pi)
-    assert (scanner.scan()[0, scanner.angles.cos() > 0.1] == 5.0).all()
-    assert (scanner.scan()[0, scanner.angles.cos() < -0.1] == 1.0).all()
-    assert sent_speed(sim, wire, 0.5) == 0.5
-    assert sent_speed(sim, wire, -0.5) == 0.0
-
-
 def test_unusable_scans_stop_the_rover_before_it_is_lost(wire, rover, sim):
     assert sent_speed(sim, wire) == 0.5
     rover.ranges[:] = math.nan
@@ -266,14 +228,6 @@ def test_unusable_scans_stop_the_rover_before_it_is_lost(wire, rover, sim):
     drive(sim)
     assert stopped_at[0] - before == pytest.approx(0.25 + STEP)
     assert sent_speed(sim, wire) == 0.5  # drives on with usable scans
-
-
-def test_unusable_scans_end_the_wait_for_a_robot_and_are_reported(rover):
-    rover.ranges[:] = math.nan
-    sim = simulator(timeout=600.0)
-    assert not sim.robot_connected
-    with pytest.raises(RobotLostError, match=r"messages cannot be used: 8 of 8 readings of the scan are missing, NaN"):
-        sim.require_robot()
 
 
 @pytest.mark.parametrize(("step", "warned"), [(0.05, False), (0.1, True), (0.01, True)])
@@ -295,11 +249,6 @@ def test_two_robots_on_one_topic_are_detected(wire, rover, sim, monkeypatch):
         assert wire.sent["/cmd_vel"][-1] == Twist()
 
 
-def test_several_rovers_are_rejected(wire):
-    with pytest.raises(ValueError, match="drives one live rover, got num_envs=2"):
-        make_simulator("ros2", worlds=[get_world("maze")] * 2, robot=get_robot("rover_zero"))
-
-
 @pytest.mark.parametrize("close", [True, False], ids=["closed", "deleted"])
 def test_the_end_of_a_simulator_stops_the_rover_and_closes_the_connection(wire, rover, close):
     sim = simulator()
@@ -311,29 +260,6 @@ def test_the_end_of_a_simulator_stops_the_rover_and_closes_the_connection(wire, 
     del sim
     assert wire.closed
     assert wire.sent["/cmd_vel"][-1] == Twist()
-
-
-def test_close_sends_no_stop_without_earlier_commands(wire):
-    simulator(timeout=0.01).close()
-    assert not wire.sent.get("/cmd_vel")
-
-
-def test_reset_after_close_reconnects_except_in_gymnasium(wire):
-    settings = {"world_n": "maze", "backend": Ros2Settings(reset="none"), "connection_check_timeout": 0}
-    env = RoverEnv(**settings)
-    env.reset()
-    env.close()
-    assert wire.closed
-    assert wire.subscribers("/scan") == 1
-    env.reset()
-    assert wire.subscribers("/scan") == 2
-    env.close()
-    env = GymRoverEnv(**settings)
-    env.reset()
-    env.close()
-    with pytest.raises(RuntimeError, match="closed environment"):
-        env.reset()
-    assert wire.subscribers("/scan") == 3
 
 
 def test_a_late_scan_is_paired_with_the_pose_of_its_time_and_a_late_pose_is_carried_on_to_now(wire):
@@ -387,16 +313,6 @@ def test_messages_that_arrive_after_their_scan_belong_to_it(wire, rover, sim):
         drive(sim)
         assert yaw_of(sim.state()) == pytest.approx(rover.yaw, abs=1e-5)
         assert sim.state().stamp.item() == pytest.approx(rover.stamp)
-
-
-def test_messages_of_the_next_scan_do_not_belong_to_the_last(rover, sim):
-    drive(sim)
-    before = sim.state()
-    rover.silent.add("scan")
-    rover.yaw, rover.speed = rover.yaw + 0.3, 0.9
-    rover.publish()
-    after = sim.state()
-    assert all(torch.equal(before.get(key), after.get(key)) for key in before.keys())  # noqa: SIM118
 
 
 def test_another_driver_stops_the_rover_and_is_named(wire, rover, sim):
