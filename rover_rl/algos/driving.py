@@ -1,10 +1,12 @@
 """The loop in which a policy drives an environment. Evaluation, suites, films, the viewer and live rovers watch it.
 
 Example:
+    >>> from itertools import islice
     >>> env = make_env(world_n="maze", num_envs=4)
-    >>> for step in islice(drives(env, ScriptedPolicy()), 20):
+    >>> for step in islice(drives(env, policy=None), 20):
     ...     for row, ending in step.endings().items():
     ...         print(f"rover {row}: {ending}")
+    >>> env.close()
 """
 
 from __future__ import annotations
