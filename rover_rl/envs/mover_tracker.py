@@ -119,7 +119,6 @@ class MoverTracker:
     def _scans(
         self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None, due: Tensor | None
     ) -> Any:
-        """Returns the scans as the kernel reads them."""
         from rover_rl.envs.mover_tracker_kernels import Scans
         from rover_rl.native.warp import wp
 

@@ -157,7 +157,6 @@ def around(k: int, count: int):
 
 @wp.func
 def goes_on(a: int, b: int, c: int, scan: Scan):
-    """Returns whether three readings lie on a straight wall."""
     if wp.max(scan.ranges[a], wp.max(scan.ranges[b], scan.ranges[c])) >= scan.most:
         return False
     if wp.min(scan.ranges[a], wp.min(scan.ranges[b], scan.ranges[c])) < 0.0:
@@ -186,7 +185,6 @@ def linked(k: int, scan: Scan):
 
 @wp.func
 def direction(k: int, scan: Scan):
-    """Returns the direction of a beam in the world."""
     return (scan.points[k] - scan.origin) / wp.max(scan.ranges[k], 1.0e-3)
 
 
@@ -234,7 +232,6 @@ def is_real(k: int, beside: int, scan: Scan):
 
 @wp.func
 def turned(way: wp.vec2, cos: float, sin: float):
-    """Returns a vector turned to the left."""
     return wp.vec2(way[0] * cos - way[1] * sin, way[0] * sin + way[1] * cos)
 
 
@@ -373,13 +370,11 @@ def find_clusters(scan: Scan, clusters: wp.array[Cluster]):
 
 @wp.func
 def is_leg(cluster: Cluster):
-    """Returns whether a cluster may be a leg."""
     return cluster[WIDTH] < LEG and cluster[OWNER] > TOO_WIDE
 
 
 @wp.func
 def predicted(track: Track, dt: float):
-    """Returns a track after an interval."""
     after = Track(track)
     after[X] = track[X] + dt * track[SPEED_X]
     after[Y] = track[Y] + dt * track[SPEED_Y]
@@ -489,7 +484,6 @@ def between(one: Cluster, two: Cluster):
 
 @wp.func
 def noise_of(cluster: Cluster, both: bool, radius: float, spacing: float):
-    """Returns the standard deviation of the center of a cluster, m."""
     noise = NOISE + BEAM_NOISE * spacing * cluster[NEAR]
     noise += wp.where(cluster[RIGHT] + cluster[LEFT] < 2.0, PART_NOISE, 0.0)
     return noise + wp.where(both, PAIR_NOISE, wp.where(radius < SLIM, LEG_NOISE, 0.0))
@@ -497,7 +491,6 @@ def noise_of(cluster: Cluster, both: bool, radius: float, spacing: float):
 
 @wp.func
 def corrected(track: Track, center: wp.vec2, noise: float, dt: float):
-    """Returns a track with the position of its cluster."""
     after = Track(track)
     ahead_x = center[0] - track[X]
     ahead_y = center[1] - track[Y]
@@ -582,7 +575,6 @@ def missed(track: Track, scan: Scan, dt: float):
 
 @wp.func
 def has_left(x: float, y: float, scan: Scan):
-    """Returns whether beams pass where an object was."""
     place = wp.vec2(x, y)
     k = beam_at(place, scan)
     return wp.min(scan.ranges[k], scan.ranges[around(k + 1, scan.count)]) > wp.length(place - scan.origin)
@@ -590,7 +582,6 @@ def has_left(x: float, y: float, scan: Scan):
 
 @wp.func
 def with_motion(track: Track, scan: Scan, dt: float):
-    """Returns a track with whether it moves."""
     after = Track(track)
     speed = wp.length(wp.vec2(track[SPEED_X], track[SPEED_Y]))
     way_x = track[X] - track[START_X]

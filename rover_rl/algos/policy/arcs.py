@@ -228,7 +228,6 @@ def _length(x: Tensor, y: Tensor) -> Tensor:
 
 
 def _in_frame(x: Tensor, y: Tensor, x_frame: Tensor, y_frame: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns coordinates in a frame at a place with a heading, of x and y."""
     x, y, cos, sin = x - x_frame, y - y_frame, heading.cos(), heading.sin()
     return x * cos + y * sin, y * cos - x * sin
 

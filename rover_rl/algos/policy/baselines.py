@@ -44,7 +44,6 @@ class RandomPolicy(TensorDictModuleBase):
         self._seed = row_keys(seed, 1, torch.device("cpu"))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``."""
         steps = tensordict["outcome", "steps"]
         episode = tensordict.get("episode", None)
         if episode is None:
@@ -111,7 +110,6 @@ def lane_of(robot: Robot) -> Lane:
 
 
 def _reach(robot: Robot) -> tuple[float, float, float, float]:
-    """Returns how far a robot reaches to the side and ahead of its center, and ahead and behind of its lidar, m."""
     outline, lidar = footprint(robot), robot.lidar_position[0]
     return outline.half_width, outline.front, outline.front - lidar, lidar - outline.back
 

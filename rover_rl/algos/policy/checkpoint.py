@@ -31,7 +31,6 @@ class Checkpoint:
 
     @property
     def env(self) -> EnvConfig:
-        """Environment that the policy was made for."""
         return self.config.env
 
     def for_robot(self, robot: RobotLike) -> Checkpoint:

@@ -141,11 +141,9 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         self._half_lane = round(footprint(self._robot).half_width + LANE_MARGIN, 6)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         return tensordict.set("action", self._act([tensordict[key] for key in self.in_keys]))
 
     def _act(self, inputs: list[Tensor]) -> Tensor:
-        """Returns the actions of all rows: see :meth:`_plan` for the inputs."""
         rows = _ROWS if inputs[0].device.type == "cpu" else _ROWS_ACCELERATOR
         parts = zip(*(value.split(rows) for value in inputs), strict=True)
         return torch.cat([self._plan(*part) for part in parts])
@@ -314,7 +312,6 @@ class MovingDynamicWindowPolicy(DynamicWindowPolicy):
         self._tracker = MoverTracker(self._robot, lidar, self.trained_action_repeat * CONTROL_DT)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         state, tracks = self._tracker.remembered(tensordict)
         moving = tracks.in_base_frame(tensordict)
         lidar = torch.where(tracks.readings, self.made_for.lidar.max_range, tensordict["lidar"])

@@ -129,11 +129,9 @@ class MapExpert(TensorDictModuleBase):
         self._expert: PrivilegedExpert | None = None
 
     def enter(self, env: RoverEnv) -> None:
-        """Prepares for the worlds and the robot of an environment."""
         self._expert = PrivilegedExpert(env.pool, env.robot, env.device)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``. Raises ``RuntimeError`` before :meth:`enter`."""
         if self._expert is None:
             raise RuntimeError("the expert knows no map: drive it with PolicyRunner(policy, env=env)")
         return tensordict.set("action", self._expert.action(tensordict))

@@ -73,7 +73,6 @@ class GridPlanner(TensorDictModuleBase):
         self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
         scan_pose = tensordict.get(SCAN_POSE, None)
         if self._robot.drive.turns_in_place:
@@ -178,7 +177,6 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower, scan_pose
 
 
 def _corners(route: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """Returns distance (m) and angle (rad) of both corners of routes, ``[N, 1]`` each."""
     columns = [*route.split(1, -1)]
     return columns[:2], columns[2:4]
 

@@ -42,7 +42,6 @@ def action_spec(action: ActionConfig | None = None, device: torch.device | str |
 
 
 def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
-    """Returns the midpoint and the half-width of the bounds of an action spec."""
     low, high = spec.space.low, spec.space.high
     return (high + low) / 2, (high - low) / 2
 
@@ -103,7 +102,6 @@ class ActorNetwork(EncodedNetwork):
         return (loc, scale, *self.bounds(entry[ROBOT])) if self.by_robot else (loc, scale)
 
     def driver(self, entry: Mapping[str, Tensor]) -> Tensor:
-        """Returns the prior for an observation, ``[..., 2]``."""
         assert self.prior is not None
         return self.prior(entry, *self.bounds(entry[ROBOT] if self.by_robot else None))
 
@@ -135,8 +133,6 @@ class PrivilegedEncoder(nn.Module):
 
 
 class _InBounds(nn.Module):
-    """Base of modules that read or write an action as a share of its bounds."""
-
     _middle: Tensor
     _half: Tensor
 
@@ -148,7 +144,6 @@ class _InBounds(nn.Module):
 
 
 def encoder_of(config: TrainingConfig) -> ObservationEncoder:
-    """Creates the encoder of the observation of a policy with these settings."""
     network, env = config.network, config.env
     return ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
 
@@ -294,8 +289,6 @@ def make_action_critic(
 
 
 class _ActionCritic(_InBounds):
-    """Applies an MLP to the features, concatenated with the action scaled to [-1, 1]."""
-
     def __init__(self, encoder: ObservationEncoder, hidden: Sequence[int], spec: Bounded) -> None:
         super().__init__(spec)
         self._mlp = _body(encoder, encoder.features + spec.shape[-1], hidden, 1, gain=1.0)
@@ -358,7 +351,6 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Se
 
 @contextmanager
 def with_threads(count: int) -> Iterator[None]:
-    """Limits PyTorch to a number of threads."""
     threads = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -63,7 +63,6 @@ class OrcaPolicy(TensorDictModuleBase):
         self._tracker = MoverTracker(self._robot, LIDAR, self.trained_action_repeat * CONTROL_DT)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
         state, tracks = self._tracker.remembered(tensordict)
         lidar, target, velocities = (tensordict[key] for key in ("lidar", "target", "velocities"))
         velocity = self._velocity(lidar, target, velocities, tracks.in_base_frame(tensordict))
@@ -75,7 +74,6 @@ class OrcaPolicy(TensorDictModuleBase):
         return tensordict.set("action", action).set(("next", "tracks"), state)
 
     def _velocity(self, lidar: Tensor, target: Tensor, velocities: Tensor, moving: Tracks) -> Tensor:
-        """Returns the velocity that the rover should have, in the base frame, ``[N, 2]``, m/s."""
         x, y = (
             (lidar * wave).masked_fill(moving.readings | (lidar >= LIDAR.max_range - 1e-3), _FAR)
             for wave in _waves(lidar)
@@ -137,14 +135,12 @@ def half_planes(
 
 
 def _waves(lidar: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns cosine and sine of the directions of readings."""
     points = lidar.shape[-1]
     angles = torch.arange(points, dtype=lidar.dtype, device=lidar.device) * (2 * math.pi / points)
     return angles.cos(), angles.sin()
 
 
 def _candidates(most: float, like: Tensor) -> Tensor:
-    """Returns velocities up to ``most``, ``[SPEEDS * DIRECTIONS, 2]``, m/s."""
     speeds = torch.linspace(0, most, SPEEDS, dtype=like.dtype, device=like.device)
     angles = torch.arange(DIRECTIONS, dtype=like.dtype, device=like.device) * (2 * math.pi / DIRECTIONS)
     return (speeds[:, None, None] * torch.stack((angles.cos(), angles.sin()), -1)).flatten(0, 1)

@@ -1,40 +1,58 @@
 """``PredictivePolicy``: planner in space and time, among what the lidar sees at rest and moving.
 
+A plan tells, for a point that moves at full speed in any direction, how long it takes to the goal from each place
+around the rover at each of 40 instants, when movers are where they will be then: by dynamic programming backward in
+time, on a grid of 0.2 m and 0.25 s, or less for a robot that is faster than 1 m/s. What comes later is the shortest
+path on the map.
+
+A decision simulates drives of 2.2 s: a speed and a yaw rate for 0.7 s, and others for 1.5 s, with the robot's limits of
+acceleration, and the discs that cover it among the movers. The action is the beginning of the drive that takes least
+time, including that of the plan from its end.
+
 Example:
     >>> policy = PredictivePolicy()
     >>> env = make_env(sensors_for(policy, replace(policy.made_for, world="plaza", num_envs=2, backend="warp")))
-    >>> runner = PolicyRunner(policy, env=env)
-    >>> runner(env.reset()).shape
+    >>> PolicyRunner(policy)(env.reset()).shape
     torch.Size([2, 2])
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.space_time import Plans, SpaceTimePlanner, fixed_struct, moving_struct, window
-from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
+from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
+from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
 from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
 from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import get_robot
+from rover_rl.robots.footprint import covering_discs, footprint
 from rover_rl.robots.slip import estimated_yaw_gain
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
+PLANNED, DRIVEN = 0.9, 0.97  # parts of this distance that count as the goal in a plan, and in a drive
+LAYER_DT = 0.25  # largest time from one instant of a plan to the next, s
+# Largest way from one instant of a plan to the next, m. With a longer one, a rover would leave the window in a plan,
+# and it would not matter when it starts.
+LAYER_WAY = 0.25
+HEADINGS = 16  # number of directions in which a point moves in a plan
+BLOCKED = 0.26  # least distance of the center from an obstacle below which a cell is blocked, m
+MARGIN = 0.015  # distance added to the discs that cover the robot, m
 
 
 class PredictivePolicy(TensorDictModuleBase):
     """Plans ways around what moves, each at the time at which the rover is there.
 
-    Ten times a second, it plans on the map of what the lidar has seen with a
-    :class:`~rover_rl.algos.policy.space_time.SpaceTimePlanner`. What moves is taken to keep its velocity.
+    It plans ten times a second, on the map of what the lidar has seen. What moves is taken to keep its velocity.
 
     The policy reads ``pose``, ``imu``, ``target``, ``velocities``, ``movers`` and ``seen_distances``.
 
@@ -55,53 +73,87 @@ class PredictivePolicy(TensorDictModuleBase):
 
     def __init__(self, robot: RobotLike = "rover_zero", yaw_gain: float | None = None) -> None:
         super().__init__()
-        model, lidar = get_robot(robot), LidarConfig()
-        task = TaskConfig(collision_from="contact", collision_window=0)
+        lidar, task = LidarConfig(), TaskConfig(collision_from="contact", collision_window=0)
         self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
         self.in_keys = ["pose", "imu", "target", "velocities", MOVERS, SEEN_DISTANCES]
         self.out_keys = ["action"]
-        gain = estimated_yaw_gain(model) if yaw_gain is None else yaw_gain
-        speed = min(model.drive.max_speed, action_bounds(self.made_for.bounded_action).high[0])
-        self._planner = SpaceTimePlanner(model, gain, speed, GOAL_RADIUS)
+        self._robot = get_robot(robot)
+        self._gain = estimated_yaw_gain(self._robot) if yaw_gain is None else yaw_gain
+        self._speed = min(self._robot.drive.max_speed, action_bounds(self.made_for.bounded_action).high[0])
+        self._dt = min(LAYER_DT, LAYER_WAY / self._speed)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
-        pose, imu, target = (tensordict[key] for key in ("pose", "imu", "target"))
-        count, device = len(pose), pose.device
-        rows = torch.arange(count, device=device)
-        plans = Plans.empty(count, device)
-        plans = plans._replace(origin=window(pose[:, :2])[0], goal=goal_positions(pose, imu, target))
-        distances, frame = tensordict[SEEN_DISTANCES].split((SIZE**2, 3), -1)
-        frame = torch.cat((frame, pose.new_full((count, 2), float(SIZE))), -1)
-        fixed = fixed_struct(rows, frame, distances.contiguous())
-        movers = _of_movers(tensordict[MOVERS])
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.algos.policy import predictive_kernels as kernels
+        from rover_rl.native.warp import launch_options, wp
+
+        pose, imu, target, velocities = (tensordict[key] for key in self.in_keys[:4])
+        (count, _), options, cells = pose.shape, launch_options(pose.device), int(kernels.SIZE)
+        plans = kernels.Plans()
+        plans.origins = _pairs(pose[:, :2] - cells // 2 * float(kernels.CELL))
+        plans.goals = _pairs(goal_positions(pose, imu, target))
+        plans.goal_radius, plans.dt, plans.speed = PLANNED * GOAL_RADIUS, self._dt, self._speed
+        plans.blocked = max(BLOCKED, footprint(self._robot).half_width + MARGIN)
+        plans.costs = wp.from_torch(pose.new_zeros(count, int(kernels.LAYERS) + 1, cells**2))
+        instants = [layer * self._dt for layer in range(int(kernels.LAYERS))]
+        around = self._around(tensordict, instants)
+        wp.launch(kernels.fixed_costs, count, [around, plans], **options)
+        angle = torch.arange(HEADINGS, device=pose.device) * (2 * math.pi / HEADINGS)
+        steps = _pairs(self._speed * self._dt * torch.stack((angle.cos(), angle.sin()), -1))
+        for layer in reversed(range(int(kernels.LAYERS))):
+            wp.launch(kernels.sweep, (count, cells**2), [layer, steps, around, plans], **options)
+        turns, speeds = int(kernels.TURNS), int(kernels.SPEEDS)
+        around = self._around(
+            tensordict, [n * float(kernels.DRIVE_DT) for n in range(int(kernels.FIRST + kernels.SECOND) + 1)]
+        )
+        plans.goal_radius = DRIVEN * GOAL_RADIUS
+        states = torch.cat((pose[:, :2], imu[:, 2:], velocities[:, :1], velocities[:, 1:] * self._gain), -1)
+        results = pose.new_zeros(count, speeds * turns)
+        wp.launch(
+            kernels.drive,
+            (count, speeds * turns),
+            [states.contiguous(), self._body(), around, plans, results],
+            **options,
+        )
+        best = results.argmin(-1)
+        speed = self._speed * (2 * (best // turns) / (speeds - 1) - 1)
+        yaw_rate = MAX_YAW_RATE * (2 * (best % turns) / (turns - 1) - 1)
+        # The heading PID commands the wheels to turn at kp times a constant heading offset.
+        offset = (yaw_rate / (self._gain * HeadingGains.kp)).clamp(-math.pi, math.pi)
+        return tensordict.set("action", torch.stack((speed, offset), -1).to(pose))
+
+    def _around(self, tensordict: TensorDictBase, instants: list[float]) -> Any:
+        """Returns what is around the rovers, with movers at some times from now (s), as the kernels read it."""
+        from rover_rl.algos.policy.predictive_kernels import Around
+        from rover_rl.native.warp import wp
+
+        movers, pose, imu = movers_of(tensordict[MOVERS]), tensordict["pose"], tensordict["imu"]
         # Those that exist first, as the kernels read no others.
-        order = (movers[..., 8] == 0).to(torch.int8).sort(dim=-1, stable=True).indices
+        order = (movers[..., 4] == 0).to(torch.int8).sort(dim=-1, stable=True).indices
         movers = movers.gather(1, order[..., None].expand_as(movers))
-        planner = self._planner
-        planner.begin(plans, rows, fixed)
-        planner.plan(plans, rows, fixed, _predicted(movers, pose, imu, planner.plan_instants))
-        place, since = torch.cat((pose[:, :2], imu[:, 2:]), -1), pose.new_zeros(count)
-        moving = _predicted(movers, pose, imu, planner.drive_instants)
-        action = planner.decide(plans, rows, since, place, tensordict["velocities"], fixed, moving)
-        return tensordict.set("action", action.to(pose))
+        place, velocity = (in_world(movers[..., k : k + 2], imu) for k in (0, 2))
+        place = pose[:, None, :2] + place
+        distances, frame = tensordict[SEEN_DISTANCES].split((SIZE**2, 3), -1)
+        around = Around()
+        around.frame, around.side = wp.from_torch(frame.contiguous(), dtype=wp.vec3), SIZE
+        around.clearance, around.radius = (wp.from_torch(each.contiguous()) for each in (distances, movers[..., 4]))
+        around.places = _pairs(torch.stack([place + time * velocity for time in instants], 1))
+        return around
+
+    def _body(self) -> Any:
+        from rover_rl.algos.policy.predictive_kernels import Body
+
+        body, drive = Body(), self._robot.drive
+        centers, radius = covering_discs(self._robot, EXCESS)
+        # Two discs, or those at the ends of more.
+        body.front, body.radius = float(np.abs(centers).max()), radius + MARGIN
+        body.speed, body.acceleration = self._speed, drive.max_linear_acceleration
+        body.yaw_acceleration, body.yaw_rate = drive.max_angular_acceleration * self._gain, MAX_YAW_RATE
+        body.turning = drive.min_radius(self._robot.wheels)
+        return body
 
 
-def _of_movers(value: Tensor) -> Tensor:
-    """Returns discs: x, y, velocity along x and y, cosine and sine of the yaw, half the length and width, radius."""
-    movers = movers_of(value)
-    front = torch.tensor((1.0, 0.0, 0.0, 0.0), device=value.device).expand(*movers.shape[:-1], 4)
-    return torch.cat((movers[..., :4], front, movers[..., 4:]), -1)
+def _pairs(values: Tensor) -> Any:
+    from rover_rl.native.warp import wp
 
-
-def _predicted(movers: Tensor, pose: Tensor, imu: Tensor, instants: list[float]) -> Any:
-    """Returns where movers ``[N, M, 9]`` in the base frame will be, as the kernels read it.
-
-    Args:
-        movers: what :func:`_of_movers` returns. Those that do not exist are last.
-        pose, imu: pose and attitude of the rovers.
-        instants: times from now, s.
-    """
-    place, velocity, along = (in_world(movers[..., k : k + 2], imu) for k in (0, 2, 4))
-    place, yaw = pose[:, None, :2] + place, torch.atan2(along[..., 1], along[..., 0])
-    return moving_struct([place + time * velocity for time in instants], [yaw] * len(instants), movers[..., 6:])
+    return wp.from_torch(values.float().contiguous(), dtype=wp.vec2)

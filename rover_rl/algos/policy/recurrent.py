@@ -67,8 +67,6 @@ class GRU(GRUModule):
 
 
 class _Joined(nn.Module):
-    """Applies a module to the concatenation of its inputs."""
-
     def __init__(self, module: nn.Module) -> None:
         super().__init__()
         self.module = module

@@ -76,7 +76,6 @@ class RoutePrior(nn.Module):
         return torch.atanh(share.clamp(-self._share, self._share))
 
     def _action(self, entry: Mapping[str, Tensor]) -> Tensor:
-        """Returns the action of the driver, ``[..., 2]``: forward speed (m/s) and heading offset (rad)."""
         lidar, imu, route = (entry[key] for key in ("lidar", "imu", ROUTE))
         if self._robot is not None and self._robot.drive.turns_in_place:
             scan_pose = entry[SCAN_POSE] if SCAN_POSE in self.keys else None

@@ -169,7 +169,6 @@ def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
 
 
 def _scattered(values: Tensor, rows: Tensor) -> Tensor:
-    """Returns ``values`` in the selected rows, bool ``[N]``, and 0 in the others."""
     all_rows = values.new_zeros(len(rows), *values.shape[1:])
     all_rows[rows] = values
     return all_rows

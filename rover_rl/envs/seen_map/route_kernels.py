@@ -58,7 +58,6 @@ def neighbor(step: int):
 
 @wp.func
 def step_length(step: int):
-    """Returns the length of the step to neighbor 0 to 7."""
     return wp.where(step % 2 == 0, STRAIGHT, DIAGONAL)
 
 

@@ -23,13 +23,11 @@ CROSSED = wp.constant(8)
 
 @wp.func
 def address(x: int, y: int):
-    """Returns where cell (x, y) of the world is stored."""
     return (y & LAST) * SIZE + (x & LAST)
 
 
 @wp.func
 def address_at(x: float, y: float):
-    """Returns where the cell of a point is stored."""
     return address(int(wp.floor(x)), int(wp.floor(y)))
 
 
@@ -150,7 +148,6 @@ def move_window(before: wp.vec2i, after: wp.vec2i, cells: Cells):
 
 @wp.func
 def clear_window(cells: Cells):
-    """Clears all cells."""
     for cell in range(SIZE * SIZE):
         cells.evidence[cell] = wp.uint8(0)
         cells.heights[cell] = UNSEEN

@@ -202,7 +202,6 @@ class ScanReader(nn.Module):
     def _beams(
         self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor, directions: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Returns the position of the lidar, and the vectors from there to the ends of the beams."""
         cos, sin = yaw.cos(), yaw.sin()
         offset = mount[..., :1] * torch.cat((cos, sin), -1) + mount[..., 1:2] * torch.cat((-sin, cos), -1)
         ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
@@ -242,7 +241,6 @@ def reading_directions(lidar: LidarConfig) -> Tensor:
 
 
 def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:
-    """Returns which readings are of beams in the view of a lidar alone, bool ``[P]``."""
     beams = seen(beam_angles(lidar.beams), view)
     return torch.stack([part.all() for part in beams.tensor_split(lidar.points)])
 
@@ -261,12 +259,10 @@ class Limits(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Number of cells within which an obstacle changes levels."""
         return math.ceil(math.sqrt(self.wide) / PARTS)
 
 
 def limits_of(robot: RobotLike) -> Limits:
-    """Returns the distances from obstacles at which the levels of cells begin."""
     half_width = footprint(get_robot(robot)).half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     # A suspected obstacle may be anywhere in its cell.

@@ -262,7 +262,6 @@ class SeenMap:
         return closed
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Returns x and y of the ends of readings in the base frame now, ``[N, points]`` each, m."""
         ahead, left = (self._readings[:, :2] * self._units)[self._fleet.index].split(1, -1)
         x, y = ahead + lidar * self._directions[:, 0], left + lidar * self._directions[:, 1]
         return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)
@@ -277,7 +276,6 @@ class SeenMap:
         return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]
 
     def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
-        """Launches the kernels. The ways of movers, if any, follow the places of the rovers, in cells."""
         from rover_rl.envs.seen_map.mover_kernels import close_ways
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
 from zlib import crc32
@@ -53,7 +53,7 @@ class Surroundings:
 
     def cast_apart(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> tuple[Tensor, Tensor]:
         """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
-        self._require_simulated()
+        self.require_simulated()
         ranges, parts = self._caster.cast(origins, directions, farthest), self._movers.parts
         if parts is None:
             return ranges, ranges
@@ -61,14 +61,6 @@ class Surroundings:
         from rover_rl.worlds.movers.part_kernels import cast_at_movers
 
         return ranges, cast_at_movers(parts, origins, directions, ranges)
-
-    def rays_from(self, rover: RoverState, mount: Sequence[float], directions: Directions) -> tuple[Tensor, Tensor]:
-        """Returns origins and directions of rays in the world frame: see :meth:`SensorInput.rays`."""
-        # Importing NVIDIA Warp takes half a second.
-        from rover_rl.sims.rays import aimed_rays
-
-        self._require_simulated()
-        return aimed_rays(rover, mount, torch.as_tensor(directions, device=rover.position.device))
 
     def colors(self, origins: Tensor, directions: Tensor, goal: Tensor, spread: float) -> Tensor:
         """Returns the color that each ray sees, red, green and blue from 0 to 1, ``[N, 3, K]``.
@@ -82,7 +74,7 @@ class Surroundings:
         Raises:
             ValueError: for a live rover.
         """
-        self._require_simulated()
+        self.require_simulated()
         posts = torch.cat((goal, self.height_at(goal)[:, None]), -1)
         return self._color_caster.cast(origins, directions, posts, spread)
 
@@ -93,7 +85,8 @@ class Surroundings:
             table[slot] = world.terrain
         return table.of(self._worlds.slots).measured_at(xy)
 
-    def _require_simulated(self) -> None:
+    def require_simulated(self) -> None:
+        """Raises ``ValueError`` for a live rover, whose sensors can cast no rays."""
         if self.live is not None:
             raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
 
@@ -152,6 +145,8 @@ class SensorInput:
         scan_pose: where the scan was taken, ``[N, 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
             ``None`` if nothing reads it.
         predicted: entries that are not read, as they are predicted: see :class:`~rover_rl.envs.prediction.Prediction`.
+        ticks: number of control steps that would have fitted in the time since the episode began, before the last step
+            and now, ``[N, 1]`` each, of a live rover, whose scans come at their own times. ``None``: ``steps``.
         observation: entries of the sensors that have been read before in this step.
     """
 
@@ -167,11 +162,15 @@ class SensorInput:
     rows: Tensor
     scan_pose: Tensor | None = None
     predicted: Mapping[str, Tensor] = field(default_factory=dict)
+    ticks: tuple[Tensor, Tensor] | None = None
     observation: dict[str, Tensor] = field(default_factory=dict)
 
     def due(self, period: int) -> Tensor:
         """Returns the rows in which a sensor with a period reads in this step, bool ``[N]``."""
-        return self.rows & (self.steps % period == 0).squeeze(-1)
+        if self.ticks is None:
+            return self.rows & (self.steps % period == 0).squeeze(-1)
+        before, now = (ticks.div(period, rounding_mode="floor") for ticks in self.ticks)
+        return self.rows & ((before != now) | (self.steps == 0)).squeeze(-1)
 
     def scan(self, mount: Sequence[float], directions: Directions, farthest: float = math.inf) -> Tensor:
         """Casts rays from a point of the rover, and returns their ranges, ``[N, K]``, m; ``inf`` for no return.
@@ -190,7 +189,11 @@ class SensorInput:
         Raises:
             ValueError: for a live rover.
         """
-        return self.surroundings.rays_from(self.truth.rover, mount, directions)
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.rays import aimed_rays
+
+        self.surroundings.require_simulated()
+        return aimed_rays(self.truth.rover, mount, torch.as_tensor(directions, device=self.goal.device))
 
     def uniform(self, sensor: Sensor, count: int) -> Tensor:
         """Returns random numbers in [0, 1) of a sensor, float32 ``[N, count]``.
@@ -254,14 +257,15 @@ class Sensor(ABC):
     def bounds(self) -> Bounds:
         """Bounds of a value."""
 
-    @abstractmethod
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the value of every row, float32 ``[N, k]``."""
+        raise NotImplementedError(f"sensor {self.name!r} depends on its rig: read it by reader(rig)")
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns what reads this sensor on a batch of rovers: :meth:`read`, or, for a sensor with a memory, its own.
+        """Returns what reads this sensor on a batch of rovers: :meth:`read`, if it is not overridden.
 
-        It is called in each step in which :meth:`SensorInput.due` has rows, and the other rows keep their values.
+        A sensor that has a memory or depends on the robots of the rows defines it in place of :meth:`read`. What it
+        returns is called in each step in which :meth:`SensorInput.due` has rows. The other rows keep their values.
         """
         return self.read
 
@@ -296,25 +300,6 @@ class Sensor(ABC):
         return mirrored_signs(self.mirror_signs, value) if self.mirror_signs else value
 
 
-@dataclass(frozen=True, kw_only=True)
-class RigSensor(Sensor):
-    """A sensor that a batch of rovers needs a reader for: it has a memory, or depends on the robots of the rows.
-
-    A subclass defines :meth:`reader` instead of :meth:`read`.
-
-    Args:
-        name, period: as for :class:`Sensor`.
-    """
-
-    @abstractmethod
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns what reads this sensor on a batch of rovers: see :meth:`Sensor.reader`."""
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        """Raises ``NotImplementedError``: the values are those of a :meth:`reader`."""
-        raise NotImplementedError(f"sensor {self.name!r} depends on its rig: read it by reader(rig)")
-
-
 def mirrored_signs(signs: tuple[float, ...], value: Tensor) -> Tensor:
     """Returns ``value [..., k]`` times the signs of its mirror image."""
     return value * _signs(signs, value.device)
@@ -330,13 +315,15 @@ class Observer:
 
     Attributes:
         readers: what reads the sensors, by key.
+        inputs: what they read from last.
     """
 
     def __init__(self, sensors: Mapping[str, Sensor], rig: Rig) -> None:
         self._sensors = sensors
         self.readers = {key: sensor.reader(rig) for key, sensor in sensors.items()}
         self._held: dict[str, Tensor] = {}
-        self._is_checked = False
+        self._is_checked, self._control_dt = False, rig.control_dt
+        self._elapsed = torch.zeros(len(rig.fleet), 1, device=rig.fleet.index.device)
         self._limits = {key: each.bounds.tensors(rig.fleet.index.device) for key, each in sensors.items() if each.clips}
 
     def sense(
@@ -367,6 +354,11 @@ class Observer:
         Raises:
             ValueError: if a reading does not fit the bounds of its sensor.
         """
+        if inputs.surroundings.live is not None:
+            now = torch.where(inputs.steps == 0, 0.0, self._elapsed + inputs.truth.rover.dt)
+            inputs = replace(inputs, ticks=(self._ticks(self._elapsed), self._ticks(now)))
+            self._elapsed = now
+        self.inputs = inputs
         for key, sensor in self._sensors.items():
             if key in inputs.predicted:
                 value = self._clipped(key, inputs.predicted[key])
@@ -377,6 +369,9 @@ class Observer:
             inputs.observation[key] = value
         self._is_checked = True
         return inputs.observation
+
+    def _ticks(self, elapsed: Tensor) -> Tensor:
+        return (elapsed / self._control_dt).round()
 
     def _read(self, key: str, inputs: SensorInput) -> Tensor:
         value = self.readers[key](inputs)
@@ -390,7 +385,6 @@ class Observer:
         return value.clamp(*self._limits[key]) if key in self._limits else value
 
     def _held_or_read(self, key: str, inputs: SensorInput) -> Tensor:
-        """Reads the rows whose sensor is due. The others keep their last reading."""
         due, last = inputs.due(self._sensors[key].period), self._held.get(key)
         # On the CPU, the check is cheap and may save the reading. On an accelerator it would synchronize.
         if last is None or due.device.type != "cpu" or due.any():

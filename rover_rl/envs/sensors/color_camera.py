@@ -46,16 +46,13 @@ class ColorCamera(Pinhole):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the channels."""
         count = 3 * self.size[0] * self.size[1]
         return Bounds((0.0,) * count, (1.0,) * count)
 
     def received(self, live: LiveRover) -> Tensor:
-        """Returns the latest image on the topic, ``[3, rows, columns]``."""
         return live.color_image(self.topic, self.size)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the images, with their noise and without what is lost. Those of a live rover are its own."""
         if (live := inputs.surroundings.live) is not None:
             return self.received(live).flatten()[None]
         origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)

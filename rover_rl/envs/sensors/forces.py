@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.checks import MAX_NUMBER, check_at_least, check_positive
-from rover_rl.envs.sensors.base import Rig, RigSensor, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.sims.rover_state import SIDES
@@ -53,12 +53,10 @@ class ContactSensor(Sensor):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the forces, N."""
         count = 2 * len(SIDES)
         return Bounds((0.0,) * count, (self.max_force,) * count)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the forces."""
         force = inputs.truth.rover.contact_force
         assert force is not None
         return force
@@ -68,12 +66,11 @@ class ContactSensor(Sensor):
         return value.log1p() / 3
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Swaps left and right."""
         return value.unflatten(-1, (2, len(SIDES))).flip(-1).roll(1, -1).flatten(-2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelEffort(RigSensor):
+class WheelEffort(Sensor):
     """Torque of the motor of each wheel, ``[N, wheels]``, N m; positive torques drive forward.
 
     Wheels are in pairs from front to back, the left one first: front left, front right, rear left, rear right. A wheel
@@ -107,7 +104,6 @@ class WheelEffort(RigSensor):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the torques, N m."""
         return Bounds((-self.max_torque,) * self.wheels, (self.max_torque,) * self.wheels)
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:

@@ -69,17 +69,14 @@ class HeightScan(Sensor):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the heights, m."""
         count = self.size[0] * self.size[1]
         return Bounds((-self.max_height,) * count, (self.max_height,) * count)
 
     @property
     def image(self) -> tuple[int, int]:
-        """Rows and columns: the heights are an image."""
         return self.size
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the heights, some of them changed or lost at random. Those of a live rover are its own."""
         truth = inputs.truth
         position, yaw = truth.rover.position, truth.euler[:, 2:]
         forward, left = _grid(self.size, self.spacing, self.ahead, position.device)
@@ -106,7 +103,6 @@ class HeightScan(Sensor):
         return 2 * value
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Swaps left and right."""
         return value.unflatten(-1, self.size).flip(-1).flatten(-2)
 
 

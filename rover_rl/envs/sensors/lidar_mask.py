@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.sensors.standard import LidarPooling, hidden_beams
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
@@ -22,7 +22,7 @@ WHOLE = 0.9999
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidarMask(RigSensor):
+class LidarMask(Sensor):
     """Share of the beams of each lidar reading that see, ``[N, points]``: 1 if all of them do, 0 if none does.
 
     Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view``,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
-from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput, mirrored_signs
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput, mirrored_signs
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.envs.specs import Bounds
 
@@ -38,7 +38,7 @@ SLACK = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class Movers(RigSensor):
+class Movers(Sensor):
     """Up to 12 movers around the rover, and the scans that they would give in the next seconds, ``[N, 156]``.
 
     Each mover has x and y in the base frame (m), its velocity over ground along these axes (m/s), and its radius (m),
@@ -64,7 +64,6 @@ class Movers(RigSensor):
     )
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader with tracks of its own."""
         return _Reader(self, rig)
 
     def encode(self, value: Tensor) -> Tensor:
@@ -107,7 +106,6 @@ class _Reader:
 
 
 def _values(tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
-    """Returns the values of the sensor, ``[N, 156]``."""
     tracks = tracks.in_base_frame(observation)
     ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
     gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
@@ -118,7 +116,6 @@ def _values(tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
 
 
 def movers_of(value: Tensor) -> Tensor:
-    """Returns the movers in values of the sensor, ``[..., COUNT, NUMBERS]``."""
     return value[..., :TRACKED].unflatten(-1, (COUNT, NUMBERS))
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_directions
-from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.envs.sensors.suite import PAST_SCANS
 from rover_rl.envs.specs import Bounds
@@ -21,7 +21,7 @@ CHANGE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PastScans(RigSensor):
+class PastScans(Sensor):
     """The lidar scan and earlier ones, as they would look from the pose now, ``[N, (1 + count) * points]``, m.
 
     What rests has the same ranges in all of them, as far as the rover knows its pose. What differs has moved, whether
@@ -67,22 +67,18 @@ class PastScans(RigSensor):
 
     @property
     def lag(self) -> int:
-        """Number of kept scans from one that is shown to the next."""
         return self.apart // self.period
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the ranges, m."""
         size = (1 + self.count) * self.points
         return Bounds((0.0,) * size, (self.max_range,) * size)
 
     @property
     def image(self) -> tuple[int, int]:
-        """A row of directions, in which networks read the scans as channels."""
         return 1, self.points
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader with scans of its own."""
         return _KeptScans(self, rig)
 
     def encode(self, value: Tensor) -> Tensor:
@@ -100,8 +96,6 @@ class PastScans(RigSensor):
 
 
 class _KeptScans:
-    """The last scans of each row, and what they look like from where the lidar is now."""
-
     def __init__(self, sensor: PastScans, rig: Rig) -> None:
         self._sensor, self._no_return = sensor, rig.lidar.max_range - 1e-3
         self._fleet, rows, device = rig.fleet, len(rig.fleet), rig.fleet.index.device
@@ -135,7 +129,6 @@ class _KeptScans:
         return ranges.flatten(1)
 
     def _frames(self, pose: Tensor, imu: Tensor) -> Tensor:
-        """Returns x and y of the lidar (m) and its heading (rad), ``[N, 3]``."""
         cos, sin = imu[:, 2].cos(), imu[:, 2].sin()
         x, y = self._mounts[self._fleet.index].unbind(-1)
         return torch.stack((pose[:, 0] + cos * x - sin * y, pose[:, 1] + sin * x + cos * y, imu[:, 2]), -1)

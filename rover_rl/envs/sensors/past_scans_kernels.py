@@ -15,7 +15,6 @@ TURN = wp.constant(6.283185307179586)
 
 @wp.func
 def turned(angle: float, point: wp.vec2):
-    """Returns a point that is turned counterclockwise by an angle."""
     return wp.vec2(
         wp.cos(angle) * point[0] - wp.sin(angle) * point[1], wp.sin(angle) * point[0] + wp.cos(angle) * point[1]
     )

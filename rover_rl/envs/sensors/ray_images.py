@@ -62,7 +62,6 @@ class PixelImage(Sensor):
 
     @property
     def image(self) -> tuple[int, int]:
-        """Rows and columns: the value is an image, or several."""
         return self.size
 
     @abstractmethod
@@ -122,7 +121,6 @@ class RayImage(PixelImage):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the distances, m."""
         count = self.size[0] * self.size[1]
         return Bounds((0.0,) * count, (self.max_range,) * count)
 
@@ -131,7 +129,6 @@ class RayImage(PixelImage):
         return self.noise
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the image, with its noise and without what is lost. That of a live rover is its own."""
         if (live := inputs.surroundings.live) is not None:
             return self.received(live).clamp(max=self.max_range).flatten()[None]
         rays = turned_rays(self, inputs.goal.device)
@@ -177,7 +174,6 @@ class Pinhole(PixelImage):
 
     @property
     def focal_length(self) -> float:
-        """Focal length, pixels."""
         return self.size[1] / 2 / math.tan(self.field_of_view / 2)
 
     def rays(self) -> tuple[Vectors, list[float]]:
@@ -241,7 +237,6 @@ class DepthCamera(Camera):
     topic: str | None = None
 
     def received(self, live: LiveRover) -> Tensor:
-        """Returns the latest depth image on the topic."""
         return live.depth_image(self.topic, self.size)
 
     def spread(self, distance: Tensor) -> Tensor:
@@ -293,12 +288,10 @@ class SegmentationCamera(Camera):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the numbers."""
         count = self.size[0] * self.size[1]
         return Bounds((float(min(Seen)),) * count, (float(max(Seen)),) * count)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the kinds."""
         origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)
         still, ranges = inputs.surroundings.cast_apart(origins, rays, self.max_range)
         rays = rays / rays.norm(dim=-1, keepdim=True)
@@ -386,7 +379,6 @@ class Lidar3D(RayImage):
         return directions.reshape(-1, 3).tolist(), [1.0] * (planes * beams)
 
     def received(self, live: LiveRover) -> Tensor:
-        """Returns the latest point cloud on the topic as an image. Before the first one, all pixels are lost."""
         points = live.point_cloud(self.topic)
         return torch.zeros(self.size) if points is None else self.range_image(points)
 

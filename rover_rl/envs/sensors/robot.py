@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.robots.footprint import footprint
@@ -49,7 +49,7 @@ class RobotNumbers(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotBody(RigSensor):
+class RobotBody(Sensor):
     """Size and limits of the robot, ``[N, 12]``, so that one policy can drive different robots.
 
     Reach of the footprint behind and ahead of the origin and half its width (m), largest speed (m/s) and yaw rate
@@ -72,7 +72,6 @@ class RobotBody(RigSensor):
     )
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader of the robots of the rows."""
         fleet, table = rig.fleet, rig.fleet.table(_body_of)
         return lambda inputs: table[fleet.index]
 
@@ -83,7 +82,6 @@ class RobotBody(RigSensor):
 
 @lru_cache(maxsize=1024)
 def _body_of(robot: Robot) -> list[float]:
-    """Returns the numbers of a robot: see :class:`RobotBody`."""
     outline, drive = footprint(robot), robot.drive
     size = [-outline.back, outline.front, outline.half_width]
     limits = [drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels)]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rover_rl.envs.seen_map.scans import SIZE
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.base import Rig, RigSensor, SensorInput
+from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.sensors.standard import Target
 from rover_rl.envs.sensors.suite import ROUTE, SEEN_DISTANCES
 from rover_rl.envs.specs import Bounds
@@ -21,7 +21,7 @@ FARTHEST_CELL = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Route(RigSensor):
+class Route(Sensor):
     """Distance (m) and angle (rad) of two corners, and length (m; -1 without a path), ``[N, 5]``.
 
     The route is the shortest one around the obstacles that the rover has seen in this episode, within the bounds of the
@@ -59,7 +59,7 @@ class Route(RigSensor):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenDistances(RigSensor):
+class SeenDistances(Sensor):
     """Distances to what the lidar has seen, and where they are, ``[N, SIZE * SIZE + 3]``, m.
 
     See :meth:`SeenMap.distances <rover_rl.envs.seen_map.seen_map.SeenMap.distances>`. For planners, not for networks.

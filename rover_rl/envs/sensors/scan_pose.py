@@ -32,7 +32,6 @@ class ScanPose(Sensor):
     bounds = Bounds((-10.0, -10.0, -10.0, *(-math.pi,) * 3), (10.0, 10.0, 10.0, *(math.pi,) * 3))
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the relative pose."""
         assert inputs.scan_pose is not None
         return inputs.scan_pose
 

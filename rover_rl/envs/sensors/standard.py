@@ -46,11 +46,9 @@ class Lidar(Sensor):
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the readings, m."""
         return Bounds((0.0,) * self.points, (self.max_range,) * self.points)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the pooled scan."""
         return inputs.sensed.readings
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
@@ -166,7 +164,6 @@ class LivePooling(LidarPooling):
 
 
 def _segments(beams: int, points: int) -> Tensor:
-    """Returns the beam indices of each segment, ``[points, longest]``. Short segments repeat their last beam."""
     parts = torch.arange(beams).tensor_split(points)
     longest = max(len(part) for part in parts)
     return torch.stack([torch.cat((part, part[-1:].expand(longest - len(part)))) for part in parts])
@@ -183,7 +180,6 @@ class Pose(Sensor):
     bounds = Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0))
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the position."""
         return inputs.pose.position
 
     def encode(self, value: Tensor) -> Tensor:
@@ -223,7 +219,6 @@ class Imu(Sensor):
     bounds = Bounds((-math.pi,) * 3, (math.pi,) * 3)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the angles."""
         roll, pitch, _ = inputs.sensed.euler.split(1, -1)
         return torch.cat((pitch, roll, inputs.pose.yaw), -1)
 
@@ -252,7 +247,6 @@ class Target(Sensor):
     bounds = Bounds((0.0, -math.pi), (100.0, math.pi))
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns distance and angle."""
         return inputs.target
 
     def encode(self, value: Tensor) -> Tensor:
@@ -281,7 +275,6 @@ class WheelOdometry(Sensor):
     bounds = Bounds((-10.0, -10.0), (10.0, 10.0))
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns speed and yaw rate."""
         rover = inputs.sensed.rover
         return torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
 
@@ -312,7 +305,6 @@ class SidewaysOdometry(Sensor):
     bounds = Bounds((-10.0,), (10.0,))
 
     def read(self, inputs: SensorInput) -> Tensor:
-        """Returns the speed to the left; 0 for a drive that does not move sideways."""
         rover = inputs.sensed.rover
         return torch.zeros_like(rover.dt) if rover.lateral_velocity is None else rover.lateral_velocity
 
