@@ -104,7 +104,7 @@ def drive_to(
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
     drive = Drive(env, policy)
     _require_rover(rover, env, drive.runner, allow_unseen)
-    runner, ending, elapsed, held = drive.runner, "", 0.0, math.inf
+    runner, ending, elapsed = drive.runner, "", 0.0
     try:
         with torch.no_grad():
             PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
@@ -118,10 +118,9 @@ def drive_to(
             drive.observation = env.reset(goal=env.goal)
         while not ending:
             before = env.rover_state
-            due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
-            now = drive.step(drive.decide(torch.tensor([due]))).observation
-            dt = env.rover_state.dt.item()
-            elapsed, held = elapsed + dt, dt if due else held + dt
+            # Maps and tracks have been read at the same times.
+            now = drive.step(drive.decide(env.observer.inputs.due(runner.action_repeat))).observation
+            elapsed += env.rover_state.dt.item()
             moment = _moment(rover, now, elapsed)
             watch(moment)
             if log is not None:

@@ -167,7 +167,7 @@ class SensorInput:
 
     def due(self, period: int) -> Tensor:
         """Returns the rows in which a sensor with a period reads in this step, bool ``[N]``."""
-        if self.ticks is None:
+        if self.ticks is None or period == 1:
             return self.rows & (self.steps % period == 0).squeeze(-1)
         before, now = (ticks.div(period, rounding_mode="floor") for ticks in self.ticks)
         return self.rows & ((before != now) | (self.steps == 0)).squeeze(-1)
