@@ -40,7 +40,7 @@ class ImportWorld:
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
     spawn: tuple[float, ...] | None = None
-    """Area of starts: x y (the room there), x_low x_high y_low y_high, or corners of a polygon, m. Default: found."""
+    """Area of starts: x y (the ground there), x_low x_high y_low y_high, or corners of a polygon, m. Default: found."""
     goal: tuple[float, ...] | None = None
     """Area of the goals, in the same forms. Default: the spawn area."""
     bounds: tuple[float, float, float, float] | None = None

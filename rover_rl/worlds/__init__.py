@@ -112,14 +112,12 @@ def takes_scale(world: str) -> bool:
 
 
 def _parameters(part: str) -> list[str]:
-    """Names of the arguments that the function of a world takes; none for a world, or a file."""
     found = None if is_world_file(part) else _REGISTRY.find(part)
     return [*signatures.signature(found).parameters] if callable(found) else []
 
 
 @lru_cache(maxsize=256)
 def _make(name: Name, version: tuple[int, int] | None) -> World:
-    """Makes a world, whose file has a version."""
     settings, takes = dict(name.settings), _parameters(name.part)
     takes_seed = next((setting for setting in takes if setting not in ("difficulty", "scale")), None)
     if settings.pop("walkers", False):

@@ -55,7 +55,6 @@ def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _delete_oldest(newest: Path) -> None:
-    """Deletes the oldest files in the folder of the newest one while they take more than their share of the disk."""
     with os.scandir(newest.parent) as entries:
         files = sorted((entry.stat().st_mtime_ns, entry.stat().st_size, entry.path) for entry in entries)
     size = sum(size for _, size, _ in files)

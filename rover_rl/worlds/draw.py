@@ -44,7 +44,6 @@ def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable
 
 
 def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
-    """Draws the elevation in color, shaded with light from the northwest."""
     step = world.terrain.cell / 2
     x, y = (torch.arange(low + step / 2, high, step, dtype=torch.float64) for low, high in area)
     grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")

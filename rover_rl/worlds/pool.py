@@ -82,7 +82,6 @@ class WorldPool:
         return self._starts[-1]
 
     def __reduce__(self) -> tuple[type[WorldPool], tuple[str | World, ...]]:
-        """Pickles the entries without the worlds that are kept."""
         return type(self), self.entries
 
     def name(self, index: int) -> str:
@@ -163,7 +162,6 @@ class WorldsAhead:
             self._requested.popitem(last=False)[1].cancel()
 
     def __getitem__(self, index: int) -> World:
-        """Returns world ``index``. Waits for it if the thread is preparing it, and raises what that raised."""
         future = self._requested.pop(index, None)
         return self._pool[index] if future is None or future.cancel() else future.result()
 

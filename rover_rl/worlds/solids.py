@@ -268,7 +268,6 @@ def _alike(shape: Shape, vertices: np.ndarray, planes: np.ndarray) -> Solids:
 
 @lru_cache(maxsize=16)
 def _prism(sides: int) -> Shape:
-    """Prism whose vertices are the lower ring, then the upper one."""
     k = np.arange(sides)
     after = (k + 1) % sides
     fan = np.stack((np.zeros(sides - 2, dtype=np.int64), k[1:-1], k[2:]), -1)

@@ -63,15 +63,12 @@ class WorldTable(Sequence[World]):
         return worlds if isinstance(worlds, WorldTable) else cls(worlds, device)
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self.slots)
 
     def __getitem__(self, row: Any) -> Any:
-        """Returns the world of a row, or a list of those of a slice."""
         return list(self)[row] if isinstance(row, slice) else self._worlds[int(self.slots[row])]
 
     def __iter__(self) -> Iterator[World]:
-        """Iterates over the worlds of all rows."""
         return map(self._worlds.__getitem__, self.slots.tolist())
 
     def follow(self) -> Callable[[], dict[int, World]]:
@@ -104,7 +101,6 @@ class WorldTable(Sequence[World]):
         self.slots = slots
 
     def _move(self, slot: int, world: World) -> int:
-        """Moves a row from a slot to a world, and returns the slot of the world."""
         if world is self._worlds[slot]:
             return slot
         self._users[slot] -= 1
@@ -125,7 +121,6 @@ class WorldTable(Sequence[World]):
         return slot
 
     def _free_slot(self) -> int:
-        """Returns a new slot, or the one that was left first if more worlds than ``spare`` have no rows."""
         if len(self._left) > self._spare:
             slot = next(iter(self._left))
             del self._left[slot], self._slot_of[self._worlds[slot]]
@@ -158,7 +153,6 @@ class SlotTable:
         self.lengths = torch.zeros(0, dtype=torch.int64, device=device)
 
     def __setitem__(self, slot: int, values: Tensor) -> None:
-        """Sets the list of a slot to ``values [length, *shape]``."""
         self._reserve(slot + 1, *values.shape)
         padded = self.values[slot].fill_(self._padding)
         padded[tuple(slice(size) for size in values.shape)] = values.to(self.values)
@@ -187,7 +181,6 @@ class TerrainTable:
         self._grids = SlotTable((), torch.float64, device)
 
     def __setitem__(self, slot: int, terrain: Terrain) -> None:
-        """Sets the terrain of a slot."""
         rows, columns = terrain.heights.shape
         self._heights[slot] = terrain.heights.reshape(-1)
         self._grids[slot] = torch.tensor((*terrain.origin, terrain.cell, rows, columns), dtype=torch.float64)

@@ -97,7 +97,6 @@ class Terrain:
         return normal / normal.norm(dim=-1, keepdim=True)
 
     def _heights_as(self, other: Tensor) -> Tensor:
-        """Returns the heights with the dtype and device of ``other``. Caches the conversion."""
         kind = (other.dtype, other.device)
         if kind not in self._copies:
             self._copies[kind] = self.heights.to(device=other.device, dtype=other.dtype)
@@ -108,7 +107,6 @@ class Terrain:
         return {}
 
     def _plane_at(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns the height and slopes (dz/dx, dz/dy) of the triangle at each point."""
         heights = self._heights_as(xy)
         rows, columns = heights.shape
         x, y = self.origin

@@ -25,9 +25,7 @@ __all__ = ["Area", "Range", "World", "Worlds"]
 class Worlds(Protocol):
     """Worlds by index: a list of them, or a :class:`~rover_rl.worlds.pool.WorldPool`."""
 
-    def __getitem__(self, index: int, /) -> World:
-        """Returns the world with an index."""
-        ...
+    def __getitem__(self, index: int, /) -> World: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,6 @@ class World:
             )
 
     def _complete_areas(self) -> None:
-        """Fills in the areas that were not given."""
         spawn, goal = self.spawn_region, self.goal_region
         if goal is None and self.goal_range is None:
             goal = spawn

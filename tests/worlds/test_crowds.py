@@ -82,12 +82,6 @@ def test_the_number_of_walkers_follows_the_ground_of_the_episodes(tmp_path, caps
     assert "which is many (docs/movers.md)" in capsys.readouterr().out
 
 
-def test_walkers_on_little_ground_are_warned_of():
-    closet = World("closet", Terrain.flat((9, 9)), spawn_range=((-1, 1), (-1, 1)), goal_range=((-1, 1), (-1, 1)))
-    with pytest.warns(UserWarning, match=r"closet\+walkers: a person on 4\.0 m\^2 of ground leaves no way past"):
-        assert len(with_walkers(closet).movers) == 1
-
-
 def test_walkers_stay_where_episodes_start_and_end():
     world = get_world("inspect+walkers:3@1")
     assert all(isinstance(mover.motion, Wander) and mover.motion.area == world.spawn_range for mover in world.movers)
@@ -111,10 +105,3 @@ def test_people_walk_to_their_goals_and_come_by(name):
         farthest = torch.maximum(farthest, (env.movers.state.position - began).norm(dim=-1))
     # A way of 8 m and more; a fifth of the people may have a short one.
     assert (farthest > 5).float().mean() > 0.8
-
-
-def test_a_range_of_worlds_with_people_is_a_pool_like_others():
-    env = RoverEnv(world_n="maze+walkers:0-9@0-1", num_envs=8, backend="warp", seed=0)
-    outcome = env.rollout(20, break_when_any_done=False)["next", "outcome"]
-    assert {len(world.movers) for world in env.worlds} <= set(range(1, 7))
-    assert outcome["mover_distance"].isfinite().all()

@@ -27,11 +27,6 @@ def test_an_index_out_of_range_raises(index: int) -> None:
         WorldPool("maze", "moon")[index]
 
 
-def test_a_star_stands_for_the_seeds_for_training() -> None:
-    pool = WorldPool("maze:*")
-    assert (len(pool), pool.name(0), pool.name(9999)) == (10_000, "maze:0", "maze:9999")
-
-
 def test_an_empty_pool_raises() -> None:
     with pytest.raises(ValueError, match="a pool needs at least one world, got none"):
         WorldPool()

@@ -60,12 +60,6 @@ class TestMoon:
                 others = torch.cat([o.footprint for o in (*world.obstacles[:k], *world.obstacles[k + 1 :])])
                 assert torch.cdist(rock.footprint, others).min() >= gap
 
-    def test_boulders_in_the_task_area_get_more(self):
-        counts = [
-            np.mean([(np.abs(self.boulders(moon(s, d))).max(1) < 4.5).sum() for s in range(4)]) for d in DIFFICULTIES
-        ]
-        assert counts[0] < counts[1] < counts[2]
-
     @pytest.mark.parametrize("size", [4.0, 16.0, 30.0])
     def test_the_size_of_the_task_area(self, size):
         world = moon(1, size=size)
@@ -127,11 +121,6 @@ class TestInspect:
         xy = torch.tensor([[-24.6, -24.6], [-24.4, -24.6], [-24.6, -24.4], [-24.5, -24.5]])
         assert site.drop_height(xy).tolist() == [6.5, 5.5, 5.5, 5.5]
 
-    def test_the_ground_has_no_short_bumps(self, site):
-        """Neighboring slopes are similar, so that a small wheel rolls over the ground."""
-        bend = np.abs(np.diff(site.terrain.heights.numpy()[80:140, 8:80], 2, axis=1))
-        assert np.quantile(bend, 0.99) < 0.1
-
     @pytest.mark.parametrize("seed", range(4))
     def test_structures_are_north_of_the_task_area_and_visible_to_the_lidar(self, seed):
         world = WORLDS["inspect"](seed)
@@ -143,44 +132,8 @@ class TestInspect:
         low, high = torch.tensor(world.bounds).T
         assert ((middles > low) & (middles < high)).all(1).sum() >= 5
 
-    def test_panels_have_closed_stands(self, site):
-        """The space below every panel is solid at the lidar's height, so that rovers cannot drive under it."""
-        tilts = [o.planes[:, 2].abs() for o in site.obstacles]
-        tilted = [len(tilt) == 6 and ((tilt > 0.1) & (tilt < 0.95)).sum() >= 4 for tilt in tilts]
-        panels = [o for o, is_panel in zip(site.obstacles, tilted, strict=True) if is_panel]
-        assert len(panels) == 20
-        for panel in panels:
-            xy = panel.footprint.mean(0) + 0.85 * (panel.footprint - panel.footprint.mean(0))
-            under = torch.cat((xy, site.height_at(xy)[:, None] + 0.32), -1)
-            assert site.inside(under).all()
-
-    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 0), (0.75, 5), (1.0, 10)])
-    def test_crates_in_the_task_area(self, difficulty, count):
-        world = WORLDS["inspect"](2, difficulty)
-        crates = world.obstacles[47:]
-        assert len(crates) == count
-        (x_low, x_high), (y_low, y_high) = world.spawn_range
-        for k, crate in enumerate(crates):
-            x, y = crate.footprint.mean(0).tolist()
-            assert x_low <= x <= x_high
-            assert y_low <= y <= y_high
-            assert crate.vertices[:, 2].max() >= world.height_at(crate.footprint).max() + 0.45
-            for other in crates[:k]:
-                low = torch.maximum(crate.footprint.amin(0), other.footprint.amin(0))
-                high = torch.minimum(crate.footprint.amax(0), other.footprint.amax(0))
-                assert (low - high).max() >= 1.3 - 1e-9
-
 
 class TestRamps:
-    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 4), (1.0, 8)])
-    def test_barriers_close_roads(self, difficulty, count):
-        world = WORLDS["ramps"](3, difficulty)
-        assert len(world.obstacles) == count
-        for barrier in world.obstacles:
-            sides = sorted((barrier.footprint.amax(0) - barrier.footprint.amin(0)).tolist())
-            assert sides == pytest.approx([0.2, 1.4])
-            assert world.height_at(barrier.footprint).abs().max() < 1e-6
-
     @pytest.mark.parametrize("seed", range(6))
     def test_slopes_are_clearly_passable_or_not(self, seed):
         steep = slopes(WORLDS["ramps"](seed, 0.5), step=0.05)
@@ -188,13 +141,3 @@ class TestRamps:
         assert ((steep > 20) & (steep < 33)).mean() < 0.02
         assert (steep > 33).mean() > 0.02
         assert ((steep > 5) & (steep <= 20)).mean() > 0.02
-
-    @pytest.mark.parametrize("seed", range(6))
-    def test_roads_are_level(self, seed):
-        world = WORLDS["ramps"](seed, 1.0)
-        low = world.terrain.extent[0][0]
-        along = torch.arange(low, -low, 0.1, dtype=torch.float64)
-        for road in range(4):
-            middle = torch.full_like(along, low + 0.7 + road * 5.4)
-            for xy in (torch.stack((along, middle), -1), torch.stack((middle, along), -1)):
-                assert world.height_at(xy).abs().max() == 0

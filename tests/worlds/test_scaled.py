@@ -37,16 +37,6 @@ def test_points_are_inside_of_the_same_obstacles_on_the_same_ground(name):
     assert world.terrain.is_flat or inside.any(0).float().mean() < 0.9
 
 
-def test_areas_grow_about_the_middle_of_the_start_area_and_slopes_stay():
-    world, wide = get_world("inspect"), get_world("inspect*2")
-    assert torch.equal(middle(world), middle(wide))
-    for name in ("spawn_range", "goal_range", "bounds"):
-        for (low, high), (wide_low, wide_high) in zip(getattr(world, name), getattr(wide, name), strict=True):
-            assert wide_high - wide_low == pytest.approx(2 * (high - low))
-    up = (wide.normal_at(middle(wide)[None])[:, 2] - world.normal_at(middle(world)[None])[:, 2]).abs()
-    assert up < 1e-6
-
-
 def test_people_stay_as_large_as_they_are_where_ways_are_wider():
     for name in ("plaza:3", "corridor:3", "crossing:3", "field:3", "yard:3"):
         world, wide = get_world(name), get_world(f"{name}*1.5")

@@ -47,32 +47,6 @@ def test_hull_of_random_points(seed, count):
     assert not solid.contains(outside).any()
 
 
-def test_points_inside_the_hull_are_dropped():
-    corners = box((0, 0, 0), (2, 2, 2)).vertices
-    solid = hull(torch.cat((corners, torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))))
-    assert len(solid.vertices) == 8
-    assert solid.planes.shape == (6, 4)
-
-
-def test_rotations_of_a_box():
-    solid = box((1, 2, 3), (4, 2, 1), yaw=math.pi / 2)
-    low, high = solid.vertices.aminmax(dim=0)
-    assert torch.allclose(low, torch.tensor([0.0, 0.0, 2.5], dtype=torch.float64))
-    assert torch.allclose(high, torch.tensor([2.0, 4.0, 3.5], dtype=torch.float64))
-    # Positive pitch lowers the front (x forward), positive roll raises the left side (y left).
-    nose = box((0, 0, 0), (2, 0.1, 0.1), pitch=math.radians(30)).vertices
-    assert nose[nose[:, 0].argmax(), 2] < -0.4
-    wing = box((0, 0, 0), (0.1, 2, 0.1), roll=math.radians(30)).vertices
-    assert wing[wing[:, 1].argmax(), 2] > 0.4
-
-
-def test_cylinder():
-    pillar = cylinder((1, 0, 1), radius=0.5, height=2, sides=64)
-    points = torch.tensor([[1.0, 0.0, 1.0], [1.49, 0.0, 0.1], [1.51, 0.0, 1.0], [1.0, 0.0, 2.1]])
-    assert pillar.contains(points).tolist() == [True, True, False, False]
-    assert volume(pillar) == pytest.approx(math.pi * 0.25 * 2, rel=0.01)
-
-
 @given(seed=st.integers(0, 10**6), radius=st.floats(0.1, 2.0))
 @settings(max_examples=25, deadline=None)
 def test_a_boulder_is_within_its_radius_and_contains_its_center(seed, radius):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import groupby
-
 import pytest
 import torch
 from hypothesis import given
@@ -87,19 +85,3 @@ def test_rows_enter_worlds_that_are_held_by_their_slots_alone() -> None:
 def test_a_table_holds_no_more_worlds_than_it_has_slots() -> None:
     with pytest.raises(ValueError, match="a table of 2 slots cannot hold more worlds"):
         table_of(0).hold(WORLDS)
-
-
-def test_a_table_is_a_sequence_of_the_worlds_of_rows() -> None:
-    table = table_of(3, 3, 1)
-    assert len(table) == 3
-    assert table[-1] is WORLDS[1]
-    assert table[1:] == [WORLDS[3], WORLDS[1]]
-    assert [list(rows) for _, rows in groupby(range(3), key=table.__getitem__)] == [[0, 1], [2]]
-    with pytest.raises(IndexError):
-        table[3]
-
-
-def test_a_list_becomes_a_table_and_a_table_stays_itself() -> None:
-    table = WorldTable.of([WORLDS[0], WORLDS[1], WORLDS[0]])
-    assert table.slots.tolist() == [0, 1, 0]
-    assert WorldTable.of(table) is table

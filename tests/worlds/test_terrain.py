@@ -43,15 +43,6 @@ def test_the_height_of_nan_is_nan():
     assert ONE_CELL.height_at(torch.tensor([math.nan, math.nan])).isnan()
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("shape", [(), (3,), (2, 0), (4, 5)])
-def test_leading_dimensions_and_float_dtypes(dtype, shape):
-    xy = torch.full((*shape, 2), 11.0, dtype=dtype)
-    assert ONE_CELL.height_at(xy).shape == shape
-    assert ONE_CELL.height_at(xy).dtype == dtype
-    assert ONE_CELL.normal_at(xy).shape == (*shape, 3)
-
-
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), rows=st.integers(2, 6), columns=st.integers(2, 6), cell=st.floats(0.1, 3.0))
 def test_heights_and_normals_agree_with_the_mesh(seed, rows, columns, cell):
@@ -92,15 +83,6 @@ def test_the_part_that_covers_an_area_is_that_of_its_cells(rows, columns, cell, 
             assert end < min(high, most) + 1.01 * cell
 
 
-def test_strips_of_the_mesh_cover_the_whole_mesh():
-    terrain = Terrain(np.random.default_rng(0).uniform(size=(6, 4)), 0.5)
-    strips = [terrain.mesh(slice(0, 3)), terrain.mesh(slice(2, 6))]
-    pieces = torch.cat([vertices[faces] for vertices, faces in strips]).reshape(-1, 9)
-    vertices, faces = terrain.mesh()
-    whole = vertices[faces].reshape(-1, 9)
-    assert {tuple(row) for row in pieces.tolist()} == {tuple(row) for row in whole.tolist()}
-
-
 @pytest.mark.parametrize("size", [(20, 20), (20.0, 15.0), (0.3, 0.1), (12.5, 7.1)])
 def test_flat_ground_has_the_given_size(size):
     terrain = Terrain.flat(size, height=1.5)
@@ -108,10 +90,6 @@ def test_flat_ground_has_the_given_size(size):
     assert (x_low, x_high, y_low, y_high) == pytest.approx((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2))
     assert terrain.is_flat
     assert terrain.height_at(torch.zeros(2)) == 1.5
-
-
-def test_uneven_ground_is_not_flat():
-    assert not ONE_CELL.is_flat
 
 
 @pytest.mark.parametrize(

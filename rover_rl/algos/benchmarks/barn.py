@@ -17,8 +17,8 @@ from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open
 from rover_rl.algos.evaluation.metrics import Estimate, ratio
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs.config import EnvConfig
+from rover_rl.tiny_xml import numbers, read_xml
 from rover_rl.worlds import cylinders
-from rover_rl.worlds.files.xml_tree import numbers, read_xml
 
 WORLDS = 300  # number of worlds
 TEST_WORLDS = tuple(range(0, WORLDS, 6))  # Worlds of the benchmark's score. A policy may be trained in the others.

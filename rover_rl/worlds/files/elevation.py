@@ -1,4 +1,4 @@
-"""Elevation models: GeoTIFF, pictures, and NumPy arrays. Their size is bounded."""
+"""Elevation models: GeoTIFF, pictures, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -108,7 +108,6 @@ def white_of(values: np.ndarray) -> float:
 
 
 def _check_pixels(path: Path, shape: tuple[int, ...]) -> None:
-    """Checks the number of values of a file before they are read."""
     if math.prod(shape) > MAX_PIXELS:
         size = " x ".join(map(str, shape))
         raise ValueError(f"{path} has {size} values; at most {MAX_PIXELS:,} are supported, so scale it down first")
@@ -137,7 +136,6 @@ def read_picture(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _gray(image: Image.Image) -> np.ndarray:
-    """Returns gray values: 16 bit stay, color becomes the mean of red, green and blue, as in map_server."""
     if image.mode.startswith("I"):
         # Pillow reads 16 bit pictures as 16 or as 32 bit integers, depending on the version.
         return np.asarray(image).astype(np.uint16)
@@ -161,7 +159,6 @@ def _read_array(path: Path) -> Elevations:
 
 
 def _read_tiff(path: Path) -> Elevations:
-    """Reads the first band of a TIFF. Values that a mask or an alpha band hides, or that are no data, are NaN."""
     tifffile: Any = optional("tifffile")
     data = path.read_bytes()
     try:

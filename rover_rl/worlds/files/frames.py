@@ -11,11 +11,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_rl.worlds.files.xml_tree import numbers, text_of
+from rover_rl.tiny_xml import numbers, text_of
 
 MODEL = "__model__"
 WORLD = "world"
-MAX_DEPTH = 200
 
 
 def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
@@ -78,19 +77,19 @@ class Scope:
         transform, base = pose_of(part, f"{part.get('name', '')!r} in {self.name}")
         return transform, base or default
 
-    def pose(self, name: str, depth: int = 0) -> np.ndarray:
+    def pose(self, name: str, below: tuple[str, ...] = ()) -> np.ndarray:
         """Returns the transform of a frame, ``[4, 4]``, in the frame of the model or world."""
         if name in ("", MODEL, WORLD, "__root__"):
             return np.eye(4)
-        if depth > MAX_DEPTH:
+        if name in below:
             raise ValueError(f"the frame {name!r} of {self.name} is relative to itself, through others")
         if name in self.frames:
             transform, base = self.frames[name]()
-            return self.pose(base, depth + 1) @ transform
+            return self.pose(base, (*below, name)) @ transform
         first, _, rest = name.partition("::")
         if rest and first in self.children:
-            return self.pose(first, depth + 1) @ self.children[first].pose(rest, depth + 1)
+            return self.pose(first, (*below, name)) @ self.children[first].pose(rest)
         for child, scope in self.merged:
             if name in scope.frames:
-                return self.pose(child, depth + 1) @ scope.pose(name, depth + 1)
+                return self.pose(child, (*below, name)) @ scope.pose(name)
         raise ValueError(f"{self.name} has no frame {name!r}; it has {sorted(self.frames)[:20]}")

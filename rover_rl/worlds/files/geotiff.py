@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_rl.tiny_xml import parse_xml
+from rover_rl.tiny_xml import parse_xml, text_of
 from rover_rl.worlds.files import optional
-from rover_rl.worlds.files.xml_tree import text_of
 
 PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS, DOUBLES = 33550, 33922, 34264, 34735, 34736
 METADATA, NO_DATA = 42112, 42113
@@ -101,7 +100,6 @@ def _about(what: str, unit: float) -> tuple[str, ...]:
 
 
 def _keys(tags: dict[int, Any]) -> dict[int, float]:
-    """Returns the numbers of the keys, by their codes."""
     directory, doubles = [*tags.get(KEYS, ())], np.ravel(tags.get(DOUBLES, ()))
     found = {}
     for k in range(4, len(directory) - 3, 4):
@@ -114,7 +112,6 @@ def _keys(tags: dict[int, Any]) -> dict[int, float]:
 
 
 def _band_items(tags: dict[int, Any]) -> dict[str, str]:
-    """Returns scale, offset and unit of the first band in GDAL's metadata, by their roles."""
     if METADATA not in tags:
         return {}
     items = parse_xml(str(tags[METADATA]).strip(" \0").encode()).iter("Item")
@@ -142,7 +139,6 @@ def _unit(keys: dict[int, float]) -> float | None:
 
 
 def _height_unit(keys: dict[int, float], name: str) -> float:
-    """Returns the unit of the heights, m: that of the band by its name, else of the vertical coordinate system."""
     named = next((unit for unit, names in UNIT_NAMES.items() if name.lower() in names), None)
     if named is None and keys.get(VERTICAL, 0) not in UNITS:
         named = _unit_of_system(keys[VERTICAL])
@@ -150,7 +146,6 @@ def _height_unit(keys: dict[int, float], name: str) -> float:
 
 
 def _unit_of_code(code: float) -> float:
-    """Returns a unit of length by EPSG's code, m: meters for other codes."""
     if code in UNITS:
         return UNITS[code]
     units = optional("pyproj.database").get_units_map("EPSG", "linear", allow_deprecated=True).values()

@@ -1,19 +1,21 @@
-"""Tells ground and obstacles apart."""
+"""Ground of an imported world: tells ground and obstacles apart, and makes one grid of heights of all ground."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from rover_rl.worlds.files.contents import Piece
+from rover_rl.worlds.files.contents import Grid, Piece, Plane
 from rover_rl.worlds.files.triangles import face_normals, is_closed, signed_volume, surface_heights, upward_faces
 from rover_rl.worlds.solids import hull
 from rover_rl.worlds.terrain import Terrain
 
-CELLS = 256
+COMPARED = 256
 """Number of cells along the longer side of the grid on which pieces are compared."""
 THICKEST = 0.5
 """Largest height of a ground piece, in its shorter horizontal side."""
@@ -33,6 +35,14 @@ NARROWEST_FLOOR = 0.5
 """Least width of a floor on other ground, m."""
 SMALLEST_FLOOR = 1.0
 """Least area of a floor on other ground, m^2. The foot of a table is smaller."""
+MAX_VALUES = 4_000_000
+CELLS = (0.1, 0.05, 0.025)
+"""Spacings that are tried for meshes, m."""
+GOOD = 0.01
+"""Accepted error of the ground for 99 % of it, m."""
+FLAT_CELL = 1.0
+SURROUNDINGS = 15.0
+"""Width of a plane around the obstacles, beyond the range of the lidar, m."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +102,7 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     candidates = [surface for surface in map(Surface.of, broad) if surface.covers]
     if not candidates or scene <= 0:
         return []
-    cell = float((high - low).max()) / CELLS
+    cell = float((high - low).max()) / COMPARED
     columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
     origin = (float(low[0]) + cell / 2, float(low[1]) + cell / 2)
     heights = [surface.heights(origin, cell, (rows, columns)) for surface in candidates]
@@ -126,7 +136,6 @@ def height_over(terrain: Terrain, piece: Piece) -> float:
 
 
 def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
-    """Returns the surfaces of pieces whose names, or a part of them between slashes, match a pattern."""
     named = [
         piece
         for piece in pieces
@@ -148,7 +157,6 @@ def is_flat(piece: Piece) -> bool:
 
 
 def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tuple[float, float], cell: float) -> bool:
-    """Returns whether most other pieces over or under a surface end below it, as walls do below a roof."""
     others = [piece.vertices for piece in pieces if piece is not surface.piece]
     if not others:
         return False
@@ -157,3 +165,174 @@ def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tu
     here = height[np.clip(row, 0, height.shape[0] - 1), np.clip(column, 0, height.shape[1] - 1)]
     over = np.isfinite(here)
     return bool(over.any() and (tops[over, 2] <= here[over] + STEP).mean() > 0.5)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Everything that is ground: infinite planes, elevation grids, and upward surfaces of meshes."""
+
+    planes: list[Plane]
+    grids: list[Grid]
+    surfaces: list[Surface]
+
+    def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
+        """Returns the heights at the points of a grid, the highest of all ground: ``[rows, columns]``, m, or NaN."""
+        x, y = np.meshgrid(origin[0] + cell * np.arange(shape[1]), origin[1] + cell * np.arange(shape[0]))
+        layers = [_plane_heights(plane, x, y) for plane in self.planes]
+        layers += [_grid_heights(grid, x, y) for grid in self.grids]
+        layers += [surface.heights(origin, cell, shape) for surface in self.surfaces]
+        return np.fmax.reduce(layers)
+
+    def corners(self, around: np.ndarray) -> np.ndarray:
+        """Returns points around the ground with an end, and around points ``[P, 2]`` on a plane: ``[Q, 2]``, m."""
+        points = [surface.vertices[:, :2][np.unique(surface.faces)] for surface in self.surfaces]
+        if self.planes and len(around):
+            points += [around - 3.0, around + 3.0]
+        return np.concatenate([np.empty((0, 2)), *points, *map(_grid_corners, self.grids)])
+
+
+def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tuple[Terrain, list[str]]:
+    """Returns the terrain, and notes about its accuracy.
+
+    A plane is laid out around the points ``around [P, 2]`` (m) of obstacles and areas. Without a ``cell`` (m), the
+    spacing is automatic.
+    """
+    exact = _as_it_is(ground, cell)
+    if exact is not None:
+        return exact, []
+    levels = [level for level in map(_level, ground.planes) if level is not None]
+    if not ground.grids and not ground.surfaces and len(levels) == len(ground.planes):
+        return _flat(max(levels), around), []
+    points = ground.corners(around)
+    low, high = points.min(0), points.max(0)
+    least = _least_cell(low, high)
+    if cell is not None:
+        cells = [cell]
+    elif ground.grids:
+        cells = [max(min(min(grid.cell) for grid in ground.grids), least)]
+    else:
+        own = _own_spacing(ground)
+        cells = [spacing for spacing in ((own,) if own else ()) + CELLS if spacing >= least] or [least]
+    # The coarsest spacing with a good error, or else the finest.
+    for spacing in cells:
+        terrain, notes, error = _sampled(ground, low, high, spacing)
+        if error <= GOOD:
+            break
+    return terrain, notes
+
+
+def _least_cell(low: np.ndarray, high: np.ndarray) -> float:
+    return math.sqrt(float(np.prod(high - low)) / MAX_VALUES) * 1.01
+
+
+def _sampled(ground: Ground, low: np.ndarray, high: np.ndarray, cell: float) -> tuple[Terrain, list[str], float]:
+    """Returns the terrain with a spacing, its notes, and its error at 99 % of the middles of the cells (m)."""
+    columns, rows = (max(2, math.floor(side / cell + 1e-6) + 1) for side in high - low)
+    if rows * columns > MAX_VALUES:
+        raise ValueError(
+            f"the ground would have {rows} x {columns} heights at a cell of {cell:g} m; use a cell of at least "
+            f"{_least_cell(low, high):.2g} m"
+        )
+    origin = (float(low[0]), float(low[1]))
+    heights = ground.heights(origin, cell, (rows, columns))
+    terrain = Terrain(torch.from_numpy(_filled(heights)), cell, origin)
+    middle = (origin[0] + cell / 2, origin[1] + cell / 2)
+    truth = ground.heights(middle, cell, (rows - 1, columns - 1))
+    x, y = np.meshgrid(middle[0] + cell * np.arange(columns - 1), middle[1] + cell * np.arange(rows - 1))
+    ours = terrain.height_at(torch.from_numpy(np.stack((x, y), -1))).numpy()
+    known = np.isfinite(truth)
+    errors = np.abs(ours - truth)[known] if known.any() else np.zeros(1)
+    error, most = float(np.quantile(errors, 0.99)), 100 * errors.max()
+    notes = [f"ground: cell {cell:g} m, error {100 * error:.1f} cm for 99 % of the surface, {most:.1f} cm at most"]
+    holes = 1 - float(np.isfinite(heights).mean())
+    if holes > 0.01:
+        notes.append(f"ground: {100 * holes:.0f} % of the grid has no ground and takes the height of the nearest")
+    return terrain, notes, error
+
+
+def _filled(heights: np.ndarray) -> np.ndarray:
+    empty = np.isnan(heights)
+    if empty.all():
+        raise ValueError("the ground has no surface at any point of its grid; use a smaller cell")
+    if not empty.any():
+        return heights
+    return heights[tuple(distance_transform_edt(empty, return_distances=False, return_indices=True))]
+
+
+def _flat(level: float, around: np.ndarray) -> Terrain:
+    points = around if len(around) else np.zeros((1, 2))
+    low, high = np.floor(points.min(0) - SURROUNDINGS), points.max(0) + SURROUNDINGS
+    cell = max(FLAT_CELL, _least_cell(low, high))
+    columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
+    return Terrain(torch.full((rows, columns), level), cell, (float(low[0]), float(low[1])))
+
+
+def _level(plane: Plane) -> float | None:
+    return float(plane.point[2]) if plane.normal[2] > 1 - 1e-9 else None
+
+
+def _plane_heights(plane: Plane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    slope = plane.normal[:2] / plane.normal[2]
+    return plane.point[2] - slope[0] * (x - plane.point[0]) - slope[1] * (y - plane.point[1])
+
+
+def _grid_heights(grid: Grid, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    cos, sin = math.cos(grid.yaw), math.sin(grid.yaw)
+    dx, dy = x - grid.origin[0], y - grid.origin[1]
+    u, v = (cos * dx + sin * dy) / grid.cell[0], (cos * dy - sin * dx) / grid.cell[1]
+    rows, columns = grid.heights.shape
+    # Points on the border may be off it by rounding.
+    u = np.where((u > -1e-6) & (u < columns - 1 + 1e-6), np.clip(u, 0, columns - 1), -1.0)
+    v = np.where((v > -1e-6) & (v < rows - 1 + 1e-6), np.clip(v, 0, rows - 1), -1.0)
+    return map_coordinates(grid.heights, [v, u], order=1, mode="constant", cval=np.nan)
+
+
+def _grid_corners(grid: Grid) -> np.ndarray:
+    rows, columns = grid.heights.shape
+    u, v = grid.cell[0] * (columns - 1), grid.cell[1] * (rows - 1)
+    cos, sin = math.cos(grid.yaw), math.sin(grid.yaw)
+    corners = np.array([(0.0, 0.0), (u, 0.0), (0.0, v), (u, v)])
+    return corners @ np.array([[cos, sin], [-sin, cos]]) + grid.origin
+
+
+def _as_it_is(ground: Ground, cell: float | None) -> Terrain | None:
+    if len(ground.grids) != 1 or ground.surfaces:
+        return None
+    grid = _turned(ground.grids[0])
+    (dx, dy), heights = grid.cell, grid.heights
+    square = abs(dx - dy) <= 1e-9 * max(dx, dy) * max(heights.shape)
+    if grid.yaw or not square or (cell is not None and not math.isclose(cell, dx, rel_tol=1e-6)):
+        return None
+    if heights.size > MAX_VALUES:
+        return None
+    heights = _filled(heights)
+    levels = [_level(plane) for plane in ground.planes]
+    if any(level is None or level > heights.min() for level in levels):
+        return None
+    return Terrain(torch.from_numpy(heights), dx, grid.origin)
+
+
+def _turned(grid: Grid) -> Grid:
+    quarter = round(grid.yaw / (math.pi / 2))
+    if abs(grid.yaw - quarter * math.pi / 2) > 1e-6:
+        return grid
+    low = grid.origin if quarter % 4 == 0 else _grid_corners(grid).min(0)
+    # np.rot90 turns clockwise in a frame whose rows go up, so that -1 is +90 degrees.
+    heights = np.rot90(grid.heights, -quarter % 4)
+    cell = grid.cell if quarter % 2 == 0 else grid.cell[::-1]
+    return Grid(heights, (cell[0], cell[1]), (float(low[0]), float(low[1])))
+
+
+def _own_spacing(ground: Ground) -> float | None:
+    if len(ground.surfaces) != 1 or ground.planes:
+        return None
+    (surface,) = ground.surfaces
+    used = surface.vertices[np.unique(surface.faces), :2]
+    spacings = []
+    for axis in used.T:
+        values = np.unique(axis.round(6))
+        steps = np.diff(values)
+        if len(values) < 3 or len(values) ** 2 > 16 * len(used) or np.ptp(steps) > 1e-3 * steps.mean():
+            return None
+        spacings.append(float(values[-1] - values[0]) / (len(values) - 1))
+    return spacings[0] if math.isclose(*spacings, rel_tol=1e-4) else None

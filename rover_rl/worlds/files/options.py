@@ -17,6 +17,15 @@ Missing = Literal["error", "skip"]
 Unknown = Literal["open", "wall", "free"]
 Up = Literal["auto", "x", "y", "z"]
 Place: TypeAlias = Union[Area, tuple[float, float], list[tuple[float, float]]]  # noqa: UP007
+_CHOICES = {"missing": Missing, "unknown": Unknown, "up": Up}
+_RANGES = {
+    "cell": (0.005, 100.0),
+    "scale": (1e-6, 1e6),
+    "obstacle_error": (0.001, 1.0),
+    "pixel": (1e-4, 1000.0),
+    "height": (-MAX_SIZE, MAX_SIZE),
+    "wall_height": (0.01, 1000.0),
+}
 
 
 @dataclass(frozen=True)
@@ -26,8 +35,8 @@ class ImportOptions:
     Args:
         name: name of the world. ``None``: that in the file, else the file's name.
         spawn_range: area in which episodes start: a rectangle ``((x_low, x_high), (y_low, y_high))``, the corners
-            ``[(x, y), ...]`` of a polygon, or a point ``(x, y)``, which stands for the room around it up to the
-            doorways, m. ``None``: automatic.
+            ``[(x, y), ...]`` of a polygon, or a point ``(x, y)``, which stands for the free ground that is connected
+            with it, m. ``None``: the largest free ground that obstacles enclose, else the largest one.
         goal_range: area of the goals, in the same forms. ``None``: ``spawn_range``.
         bounds: area whose exit ends the episode. ``None``: automatic.
         cell: spacing of the ground's grid, m. ``None``: that of the elevation data, or for meshes the coarsest of 0.1,
@@ -68,24 +77,18 @@ class ImportOptions:
     wall_height: float = 2.0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("missing", Missing), ("unknown", Unknown), ("up", Up)):
-            if getattr(self, name) not in get_args(allowed):
-                raise ValueError(f"{written(name)} must be one of {[*get_args(allowed)]}, got {getattr(self, name)!r}")
-        ranges = {
-            "cell": (0.005, 100.0),
-            "scale": (1e-6, 1e6),
-            "obstacle_error": (0.001, 1.0),
-            "pixel": (1e-4, 1000.0),
-            "height": (-MAX_SIZE, MAX_SIZE),
-            "wall_height": (0.01, 1000.0),
-        }
-        for name, (low, high) in ranges.items():
+        for name, choice in _CHOICES.items():
+            if getattr(self, name) not in get_args(choice):
+                raise ValueError(f"{written(name)} must be one of {[*get_args(choice)]}, got {getattr(self, name)!r}")
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if value is not None and not low <= _number(name, value) <= high:
+            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                raise ValueError(f"{name} must be a number, got {value!r}")
+            if value is not None and not low <= value <= high:
                 raise ValueError(f"{written(name)} must be from {low:g} to {high:g}, got {value}")
-        for name, read in (("spawn_range", _place), ("goal_range", _place), ("bounds", _area)):
+        for name in ("spawn_range", "goal_range", "bounds"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, read(name, getattr(self, name)))
+                object.__setattr__(self, name, _place(name, getattr(self, name)))
         paths = (self.model_paths,) if isinstance(self.model_paths, str) else self.model_paths
         object.__setattr__(self, "model_paths", tuple(str(path) for path in paths))
 
@@ -98,40 +101,20 @@ def make_options(given: dict[str, Any]) -> ImportOptions:
     return ImportOptions(**given)
 
 
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{name} must be a number, got {value!r}")
-    return float(value)
-
-
-def _numbers(place: Any) -> np.ndarray:
-    """Returns the numbers of a place, an array of no shape that is allowed if there are others."""
+def _place(name: str, place: Any) -> Any:
     try:
-        return np.array(place, dtype=float)
+        numbers = np.array(place, dtype=float)
     except (TypeError, ValueError):
-        return np.empty(0)
-
-
-def _place(name: str, place: Any) -> Place:
-    """Returns a rectangle, a polygon of at least three corners, or a point."""
-    numbers = _numbers(place)
-    if numbers.shape == (2, 2):
-        return _area(name, place)
-    if numbers.shape != (2,) and (numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3):
-        raise ValueError(
-            f"{written(name)} must be a rectangle ((x_low, x_high), (y_low, y_high)), a polygon [(x, y), ...] or a "
-            f"point (x, y), got {place}"
-        )
-    if not (np.abs(numbers) <= MAX_SIZE).all():
-        raise ValueError(f"{written(name)} must lie within {MAX_SIZE:g} m, got {place}")
-    points = [(float(x), float(y)) for x, y in numbers.reshape(-1, 2)]
-    return points if numbers.ndim == 2 else points[0]
-
-
-def _area(name: str, area: Any) -> Area:
-    numbers = _numbers(area)
-    if numbers.shape != (2, 2) or not ((np.abs(numbers) <= MAX_SIZE).all() and (numbers[:, 0] < numbers[:, 1]).all()):
-        form = "((x_low, x_high), (y_low, y_high))"
-        raise ValueError(f"{written(name)} must be {form} within {MAX_SIZE:g} m, got {area}")
-    x, y = numbers.tolist()
-    return tuple(x), tuple(y)
+        numbers = np.empty(0)
+    is_area, is_polygon = numbers.shape == (2, 2), numbers.ndim == 2 and numbers.shape[1] == 2 and len(numbers) > 2
+    ordered = not is_area or bool((numbers[:, 0] < numbers[:, 1]).all())
+    allowed = is_area or (name != "bounds" and (is_polygon or numbers.shape == (2,)))
+    if not (allowed and ordered and (np.abs(numbers) <= MAX_SIZE).all()):
+        forms = "((x_low, x_high), (y_low, y_high))"
+        if name != "bounds":
+            forms = f"a rectangle {forms}, a polygon [(x, y), ...] or a point (x, y)"
+        raise ValueError(f"{written(name)} must be {forms} within {MAX_SIZE:g} m, got {place}")
+    if numbers.ndim == 1:
+        return tuple(numbers.tolist())
+    points = [tuple(pair) for pair in numbers.tolist()]
+    return tuple(points) if is_area else points

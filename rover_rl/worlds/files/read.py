@@ -15,14 +15,22 @@ from rover_rl.worlds.files import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUFFIXES
 from rover_rl.worlds.files.archive import read_archive
 from rover_rl.worlds.files.areas import find_areas
 from rover_rl.worlds.files.contents import Contents, Piece, Plane, listed
+from rover_rl.worlds.files.convex import check_triangles, obstacles_of
 from rover_rl.worlds.files.elevation import read_elevation
-from rover_rl.worlds.files.ground import HIGHEST_SLAB, STEP, floors_on, ground_pieces, height_over, is_flat
-from rover_rl.worlds.files.hulls import check_triangles, obstacles_of
+from rover_rl.worlds.files.ground import (
+    HIGHEST_SLAB,
+    STEP,
+    Ground,
+    floors_on,
+    ground_pieces,
+    height_over,
+    is_flat,
+    make_terrain,
+)
 from rover_rl.worlds.files.mesh_files import read_mesh
 from rover_rl.worlds.files.occupancy import read_map
 from rover_rl.worlds.files.options import ImportOptions, make_options
 from rover_rl.worlds.files.sdf import read_sdf
-from rover_rl.worlds.files.terrain import Ground, make_terrain
 from rover_rl.worlds.files.triangles import split
 from rover_rl.worlds.region import Area
 from rover_rl.worlds.solids import Solids
@@ -52,7 +60,6 @@ def read_world(path: Path, **options: Any) -> dict[str, Any]:
 
 
 def _contents(path: Path, options: ImportOptions) -> Contents:
-    """Returns what an SDF file, an elevation model or a mesh holds."""
     suffix = path.suffix.lower()
     if suffix in SDF_SUFFIXES:
         return read_sdf(path, options)
@@ -62,7 +69,6 @@ def _contents(path: Path, options: ImportOptions) -> Contents:
 
 
 def _assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> dict[str, Any]:
-    """Turns the contents of a file into the fields of a world."""
     parts = [(piece, split(piece)) for piece in contents.pieces]
     pieces = [part for _, found in parts for part in found]
     left_out = [*contents.left_out, *_without_area(piece.name for piece, found in parts if not found)]
@@ -113,7 +119,6 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
 def _areas(
     pieces: list[Piece], terrain: Terrain, obstacles: list[Solids], options: ImportOptions, limits: Area
 ) -> tuple[dict[str, Any], list[str]]:
-    """Returns the areas. If they have no free ground, the error names the pieces that may be meant as ground."""
     try:
         return find_areas(terrain, obstacles, options, limits)
     except ValueError as error:
@@ -125,7 +130,6 @@ def _areas(
 
 
 def _without_area(names: Iterable[str]) -> list[str]:
-    """Returns a sentence on pieces without area, if there are any."""
     named = listed(names)
     return [f"left out, as their triangles have no area: {named}"] if named else []
 
@@ -145,7 +149,6 @@ def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.n
 
 
 def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
-    """Returns the area that holds obstacles, or ground with an end."""
     points = np.concatenate((around, ground.corners(around)))
     (x_low, y_low), (x_high, y_high) = points.min(0), points.max(0)
     (left, right), (bottom, top) = terrain.extent
@@ -155,7 +158,6 @@ def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
 def _obstacles(
     pieces: list[Piece], terrain: Terrain, options: ImportOptions, display: ProgressDisplay
 ) -> tuple[list[Solids], int, list[str]]:
-    """Returns the obstacles, the number of pieces that are below the ground, and what is wrong with those left out."""
     obstacles: list[Solids] = []
     bad: list[str] = []
     buried = triangles = 0

@@ -39,7 +39,6 @@ def slanted_cover(cells: np.ndarray) -> np.ndarray:
 
 
 def _chains(cells: np.ndarray) -> list[tuple[int, list[int], list[int]]]:
-    """Returns runs in consecutive rows, each touching no run of the next row but the next one: first row, both ends."""
     padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1)))
     chains: list[tuple[int, list[int], list[int]]] = []
     above: list[tuple[int, list[int], list[int]]] = []
@@ -88,7 +87,6 @@ def _pieces(row: int, starts: list[int], ends: list[int]) -> list[np.ndarray]:
 def _side(
     value: float, count: int, lengths: np.ndarray, lowest: np.ndarray, highest: np.ndarray
 ) -> tuple[float, float]:
-    """Returns where a side begins and ends ``count`` rows later, of the lines that :func:`_sides` has found."""
     if count == 1:
         return value, value
     best = int(np.where(lengths >= count, (highest - lowest)[:, count - 1], -1.0).argmax())
@@ -115,7 +113,6 @@ def _sides(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _joined_runs(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
-    """Returns the runs of each row, joined with equal runs of the next rows."""
     # The last row is empty, and ends all runs.
     padded = np.pad(cells.astype(np.int8), ((0, 1), (1, 1)))
     open_runs: dict[tuple[int, int], int] = {}
@@ -131,7 +128,6 @@ def _joined_runs(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
 
 
 def _maximal(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
-    """Takes, at each uncovered cell in turn, the larger of the widest and the tallest rectangle of uncovered cells."""
     left = cells.copy()
     found = []
     for row, column in np.argwhere(cells).tolist():
@@ -145,6 +141,5 @@ def _maximal(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
 
 
 def _grow(cells: np.ndarray) -> tuple[int, int]:
-    """Returns rows and columns of the rectangle from the first cell: as wide as its row, then as tall as possible."""
     width = int(np.append(cells[0], False).argmin())
     return int(np.append(cells[:, :width].all(1), False).argmin()), width

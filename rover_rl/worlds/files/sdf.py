@@ -11,22 +11,18 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from rover_rl.option_names import written
-from rover_rl.tiny_xml import parse_xml
+from rover_rl.tiny_xml import is_true, numbers, parse_xml, read_xml, text_of
 from rover_rl.worlds.files.contents import Contents, Piece, listed
 from rover_rl.worlds.files.frames import MODEL, WORLD, Scope, pose_of, to_pose
 from rover_rl.worlds.files.locate import Locator
 from rover_rl.worlds.files.options import ImportOptions
 from rover_rl.worlds.files.shapes import ShapeReader
-from rover_rl.worlds.files.xml_tree import is_true, numbers, read_xml, text_of
 from rover_rl.worlds.movers import Mover, Person, Waypoints
 
-MAX_MODELS = 3_000
-"""Largest number of models of a world, includes counted each time."""
 MOVING = re.compile(
     "velocity|joint(?!.?state)|traject|drive|mov(?:e|ing)|actor|animat|convey|patrol|elevator|steer", re.I
 )
 """What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
-MAX_NESTING = 20
 STRAY = 1_000.0
 """Distance from the origin beyond which a piece is left out that is ten times as far as all others, m."""
 GROUND_PLANE = (
@@ -69,7 +65,6 @@ def read_sdf(path: Path, options: ImportOptions) -> Contents:
 
 
 def _root(path: Path) -> Element:
-    """Returns the root of an SDF file of a version that is supported."""
     root = read_xml(path)
     if root.tag != "sdf":
         raise ValueError(f"{path} is not SDF: its root is <{root.tag[:40]}>, not <sdf>")
@@ -84,8 +79,7 @@ class _Place:
     """Where a model is read: its file, and the world pose ``[4, 4]`` and the frames of its parent.
 
     ``name`` has the parents' names, with slashes. ``state`` is what a saved world says of it in place of its own file.
-    ``static`` tells whether a parent is static. ``files`` are those on the way, to find circles, and ``depth`` is the
-    number of models and includes on the way.
+    ``static`` tells whether a parent is static. ``files`` are those on the way, to find circles.
     """
 
     file: Path
@@ -95,7 +89,6 @@ class _Place:
     state: Element = field(default_factory=lambda: Element("state"))
     static: bool = False
     files: tuple[Path, ...] = ()
-    depth: int = 0
 
 
 class _Reader:
@@ -109,7 +102,6 @@ class _Reader:
         self._jointed: list[str] = []
         self._off: list[str] = []
         self._shown: list[str] = []
-        self._models = 0
         self._roots: dict[Path, Element] = {}
 
     def read(self, top: Element, path: Path) -> None:
@@ -139,7 +131,6 @@ class _Reader:
             contents.notes.append(f"links without collision geometry have their visual one: {listed(self._shown)}")
 
     def _read_children(self, parent: Element, place: _Place) -> None:
-        """Reads the models of a world or a model: first all frames, which may be relative to one another."""
         deleted = {text_of(name) for name in place.state.findall("deletions/name")}
         found: list[tuple[Element, Path, Element]] = []
         for element in parent:
@@ -169,12 +160,10 @@ class _Reader:
                 _named(place.state, "model", name),
                 place.static or is_true(says.find("static")),
                 (*place.files, file.resolve()),
-                place.depth + 1,
             )
             self._model(element, inner)
 
     def _enter(self, element: Element, file: Path, include: Element, place: _Place) -> tuple[str, Scope]:
-        """Adds the frame of a model to its parent's, and returns its name there and its own frames."""
         name = text_of(include.find("name")) or element.get("name", "")
         scope = Scope.of(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
         saved = _named(place.state, "model", name)
@@ -198,11 +187,6 @@ class _Reader:
         return name, scope
 
     def _model(self, element: Element, place: _Place) -> None:
-        self._models += 1
-        if self._models > MAX_MODELS:
-            raise ValueError(f"the world has more than {MAX_MODELS:,} models")
-        if place.depth > MAX_NESTING:
-            raise ValueError(f"{place.file} has models within one another more than {MAX_NESTING} deep")
         movers = [name for plugin in element.findall("plugin") if (name := _mover(plugin))]
         if movers:
             self._driven.append(f"{place.name} ({', '.join(movers)})")
@@ -232,7 +216,6 @@ class _Reader:
                     self._off.append(own)
 
     def _placed(self, part: Element, link: Element, place: _Place) -> np.ndarray:
-        """Returns the transform of a collision or visual of a link to the world, with the scale of a saved state."""
         name = link.get("name", "")
         pose, base = pose_of(part, f"{part.tag} {part.get('name', '')!r} of {place.name}/{name}")
         saved = _named(place.state, "link", name)
@@ -248,7 +231,6 @@ class _Reader:
         return at @ pose @ np.diag((*(scale if (scale > 0).all() else (1, 1, 1)), 1))
 
     def _actor(self, actor: Element, transform: np.ndarray, name: str) -> None:
-        """Adds an actor as a person on the ground. Its waypoints are relative to its pose."""
         script = actor.find("script")
         script = Element("script") if script is None else script
         timed = [
@@ -270,7 +252,6 @@ class _Reader:
         )
 
     def _included(self, include: Element, place: _Place) -> list[tuple[Element, Path, Element]]:
-        """Returns an included model or actor, its file, and the ``<include>``; nothing if it is missing or a light."""
         uri = text_of(include.find("uri"))
         if not uri:
             raise ValueError(f"an <include> in {place.file} has no uri")
@@ -285,7 +266,6 @@ class _Reader:
         return [(found[0], path, include)] if found else []
 
     def _of_gazebo(self, uri: str, include: Element, place: _Place) -> list[tuple[Element, Path, Element]]:
-        """Returns the ground plane of nearly every world, which does not need Gazebo's file, and no sun."""
         name = re.sub(r"(/tip|/\d+|/model.sdf)?/*$", "", unquote(uri)).rpartition("/")[2].lower().replace(" ", "_")
         if name not in ("sun", "ground_plane"):
             return []
@@ -294,7 +274,6 @@ class _Reader:
 
 
 def _strays(pieces: list[Piece]) -> list[Piece]:
-    """Returns the few pieces far from all others, such as models that fell or flew away before a world was saved."""
     away = sorted(((float(np.linalg.norm(piece.vertices, axis=1).min()), n) for n, piece in enumerate(pieces)))
     for k in range((len(away) + 1) // 2, len(away)):
         if away[k][0] > max(STRAY, 10 * away[k - 1][0]):
@@ -303,20 +282,17 @@ def _strays(pieces: list[Piece]) -> list[Piece]:
 
 
 def _mover(plugin: Element) -> str:
-    """Returns the name of a plugin that moves its model, empty for another plugin."""
     name = plugin.get("name", "") or plugin.get("filename", "")
     moves = any(MOVING.search(text) for text in (name, plugin.get("filename", "")))
     return name.rpartition("::")[2] if moves else ""
 
 
 def _has_movable_joints(model: Element) -> bool:
-    """Returns whether a model, or one in it, has a joint that is not fixed."""
     joints = any(joint.get("type", "fixed") != "fixed" for joint in model.findall("joint"))
     return joints or any(map(_has_movable_joints, model.findall("model")))
 
 
 def _model_file(folder: Path) -> Path | None:
-    """Returns the SDF file of a model's folder: that of the newest version in ``model.config``, else ``model.sdf``."""
     config = next((folder / name for name in ("model.config", "manifest.xml") if (folder / name).is_file()), None)
     names = ["model.sdf"]
     if config is not None:
@@ -334,12 +310,10 @@ def _version(text: str) -> tuple[int, ...]:
 
 
 def _named(parent: Element, tag: str, name: str) -> Element:
-    """Returns the child with a tag and a name, empty if there is none."""
     return next((child for child in parent.findall(tag) if child.get("name") == name), Element(tag))
 
 
 def _is_off(collision: Element) -> bool:
-    """Returns whether a collision stops nothing, since nothing collides with it or no force comes of it."""
     contact = collision.find("surface/contact")
     if contact is None:
         return False
@@ -350,6 +324,5 @@ def _is_off(collision: Element) -> bool:
 
 
 def _bits(element: Element | None, default: int) -> int:
-    """Returns a bit mask as sdformat reads it: the digits at the start, decimal or hexadecimal, as 16 bits."""
     found = re.match(r"[+-]?(?:0x[0-9a-f]+|\d+)", text_of(element).lower())
     return default if found is None else int(found[0], 16 if "x" in found[0] else 10) & 0xFFFF

@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from rover_rl.tiny_xml import is_true, numbers, text_of
 from rover_rl.worlds.files import MESH_SUFFIXES, TIFF_SUFFIXES, optional
 from rover_rl.worlds.files.contents import Contents, Grid, Piece, Plane
 from rover_rl.worlds.files.elevation import read_elevations
@@ -15,7 +16,6 @@ from rover_rl.worlds.files.locate import Locator
 from rover_rl.worlds.files.mesh_files import read_mesh
 from rover_rl.worlds.files.options import MAX_SIZE
 from rover_rl.worlds.files.triangles import merge_triangles
-from rover_rl.worlds.files.xml_tree import is_true, numbers, text_of
 
 TOLERANCE = 0.005
 """Largest distance between a round shape and the polygon in its place, m."""
@@ -151,7 +151,6 @@ def _lengths(shape: Element, key: str, count: int, what: str) -> np.ndarray:
 
 
 def _sides(radius: float) -> int:
-    """Returns the number of sides with which a polygon is within the tolerance of a circle."""
     wanted = math.pi / math.acos(max(0.0, 1 - TOLERANCE / radius)) if radius > TOLERANCE else 0
     return 4 * math.ceil(min(max(wanted, SIDES[0]), SIDES[1]) / 4)
 
@@ -162,7 +161,6 @@ def _circle(radius: float, height: float) -> np.ndarray:
 
 
 def _ball(radius: float) -> np.ndarray:
-    """Returns points of a sphere on circles of latitude, with the equator."""
     around = min(_sides(radius), 32)
     latitudes = np.arange(-(around // 4), around // 4 + 1) * (2 * math.pi / around)
     turn = 2 * math.pi * np.arange(around) / around
@@ -189,7 +187,6 @@ def _ellipsoid(shape: Element, what: str) -> list[np.ndarray]:
 
 
 def _round(shape: Element, what: str) -> list[np.ndarray]:
-    """Returns the points of a cylinder, cone or capsule."""
     (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
     half = length / 2
     if shape.tag == "cylinder":
@@ -203,7 +200,6 @@ def _round(shape: Element, what: str) -> list[np.ndarray]:
 
 
 def _polylines(shapes: list[Element], what: str) -> list[np.ndarray]:
-    """Returns convex prisms in place of extruded polygons, of which one within another is a hole in it."""
     earcut = optional("mapbox_earcut")
     rings = [_ring(shape, what) for shape in shapes]
     (height,) = _lengths(shapes[0], "height", 1, what)
@@ -235,7 +231,6 @@ def _ring(shape: Element, what: str) -> np.ndarray:
 
 
 def _contains(ring: np.ndarray, point: np.ndarray) -> bool:
-    """Returns whether a point is in a polygon."""
     (x, y), following = (ring - point).T, np.roll(ring - point, -1, 0)
     up, down = following[:, 1] > 0, y > 0
     side = x * following[:, 1] - following[:, 0] * y

@@ -57,7 +57,6 @@ def split(piece: Piece) -> list[Piece]:
 
 
 def _unstretched(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
-    """Returns points and a pose without stretching that give the same vertices: the polar decomposition of the pose."""
     linear = piece.pose[:3, :3]
     squares, axes = np.linalg.eigh(linear.T @ linear)
     if squares[0] <= 1e-12 * squares[2]:
@@ -71,12 +70,10 @@ def _unstretched(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _connected(faces: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
-    """Returns groups of triangles that pairs of them connect, as indices."""
     return [np.sort(group) for group in connected_components(pairs, min_len=1, nodes=np.arange(len(faces)))]
 
 
 def _with_cavities(vertices: np.ndarray, faces: np.ndarray, groups: list[np.ndarray]) -> list[np.ndarray]:
-    """Joins groups of triangles that enclose a cavity, with their normals inward, with those of the solid around it."""
     volumes = np.array([signed_volume(vertices, faces[group]) for group in groups])
     inner = [k for k in np.flatnonzero(volumes < 0).tolist() if is_closed(faces[groups[k]])]
     outer = [k for k in np.flatnonzero(volumes > 0).tolist() if is_closed(faces[groups[k]])] if inner else []
@@ -222,7 +219,6 @@ def surface_heights(
 
 
 def _heights_in(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns which points are in their triangles ``corners [P, 3, 3]`` seen from above, and the heights there."""
     a, b, c = corners.swapaxes(0, 1)
     # Barycentric coordinates of the point in the triangle's projection.
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
@@ -262,14 +258,12 @@ def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.
 
 
 def _pocket(corners: set[int], points: np.ndarray) -> float:
-    """Returns how deep points lie in their convex hull at most."""
     inside = points[list(corners)]
     planes = ConvexHull(inside).equations
     return float((-(inside @ planes[:, :2].T + planes[:, 2])).min(1).max())
 
 
 def _area(corners: set[int], points: np.ndarray) -> float:
-    """Returns the area of the convex hull of points."""
     return volume_of(convex_hull(points[list(corners)]))
 
 

@@ -87,7 +87,6 @@ def floor_plan(
 
 
 def _split(rng: np.random.Generator, part: Rect, smallest: int, walls: list[Rect]) -> list[Rect]:
-    """Splits a part of the building across its longer side into rooms, and appends the walls between them."""
     width, depth = part.size
     if max(width, depth) < 2 * smallest + WALL:
         return [part]
@@ -103,7 +102,6 @@ def _split(rng: np.random.Generator, part: Rect, smallest: int, walls: list[Rect
 
 
 def _doors(rng: np.random.Generator, rooms: list[Rect], door: int, extra_doors: float) -> list[Rect]:
-    """Samples doors on the shared walls of rooms: those of a spanning tree, and a fraction of the others."""
     pairs = [(i, j, _shared_wall(a, b)) for i, a in enumerate(rooms) for j, b in enumerate(rooms)]
     wide = [(i, j, wall) for i, j, wall in pairs if max(wall.size) >= door + 2 * DOOR_MARGIN and min(wall.size) > 0]
     shuffled = [wide[k] for k in rng.permutation(len(wide))]
@@ -120,7 +118,6 @@ def _doors(rng: np.random.Generator, rooms: list[Rect], door: int, extra_doors: 
 
 
 def _shared_wall(a: Rect, b: Rect) -> Rect:
-    """Returns the wall between a room and another one to the right of it or above. Its size is not positive if none."""
     if b.left == a.right + WALL:
         return Rect(a.right, max(a.bottom, b.bottom), b.left, min(a.top, b.top))
     if b.bottom == a.top + WALL:
@@ -137,7 +134,6 @@ def _door(rng: np.random.Generator, wall: Rect, door: int) -> Rect:
 
 
 def _without_doors(wall: Rect, doors: list[Rect]) -> list[Rect]:
-    """Returns the parts of a wall beside its doors."""
     width, depth = wall.size
     if width < depth:
         turned = [door.transposed() for door in doors]

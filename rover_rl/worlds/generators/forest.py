@@ -82,7 +82,6 @@ def _clearance(filled: np.ndarray, trunks: np.ndarray) -> np.ndarray:
 
 
 def _connected(clearance: np.ndarray, gap: float) -> bool:
-    """Returns whether gaps connect most of the task area, and wide passages a good part of it."""
     return (
         largest_part(clearance >= gap / 2, _TASK_CELLS)[0] >= CONNECTED
         and largest_part(clearance >= WIDE / 2, _TASK_CELLS)[1] >= SPACIOUS

@@ -94,7 +94,6 @@ def _crates(rng: np.random.Generator, count: int) -> list[tuple[float, float, fl
 
 
 def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Solids, Solids]:
-    """Creates a tilted panel and a closed stand below it, without an overhang that could trap a rover."""
     length, depth = PANEL[0], PANEL[1] * math.cos(TILT)
     low, high = _ground_below(terrain, x, y, length, depth)
     front, back = high + HEIGHT_ABOVE, high + HEIGHT_ABOVE + PANEL[1] * math.sin(TILT)
@@ -107,7 +106,6 @@ def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Solids, Solid
 
 
 def _block(terrain: Terrain, x: float, y: float, length: float, depth: float) -> Solids:
-    """Creates a wall or crate that stands on the ground."""
     low, high = _ground_below(terrain, x, y, length, depth)
     bottom, top = low - DEPTH_BELOW, high + HEIGHT_ABOVE
     return box((x, y, (bottom + top) / 2), (length, depth, top - bottom))

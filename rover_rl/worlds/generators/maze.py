@@ -65,7 +65,6 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
 
 
 def _layout(rng: np.random.Generator) -> list[Block]:
-    """Samples the blocks of a layout of difficulty 0.5."""
     while True:
         blocks = _place_blocks(rng)
         share = (_union(blocks) & _MIDDLE).bit_count() / _MIDDLE.bit_count()
@@ -74,7 +73,6 @@ def _layout(rng: np.random.Generator) -> list[Block]:
 
 
 def _place_blocks(rng: np.random.Generator) -> list[Block]:
-    """Places blocks one by one until all are placed or the attempts are used up."""
     # Long blocks first, because they do not fit later.
     sizes = [LARGEST, *((1, int(length)) for length in sorted(rng.choice(LENGTHS, BLOCKS - 1), reverse=True))]
     taken = 0
@@ -109,7 +107,6 @@ def _fits(taken: int, new: int) -> bool:
 
 
 def _thinned(blocks: list[Block], rng: np.random.Generator, count: int) -> list[Block]:
-    """Removes random blocks until ``count`` are left, so that no two blocks touch only at a corner."""
     order = [blocks[k] for k in rng.permutation(len(blocks))]
     while len(order) > count:
         rest = ([other for other in order if other is not block] for block in order)
@@ -118,7 +115,6 @@ def _thinned(blocks: list[Block], rng: np.random.Generator, count: int) -> list[
 
 
 def _closable_squares(blocks: list[Block], rng: np.random.Generator) -> list[Block]:
-    """Returns squares of corridors that can all be closed, in random order, so that the free squares stay connected."""
     taken = _union(blocks)
     west, east, south, north = _shifted(taken | _WALLS)
     corridors = _FLOOR & ~taken & ((west & east & ~south & ~north) | (south & north & ~west & ~east))
@@ -139,7 +135,6 @@ _WIDTH = SIDE + 2
 
 
 def _squares(block: Block) -> int:
-    """Returns the squares of a block."""
     line = ((1 << block.columns) - 1) << (block.column + 1)
     return (line * _COLUMN[block.rows]) << (block.row + 1) * _WIDTH
 
@@ -149,18 +144,15 @@ def _union(blocks: list[Block]) -> int:
 
 
 def _shifted(squares: int) -> tuple[int, int, int, int]:
-    """Returns the squares whose neighbor in the west, east, south and north is in the set."""
     return squares << 1, squares >> 1, squares << _WIDTH, squares >> _WIDTH
 
 
 def _corner_gaps(taken: int) -> int:
-    """Returns the squares of the floor at which two taken squares touch only at a corner."""
     east, north, northeast = taken >> 1, taken >> _WIDTH, taken >> (_WIDTH + 1)
     return _NOT_LAST & ((taken & northeast & ~east & ~north) | (east & north & ~taken & ~northeast))
 
 
 def _connected(free: int) -> bool:
-    """Returns whether squares are connected by their sides."""
     reached = free & -free
     while True:
         west, east, south, north = _shifted(reached)
@@ -179,7 +171,6 @@ _MIDDLE = _squares(Block(MIDDLE[0], MIDDLE[0], len(MIDDLE), len(MIDDLE)))
 
 
 def _solid(blocks: list[Block], difficulty: float) -> Solids:
-    """Creates the blocks, thinner than their squares if the difficulty is below 0.5."""
     row, column, rows, columns = np.array(blocks, dtype=float).T
     low, high = np.stack((column, row)) - SIDE / 2, np.stack((column + columns, row + rows)) - SIDE / 2
     if difficulty < DEFAULT:

@@ -96,19 +96,16 @@ def _craters(rng: np.random.Generator, half: float) -> list[tuple[np.ndarray, fl
 
 
 def _count(count: float, half: float, margin: float) -> int:
-    """Returns a number that is given for the default size, for another size, in proportion to the area."""
     return round(count * ((half + margin) / (SIZE / 2 + margin)) ** 2)
 
 
 def _crater(distance: np.ndarray) -> np.ndarray:
-    """Returns the height profile of a crater of radius 1 and depth 1: a bowl, and a raised rim that decays outward."""
     bowl = 1.25 * np.minimum(distance, 1.0) ** 2 - 1.0
     rim = 0.25 * np.exp(-(((np.maximum(distance, 1.0) - 1.0) / 0.35) ** 2))
     return np.where(distance < 1, bowl, rim)
 
 
 def _boulders(rng: np.random.Generator, terrain: Terrain, half: float, difficulty: float) -> list[Solids]:
-    """Places boulders at random positions that keep the minimum gap."""
     placed: list[tuple[float, float, float]] = []
     gap = scaled(difficulty, *GAP)
     for margin, count in ((NEAR, scaled(difficulty, *NEAR_BOULDERS)), (FAR, FAR_BOULDERS)):

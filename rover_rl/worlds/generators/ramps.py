@@ -78,7 +78,6 @@ def _ground(rng: np.random.Generator, impassable: float) -> np.ndarray:
 
 
 def _platform(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
-    """Builds a platform with steep edges, and with gentle or steep ramps on two to four sides."""
     middle, run = slice(6, LOT - 5), 6 if passable else 3
     lot[middle, middle] = PLATFORM
     rise = np.linspace(0, PLATFORM, run + 1)
@@ -88,7 +87,6 @@ def _platform(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None
 
 
 def _mound(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
-    """Builds a round mound: a gentle one, or one with a flat top and a steep face."""
     axis = np.arange(LOT + 1) - LOT / 2
     away = np.hypot(*np.meshgrid(axis, axis)) / (LOT / 2)
     if passable:
@@ -98,7 +96,6 @@ def _mound(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
 
 
 def _ditch(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
-    """Builds a ditch from edge to edge: with gentle sides, with steep sides and a bridge, or with steep sides alone."""
     ford = passable and rng.random() < 0.5
     side, floor = (5, 3) if ford else (1, int(rng.integers(3, 6)))
     across = np.abs(np.arange(LOT + 1) - LOT / 2) - floor / 2
@@ -110,7 +107,6 @@ def _ditch(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
 
 
 def _steps(rng: np.random.Generator, lot: np.ndarray, passable: bool) -> None:
-    """Builds three low steps around a square top, or two high ones."""
     count, height = (3, LOW_STEP) if passable else (2, HIGH_STEP)
     first = int(rng.integers(0, 3))
     for edge in range(first, first + 3 * count, 3):

@@ -83,7 +83,6 @@ def _furniture(rng: np.random.Generator, plan: FloorPlan, density: float, gap: i
 
 
 def _doorway(door: Rect) -> Rect:
-    """Returns the free space in a door and on both sides of it."""
     x, y = (DOORWAY if thickness == WALL else 0 for thickness in door.size)
     return Rect(door.left - x, door.bottom - y, door.right + x, door.top + y)
 
@@ -108,13 +107,11 @@ def _place(rng: np.random.Generator, room: Rect, kind: tuple, gap: int) -> Rect 
 
 
 def _legs(table: Rect) -> list[Rect]:
-    """Returns the outlines of the legs of a table."""
     corners = [(x, y) for x in (table.left, table.right - LEG) for y in (table.bottom, table.top - LEG)]
     return [Rect(x, y, x + LEG, y + LEG) for x, y in corners]
 
 
 def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
-    """Returns whether ways that keep a distance of ``REACH`` from all solids, on a grid of 0.1 m, connect the doors."""
     free = np.zeros((SIDE, SIDE), dtype=bool)
     border = int(np.ceil(REACH))
     free[border:-border, border:-border] = True
@@ -130,7 +127,6 @@ def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
 
 
 def _solids(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> Solids:
-    """Creates the inner walls and the furniture."""
     parts = [(*wall, 0.0, WALL_HEIGHT) for wall in plan.walls]
     for piece, height in furniture:
         if height > 0:

@@ -1,14 +1,11 @@
-"""Bad world files: each gets one sentence, nothing is executed, and nothing takes long."""
+"""Bad world files: each gets one sentence, and nothing is executed."""
 
 from __future__ import annotations
 
 import io
 import json
 import os
-import struct
 import sys
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +15,6 @@ import trimesh
 
 from rover_rl.worlds import Terrain, World
 from tests.extras import needs_worlds
-from tests.worlds.files.scenes import corner_wall
 from tests.worlds.files.test_maps import ROOM, write_map
 from tests.worlds.files.test_sdf import PLANE, POST, link, model
 
@@ -59,14 +55,6 @@ def array(values: np.ndarray) -> Callable[[Path], Path]:
     return file("bad.npy", content.getvalue())
 
 
-def png_header(width: int, height: int) -> bytes:
-    """A picture of that size, of which little more than the header is there."""
-    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    chunks = [(b"IHDR" + header), b"IDAT" + zlib.compress(bytes(1000))]
-    packed = [struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
-
-
 def map_without_picture(folder: Path) -> Path:
     path = write_map(folder, image="no.pgm")
     path.with_suffix(".pgm").unlink()
@@ -79,21 +67,6 @@ def loop(folder: Path) -> Path:
         body = f"<model name='{name}'><include><uri>model://{other}</uri></include></model>"
         (folder / name / "model.sdf").write_text(f"<sdf version='1.7'>{body}</sdf>")
     return sdf("<include><uri>model://a</uri></include>")(folder)
-
-
-def many_includes(folder: Path) -> Path:
-    """Ten models within ten models, and so on: a million in the end."""
-    for level in range(6):
-        (folder / f"m{level}").mkdir()
-        inner = "".join(f"<include><uri>model://m{level + 1}</uri><name>n{k}</name></include>" for k in range(10))
-        body = f"<model name='m'><static>1</static>{inner if level < 5 else link('<empty/>')}</model>"
-        (folder / f"m{level}" / "model.sdf").write_text(f"<sdf version='1.7'>{body}</sdf>")
-    return sdf("<include><uri>model://m0</uri></include>")(folder)
-
-
-def gltf(uri: str) -> Callable[[Path], Path]:
-    content = {"asset": {"version": "2.0"}, "buffers": [{"uri": uri, "byteLength": 10}], "meshes": []}
-    return file("bad.gltf", json.dumps(content))
 
 
 def archive(**changes: object) -> Callable[[Path], Path]:
@@ -116,25 +89,6 @@ def archive(**changes: object) -> Callable[[Path], Path]:
     return write
 
 
-def huge_header(folder: Path) -> Path:
-    """A world file whose heights say that they are 8 TB."""
-    path = archive()(folder)
-    content = io.BytesIO()
-    np.lib.format.write_array_header_1_0(content, {"descr": "<f4", "fortran_order": False, "shape": (10**6, 2 * 10**6)})
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(folder / "new", "w") as new:
-        for name in old.namelist():
-            new.writestr(name, content.getvalue() if name == "heights.npy" else old.read(name))
-    return (folder / "new").replace(path)
-
-
-def zip_bomb(folder: Path) -> Path:
-    path = folder / "bad.world.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-        for name in ("about", "heights", "vertices", "ends"):
-            file.writestr(f"{name}.npy", bytes(150 * 2**20))
-    return path
-
-
 def cut(write: Callable[[Path], Path], share: float) -> Callable[[Path], Path]:
     """The first part of a file."""
 
@@ -149,27 +103,20 @@ def cut(write: Callable[[Path], Path], share: float) -> Callable[[Path], Path]:
 BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
     f"<!ENTITY {b} '{('&' + a + ';') * 10}'>" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
-EXTERNAL = "<!DOCTYPE x [<!ENTITY e SYSTEM 'file:///etc/passwd'>]>"
 BOX = trimesh.creation.box((10, 10, 0.1))
 FLAT_TRIANGLES = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
-OUTSIDE = "leaves the folder of the world"
 
 CASES: dict[str, Case] = {
     # XML
     "xml bomb": (file("bad.sdf", f"{BOMB}]><sdf version='1.9'>&i;</sdf>"), "declares XML entities"),
-    "external entity": (file("bad.sdf", f"{EXTERNAL}<sdf version='1.9'>&e;</sdf>"), "declares XML entities"),
-    "bomb in a mesh": (file("bad.dae", f"{BOMB}]><COLLADA>&i;</COLLADA>"), "declares XML entities"),
     "cut off sdf": (file("bad.sdf", "<sdf version='1.9'><world>"), "is not valid XML"),
     "empty sdf": (file("bad.sdf", ""), "is not valid XML"),
-    "binary sdf": (file("bad.world", bytes(range(256))), "is not valid XML"),
     "urdf": (file("bad.sdf", "<robot name='r'/>"), "is not SDF: its root is <robot>"),
     "old sdf": (file("bad.sdf", "<sdf version='1.2'/>"), "has the SDF version '1.2'; 1.4 to 1.12 are supported"),
     # SDF
     "nothing in it": (sdf("", plane=False), "holds no ground and no obstacles"),
     "no number": (shape("<box><size>1 one 1</size></box>"), "the size of the box .* must be 3 finite numbers"),
-    "two numbers": (shape("<box><size>1 1</size></box>"), "must be 3 finite numbers, got '1 1'"),
     "nan": (shape("<sphere><radius>nan</radius></sphere>"), "must be 1 finite number, got 'nan'"),
-    "no radius": (shape("<sphere/>"), "the radius of the sphere .* must be 1 finite number, got ''"),
     "no size": (shape("<box><size>0 1 1</size></box>"), "must be positive"),
     "absurd size": (shape("<box><size>1e9 1 1</size></box>"), "must be positive and at most 20000 m"),
     "absurd place": (shape(POST, "1e9 0 0 0 0 0"), "reaches 1e[+]09 m from the origin"),
@@ -185,14 +132,7 @@ CASES: dict[str, Case] = {
     ),
     "no uri": (sdf("<include/>"), "has no uri"),
     "include loop": (loop, "includes itself"),
-    "too many includes": (many_includes, "has more than 3,000 models"),
     "no such model": (sdf("<include><uri>model://no</uri></include>"), "not here: model://no is not found"),
-    "fuel": (sdf("<include><uri>https://fuel.org/m</uri></include>"), "https://fuel.org/m is not a local file"),
-    "include outside": (sdf("<include><uri>../../../../etc</uri></include>"), OUTSIDE),
-    "model outside": (sdf("<include><uri>model://../../../../etc/x.sdf</uri></include>"), OUTSIDE),
-    "mesh outside": (shape("<mesh><uri>../../../../etc/passwd</uri></mesh>"), OUTSIDE),
-    "absolute mesh": (shape("<mesh><uri>file:///etc/passwd</uri></mesh>"), OUTSIDE),
-    "heightmap outside": (shape("<heightmap><uri>/etc/passwd</uri><size>1 1 1</size></heightmap>"), OUTSIDE),
     "no such mesh": (shape("<mesh><uri>meshes/no.stl</uri></mesh>"), "meshes/no.stl is not found"),
     "mesh of no kind": (shape("<mesh><uri>bad.sdf</uri></mesh>"), "is no mesh; use one of"),
     "tilted heightmap": (
@@ -202,55 +142,31 @@ CASES: dict[str, Case] = {
         )[1],
         "is tilted",
     ),
-    "no free ground": (shape("<box><size>40 40 2</size></box>"), "has no free ground in spawn_range"),
     # Meshes
     "empty mesh": (file("bad.obj", b""), "cannot be read as a mesh|holds no triangles"),
-    "no faces": (file("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "cannot be read as a mesh|holds no triangles"),
-    "faces of no vertex": (file("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"), "cannot be read as a mesh"),
     "nan vertex": (file("bad.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"), "NaN or infinite"),
     "absurd mesh": (mesh("bad.stl", BOX.copy().apply_scale(1e7)), "from the origin; at most 10000 m"),
     "flat mesh": (mesh("bad.ply", FLAT_TRIANGLES), "holds no ground and no obstacles"),
-    "cut off stl": (cut(mesh("bad.stl", BOX), 0.6), "cannot be read as a mesh|holds no triangles"),
     "cut off glb": (cut(mesh("bad.glb", trimesh.Scene([BOX])), 0.6), "cannot be read as a mesh"),
-    "cut off ply": (cut(mesh("bad.ply", BOX), 0.9), "cannot be read as a mesh|no triangles"),
-    "stl with a lie": (
-        file("bad.stl", bytes(80) + struct.pack("<I", 2**31) + bytes(50)),
-        "holds no triangles|cannot be read",
-    ),
     "wrong suffix": (lambda folder: mesh("a.stl", BOX)(folder).rename(folder / "bad.glb"), "cannot be read as a mesh"),
     "no collada": (file("bad.dae", "<html/>"), "cannot be read as a mesh"),
     "bad unit": (file("bad.dae", "<COLLADA><asset><unit meter='-1'/></asset></COLLADA>"), "must be a positive number"),
-    "no gltf": (file("bad.gltf", "{"), "is no glTF with buffers"),
-    "buffer outside": (gltf("../../../etc/passwd"), "outside of its folder"),
-    "buffer on the network": (gltf("https://example.com/b.bin"), "outside of its folder"),
     # Elevation models
     "nan heights": (array(np.full((8, 8), np.nan)), "must be finite numbers"),
-    "infinite heights": (array(np.where(np.eye(8) > 0, np.inf, 0.0)), "must be finite numbers"),
     "pickle": (array(np.array([[len, len], [len, len]], dtype=object)), "no array of numbers"),
     "one row": (array(np.zeros((1, 8))), "a grid of at least 2 x 2"),
-    "complex": (array(np.zeros((8, 8), dtype=complex)), "must hold one array of numbers"),
     "cut off npy": (cut(array(np.zeros((64, 64))), 0.5), "no array of numbers"),
     "absurd heights": (array(np.full((8, 8), 1e9)), "check pixel and height"),
-    "steep": (array(20.0 * np.mgrid[0:64, 0:64][0]), "no free ground .* too steep"),
-    "huge picture": (file("bad.png", png_header(100_000, 100_000)), "at most 36,000,000 are supported"),
+    "steep": (array(20.0 * np.mgrid[0:64, 0:64][0]), "no free ground: .* too steep"),
     "picture of nothing": (file("bad.png", b"no picture"), "is no picture that can be read"),
-    "cut off picture": (file("bad.png", png_header(64, 64)), "is a damaged picture|no picture"),
     "cut off tiff": (file("bad.tif", b"II*\0\x08\0\0\0"), "TIFF"),
-    "empty tiff": (file("bad.tif", b""), "TIFF"),
     # Maps
     "yaml code": (file("bad.yaml", "image: !!python/object/apply:os.system ['true']\n"), "is no map"),
     "no map": (file("bad.yaml", "a: 1\n"), "is no map: it must have image, resolution and origin"),
-    "a list": (file("bad.yaml", "- 1\n"), "is no map"),
     "broken yaml": (file("bad.yaml", "image: [\n"), "is not valid YAML"),
     "no picture": (map_without_picture, "names the picture no.pgm"),
-    "picture outside": (yaml(image="../../../../etc/passwd"), OUTSIDE),
-    "absolute picture": (yaml(image="/etc/passwd"), OUTSIDE),
     "thresholds": (yaml(occupied_thresh=0.2, free_thresh=0.6), "free_thresh in .* must be below occupied_thresh"),
-    "threshold": (yaml(occupied_thresh=65), "occupied_thresh in .* must be a number from 0 to 1, got 65"),
-    "no resolution": (yaml(resolution="fine"), "resolution in .* must be a number"),
-    "zero resolution": (yaml(resolution=0), "resolution in .* must be a number"),
     "short origin": (yaml(origin="[1]"), r"origin in .* must be \[x, y, yaw\]"),
-    "nan origin": (yaml(origin="[0, .nan, 0]"), r"origin in .* must be \[x, y, yaw\]"),
     "mode": (yaml(mode="binary"), "mode in .* must be one of"),
     "negate": (yaml(negate="often"), "negate in .* must be 0 or 1"),
     "all walls": (lambda folder: write_map(folder, np.zeros(ROOM.shape)), "has no free cell"),
@@ -264,8 +180,6 @@ CASES: dict[str, Case] = {
     "ends": (archive(ends=np.array([5], dtype="<i8")), "obstacles do not match their vertices"),
     "no cell": (archive(cell=None), "is a damaged world file"),
     "no json": (archive(about=np.frombuffer(b"{", dtype="u1")), "its description cannot be read"),
-    "huge header": (huge_header, "is no world file, or a damaged one"),
-    "zip bomb": (zip_bomb, "unpacks to more than 512 MB"),
     # Names
     "suffix": (file("bad.txt", "x"), "is no world file; use one of"),
 }
@@ -304,16 +218,6 @@ def test_bad_options_get_one_sentence(tmp_path, options, expected):
 def test_holes_in_heights_are_filled(tmp_path):
     heights = np.where(np.eye(8) > 0, np.nan, 0.0)
     assert World.from_file(array(heights)(tmp_path), pixel=1.0).terrain.is_flat
-
-
-def test_a_mesh_that_intersects_itself_is_repaired(tmp_path):
-    one, two = corner_wall(), corner_wall()
-    two.apply_translation((0.5, 0.5, 0.0))
-    crossed = trimesh.Trimesh(
-        np.concatenate((one.vertices, two.vertices)), np.concatenate((one.faces, two.faces + len(one.vertices)))
-    )
-    trimesh.Scene([BOX, crossed]).to_mesh().export(tmp_path / "crossed.stl")
-    assert len(World.from_file(tmp_path / "crossed.stl").obstacles) >= 2
 
 
 @pytest.mark.parametrize(

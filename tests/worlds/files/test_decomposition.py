@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from rover_rl.worlds import World
 from rover_rl.worlds.files.contents import Piece
-from rover_rl.worlds.files.hulls import obstacles_of
+from rover_rl.worlds.files.convex import obstacles_of
 from rover_rl.worlds.files.simplification import simplify
 from rover_rl.worlds.files.triangles import distances, is_closed, random_points, split
 from tests.extras import needs_worlds
@@ -171,14 +171,6 @@ def test_sheets_become_plates_of_2_cm(name):
         assert min(extent[:2]) == pytest.approx(0.02, abs=1e-6)
 
 
-def test_a_wall_with_two_sides_keeps_its_doorway():
-    outline = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (3, 0), (3, 3), (0, 3)]
-    front = [(0, 1, 2), (0, 2, 7), (2, 6, 7), (2, 3, 6), (3, 5, 6), (3, 4, 5)]
-    back = [(0, 7, 1), (1, 7, 2), (2, 7, 3), (3, 7, 6), (3, 6, 4), (4, 6, 5)]
-    solids = parts_of(trimesh.Trimesh([(x, 0.0, z) for x, z in outline], front + back, process=False))
-    assert holds(solids, (1.5, 0.0, 1.0), (0.5, 0.0, 1.0), (1.5, 0.0, 2.5)) == [False, True, True]
-
-
 def test_open_rooms_stay_empty_whatever_side_their_walls_face():
     room = trimesh.creation.box((4, 4, 2))
     for open_sides in ((0, 0, -1), (0, -1, 0)), ((0, 0, 1), (0, 0, -1)), ((0, 0, 1),):
@@ -226,7 +218,7 @@ def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, cache):
     mirrored = model("mirrored", f"<mesh>{uri}<scale>-1 1 1</scale></mesh>", "0 6 0 0 0 0")
     stretched = [model(f"s{k}", f"<mesh>{uri}<scale>1 2 3</scale></mesh>", f"{3 * k} -6 0 0 0 {k}") for k in range(2)]
     world = imported(tmp_path, *alike, mirrored, *stretched)
-    assert len([*(cache / "convex_parts").rglob("*.bin")]) == 2
+    assert len([*(cache / "convex_parts").rglob("*.npz")]) == 2
     assert len(world.obstacles) == 6 * 3
     assert volume_of(world.obstacles) == pytest.approx((4 + 2 * 6) * mesh.volume, rel=1e-3)
     # In the middle of the bottom of the U and in its gap, of the mirror image and of a stretched copy.

@@ -68,12 +68,6 @@ def test_all_compressions_of_gdal_are_read(tmp_path, compression):
         assert found(write(tmp_path, HEIGHTS.astype(kind), *NORTH_UP, **options)) == USUAL, (kind, predictor, tile)
 
 
-@pytest.mark.parametrize("options", [{"byteorder": ">"}, {"bigtiff": True}, {"byteorder": ">", "bigtiff": True}])
-def test_byte_orders_and_bigtiff(tmp_path, options):
-    values = HEIGHTS.astype(np.float32)
-    assert found(write(tmp_path, values, *NORTH_UP, compression="lzw", predictor=3, **options)) == USUAL
-
-
 @pytest.mark.parametrize("planar", ["contig", "separate"])
 def test_the_first_of_several_bands_counts(tmp_path, planar):
     bands = np.stack((HEIGHTS, 3 * HEIGHTS, 0 * HEIGHTS)).astype(np.int16)
@@ -116,12 +110,6 @@ def test_no_data_is_filled_from_its_neighbors(tmp_path, capfd, text, hole):
     assert "GDAL_NODATA" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(("kind", "text", "hole"), [("uint16", "65535", 65535), ("uint8", "-9999", 100)])
-def test_no_data_of_integers(tmp_path, kind, text, hole):
-    values = np.where(COLUMNS < 4, hole, HEIGHTS).astype(kind)
-    assert found(write(tmp_path, values, *NORTH_UP, no_data(text))) == USUAL
-
-
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
 
 
@@ -152,12 +140,6 @@ def test_units_of_length_and_height(tmp_path, tags, length, height):
     assert any("lengths in the file are in units" in note for note in notes) == (length != 1)
     assert any("heights in the file are in units" in note for note in notes) == (height != 1)
     assert any("no unit of its heights" in note for note in notes) == (length != 1 and height == 1)
-
-
-def test_a_unit_of_its_own(tmp_path):
-    directory = (34735, "H", 16, (1, 1, 0, 3, 1024, 0, 1, 1, 3076, 0, 1, 32767, 3077, 34736, 1, 0), True)
-    path = write(tmp_path, HEIGHTS.astype(np.float32), *NORTH_UP, directory, (34736, "d", 2, (0.5, 9.0), True))
-    assert found(path)[2:] == (40.0, 32.0)
 
 
 def test_scale_and_offset_of_the_band(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from PIL import Image
 from rover_rl.worlds import World, get_world
 from tests.extras import needs_worlds
 from tests.worlds.files.rays import lidar_errors
-from tests.worlds.files.scenes import corner_wall, heights_at, hill_height, hills, house, inside, with_y_up, yard
+from tests.worlds.files.scenes import corner_wall, heights_at, hill_height, house, inside, with_y_up, yard
 
 pytestmark = needs_worlds
 FLOOR = trimesh.creation.box((10.0, 10.0, 0.1))
@@ -45,7 +44,7 @@ def test_a_house_is_the_same_in_all_formats(kind, tmp_path):
     assert world.name == "house"
     assert len(world.obstacles) == 7
     assert world.terrain.heights.abs().max() < 1e-6
-    assert world.spawn_range == (pytest.approx((-5.8, 5.8), abs=0.12), pytest.approx((-4.8, 4.8), abs=0.12))
+    assert world.spawn_range == (pytest.approx((-5.45, 5.45), abs=0.12), pytest.approx((-4.45, 4.45), abs=0.12))
     # In the inner wall, beside it, under the table, in the table, and in the roof.
     points = [(1.0, -2.0, 0.5), (1.2, -2.0, 0.5), (-2.0, 2.0, 0.5), (-2.0, 2.0, 0.76), (0.0, 0.0, 2.6)]
     assert inside(world, *points) == [True, False, False, True, True]
@@ -102,16 +101,6 @@ def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
     assert inside(world, (-2.0, -4.0, 1.0), (2.0, -4.0, 1.0)) == [True, False]
 
 
-def test_buffers_within_gltf_are_read(tmp_path):
-    files = with_y_up(house()).export(file_type="gltf")
-    data = json.loads(files.pop("model.gltf"))
-    for buffer in data["buffers"]:
-        packed = base64.b64encode(files[buffer["uri"]]).decode()
-        buffer["uri"] = f"data:application/octet-stream;base64,{packed}"
-    (tmp_path / "house.gltf").write_text(json.dumps(data))
-    assert len(World.from_file(tmp_path / "house.gltf").obstacles) == 7
-
-
 def test_ground_can_be_named_or_denied(tmp_path):
     path = saved(yard(), tmp_path / "yard.glb")
     assert len(World.from_file(path, ground="hi*").obstacles) == len(World.from_file(path).obstacles)
@@ -123,24 +112,6 @@ def test_ground_can_be_named_or_denied(tmp_path):
     bare = World.from_file(saved(scene, tmp_path / "bare.glb"), ground="none")
     assert bare.terrain.is_flat
     assert heights_at(bare, (0.0, 0.0)) == pytest.approx([-0.4], abs=0.02)
-
-
-def test_the_cell_is_an_option_and_its_error_is_told(tmp_path):
-    path = tmp_path / "hills.stl"
-    hills().export(path)
-    coarse = World.from_file(path, cell=1.0)
-    assert coarse.terrain.cell == 1.0
-    (note,) = [note for note in coarse.notes if "error" in note]
-    assert "cell 1 m" in note
-    assert "error 0.0" not in note
-
-
-def test_what_is_under_other_ground_counts(tmp_path):
-    bridge = trimesh.creation.box(bounds=[(-1.0, -5.0, 1.4), (1.0, 5.0, 1.6)])
-    trimesh.Scene([FLOOR, bridge]).export(tmp_path / "bridge.stl")
-    world = World.from_file(tmp_path / "bridge.stl")
-    assert heights_at(world, (0.0, 0.0)) == pytest.approx([0.05])
-    assert len(world.obstacles) == 1
 
 
 def test_open_surfaces_become_plates_and_closed_ones_solids(tmp_path):
@@ -161,11 +132,11 @@ def test_a_decomposition_is_cached_by_content_and_computed_again_if_damaged(tmp_
     path = tmp_path / "corner.stl"
     trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
     first = World.from_file(path).obstacles
-    (file,) = (cache / "convex_parts").rglob("*.bin")
+    (file,) = (cache / "convex_parts").rglob("*.npz")
     for content in (b"", file.read_bytes()[:40], b"PK\x03\x04" + bytes(100)):
         file.write_bytes(content)
         assert len(World.from_file(path).obstacles) == len(first) > 1
-    monkeypatch.setattr("rover_rl.worlds.files.decomposition._attempt", lambda *_: pytest.fail("decomposed again"))
+    monkeypatch.setattr("rover_rl.worlds.files.convex._attempt", lambda *_: pytest.fail("decomposed again"))
     for a, b in zip(first, World.from_file(path).obstacles, strict=True):
         assert torch.equal(a.vertices, b.vertices)
 
@@ -175,19 +146,9 @@ def test_a_path_is_a_name_of_a_world(tmp_path):
     world = get_world(str(path))
     assert get_world(str(path)) is world
     FLOOR.export(path)
-    assert get_world(str(path)).obstacles == ()
+    assert get_world(str(path)).obstacles.shapes == ()
     with pytest.raises(FileNotFoundError, match="there is no world file"):
         get_world(str(tmp_path / "other.sdf"))
-
-
-@pytest.mark.slow
-def test_spheres_are_simplified_within_the_error(tmp_path):
-    trimesh.Scene([FLOOR, trimesh.creation.icosphere(5, 1.0)]).to_mesh().export(tmp_path / "ball.stl")
-    (ball,) = World.from_file(tmp_path / "ball.stl").obstacles
-    assert len(ball.vertices) <= 1024
-    assert ball.vertices.norm(dim=1).min() > 0.99
-    directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)), dim=1)
-    assert ball.contains(0.985 * directions.double()).all()
 
 
 def test_missing_materials_and_pictures_do_not_matter(tmp_path):
