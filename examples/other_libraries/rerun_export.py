@@ -8,7 +8,6 @@ rerun-sdk``): ``rerun drive.rrd`` opens it.
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import rerun
 
@@ -25,15 +24,10 @@ drive = record_endless(ScriptedPolicy(), "crossing", seconds=SECONDS, rows=2, se
 
 
 def mesh(surface: Surface) -> rerun.Mesh3D:
-    """Gives a surface a color for each vertex."""
     colors = np.empty((len(surface.vertices), 3))
     colors[surface.faces.flatten()] = np.repeat(surface.colors, 3, axis=0)
-    return rerun.Mesh3D(
-        vertex_positions=surface.vertices,
-        triangle_indices=surface.faces,
-        vertex_normals=surface.normals,
-        vertex_colors=np.uint8(255 * np.clip(colors, 0, 1)),
-    )
+    shape = {"vertex_positions": surface.vertices, "triangle_indices": surface.faces}
+    return rerun.Mesh3D(**shape, vertex_normals=surface.normals, vertex_colors=np.uint8(255 * np.clip(colors, 0, 1)))
 
 
 # %%
@@ -70,5 +64,4 @@ for index, moment in enumerate(drive.moments):
     for name, values in curves.items():
         rerun.log(f"curves/{name}", rerun.Scalars(values[index]))
 
-plt.plot(*drive.moments[-1].rover.position[:, :2].T, "o")
 print(f"{FILE}: {len(drive.moments)} moments")
