@@ -84,7 +84,6 @@ class Play:
 
 def _compile_renderer() -> None:
     from rover_rl.native.warp import wp
-    from rover_rl.sims.rendering.kernels import light, pictures
+    from rover_rl.sims.rendering import kernels
 
-    for module in (pictures, light):
-        wp.load_module(module, device="cpu")
+    wp.load_module(kernels, device="cpu")

@@ -17,9 +17,8 @@ from rover_rl.algos.video.session import Pose
 from rover_rl.algos.video.views import lidar_beams
 from rover_rl.robots import Robot
 from rover_rl.sims.rendering.daylight import solid, world_meshes
-from rover_rl.sims.rendering.mover_surfaces import Form, forms_of, part_surface
 from rover_rl.sims.rendering.robot_surface import robot_surface
-from rover_rl.sims.rendering.surfaces import Surface, post_surface
+from rover_rl.sims.rendering.surfaces import Form, Surface, forms_of, part_surface, post_surface
 from rover_rl.worlds import World, hull
 from rover_rl.worlds.movers.parts import Parts
 

@@ -30,8 +30,7 @@ from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs.task import StepEvent
 from rover_rl.files import written_whole
 from rover_rl.sims.movers.draw import EDGES, WAY, seen_from_above
-from rover_rl.sims.rendering.looks import looks_of
-from rover_rl.sims.rendering.scenery import MOVER
+from rover_rl.sims.rendering.scenery import MOVER, looks_of
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.draw import draw_map

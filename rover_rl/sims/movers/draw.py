@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.movers.field import MoverField, shown_parts
-from rover_rl.sims.rendering.looks import Look, looks_of
+from rover_rl.sims.rendering.scenery import Look, looks_of
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Motion, Rovers, Waypoints

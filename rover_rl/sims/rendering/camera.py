@@ -11,8 +11,8 @@ from torch import Tensor
 from rover_rl.native.warp import wp
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.base import View
-from rover_rl.sims.rendering.kernels import light
-from rover_rl.sims.rendering.launches import array, launch
+from rover_rl.sims.rendering.kernels import find_hidden
+from rover_rl.sims.rendering.scenes import array, launch
 from rover_rl.worlds import Solids, World
 
 FIELD_OF_VIEW = 60.0
@@ -50,7 +50,7 @@ class Sight:
         if self._mesh is not None and hidden.numel():
             ends = [array(part.reshape(-1, 3).numpy(), wp.vec3) for part in (eye, points)]
             flags = wp.from_torch(hidden.view(-1))
-            launch(light.find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
+            launch(find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
         return hidden.bool()
 
 

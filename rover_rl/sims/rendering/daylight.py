@@ -1,32 +1,26 @@
-"""Meshes of a world and its sky in daylight, for viewers without a ray tracer.
-
-The colors of the vertices hold the shadows and the shade of corners.
-"""
+"""Meshes of a world and its sky in daylight, for viewers without a ray tracer. Colors of the ground hold shadows."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 import trimesh
 from PIL import Image
 from scipy.ndimage import map_coordinates
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from rover_rl.sims.rendering.renderer import SCENERY_REACH, sky_openness, sunlight
-from rover_rl.sims.rendering.scenery import GROUND, HORIZON, ZENITH
-from rover_rl.sims.rendering.scenes import traced_mesh
+from rover_rl.sims.rendering.camera import Sight
+from rover_rl.sims.rendering.scenery import GROUND, HORIZON, SUN, ZENITH
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
 from rover_rl.worlds import World
 
 SHADOW = 0.55
-"""Brightness of the ground in the shadow of obstacles and hills."""
-CORNER = 0.4
-"""Brightness of a point that sees none of the sky."""
-ROCK = (0.47, 0.44, 0.42)
-"""Color of obstacles, which the tint of each varies."""
+"""Brightness of the ground in the shadow of obstacles."""
+CELL = 0.25
+"""Largest cell of flat ground, m: its vertices hold the shadows."""
 SKY_RADIUS = 400.0
 """Radius of the dome of the sky, m."""
 _DEPTH = 3.0
@@ -55,33 +49,21 @@ def painted_mesh(vertices: np.ndarray, faces: Any, normals: np.ndarray, colors: 
 
 def world_meshes(world: World) -> dict[str, trimesh.Trimesh]:
     """Creates the meshes of a world: its ``ground``, the ``land`` around and, if there are any, its ``obstacles``."""
-    ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)
-    scenery = ground if obstacles is None else Surface.join([ground, obstacles])
-    mesh = traced_mesh(scenery)
-    shade = CORNER + (1 - CORNER) * sky_openness(mesh, scenery, SCENERY_REACH)
-    count = len(ground.vertices)
-    lit = SHADOW + (1 - SHADOW) * sunlight(mesh, ground)
-    meshes = {"ground": solid(ground, shade[:count] * lit * _mottle(ground.vertices)), "land": _land(world)}
+    ground, obstacles = ground_surface(world.terrain, CELL), obstacles_surface(world)
+    points = torch.from_numpy(ground.vertices) + torch.tensor((0.0, 0.0, 0.01))
+    dark = Sight(world).hidden(points, points + 100 * torch.tensor(SUN)).numpy()
+    meshes = {"ground": solid(ground, np.where(dark, SHADOW, 1.0) * _mottle(ground.vertices)), "land": _land(world)}
     if obstacles is not None:
-        rock = replace(obstacles, colors=_rock(obstacles.colors))
-        grain = _mottle(obstacles.vertices[:, :2] + 1.7 * obstacles.vertices[:, 2:], fine=1.6)
-        meshes["obstacles"] = solid(rock, shade[count:] * grain)
+        meshes["obstacles"] = solid(obstacles)
     return meshes
 
 
-def _rock(tints: np.ndarray) -> np.ndarray:
-    """Returns colors of rock in the brightness of the colors ``tints [F, 3]``."""
-    brightness = tints.mean(-1, keepdims=True)
-    return np.array(ROCK) * brightness / brightness.mean()
-
-
-def _mottle(points: np.ndarray, fine: float = 1.0) -> np.ndarray:
-    """Returns the brightness of soil at points ``[V, 2 or 3]`` (m): smooth noise of several sizes around 1."""
+def _mottle(points: np.ndarray) -> np.ndarray:
+    """Returns the brightness of soil at points ``[V, 3]`` (m): smooth noise of several sizes around 1."""
     noise = np.random.default_rng(0).uniform(-1, 1, (64, 64))
     total = np.ones(len(points))
     for size, strength in ((6.0, 0.05), (1.7, 0.05), (0.45, 0.04)):
-        at = points[:, :2].T * fine / size
-        total += strength * map_coordinates(noise, at % 64, order=1, mode="grid-wrap")
+        total += strength * map_coordinates(noise, points[:, :2].T / size % 64, order=1, mode="grid-wrap")
     return total
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from rover_rl.worlds.movers.mover import Person, Shape
+from rover_rl.worlds.world import World
+
 GROUND = (0.66, 0.57, 0.47)
 """Color of the ground."""
 OBSTACLE = (0.50, 0.57, 0.65)
@@ -30,3 +35,22 @@ POST_RADIUS = 0.08
 """Radius of the post of the goal, m."""
 POST_LENGTH = 1.2
 """Length of the post of the goal, m."""
+
+
+class Look(NamedTuple):
+    """Color of a part (red, green and blue, 0 to 1), and whether it is drawn as the trunk and the head of a person."""
+
+    color: tuple[float, float, float]
+    is_figure: bool = False
+
+
+def looks_of(world: World, count: int) -> list[Look]:
+    """Returns the look of ``count`` parts: those of other rovers of a group, then those of a world's movers."""
+    looks = [look for mover in world.movers for look in _looks(mover.shape)]
+    return [*[Look(MOVER)] * (count - len(looks)), *looks][:count]
+
+
+def _looks(shape: Shape) -> list[Look]:
+    if isinstance(shape, Person):
+        return [Look(LEGS), Look(LEGS), Look(CLOTHES, True)]
+    return [Look(MOVER) for _ in shape.parts()]

@@ -1,73 +1,121 @@
-"""Scenes that rays are traced in: meshes of bodies, and what the kernels look up of them."""
+"""What rays are traced against: meshes of shapes, the scenery of a world, and bodies with their poses."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Sequence
-from functools import cache
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.rendering.kernels import light, rays
-from rover_rl.sims.rendering.launches import DEVICE, array, launch
-from rover_rl.sims.rendering.surfaces import Surface
-from rover_rl.worlds import Terrain
+from rover_rl.sims.rendering import kernels
+from rover_rl.sims.rendering.surfaces import Form, Surface, ground_surface, obstacles_surface, part_surface
+from rover_rl.worlds import World
 
-AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-"""Position and quaternion (x, y, z, w) of the scenery."""
-FAR_BELOW = (0.0, 0.0, -1e6)
-"""Position of what is out of sight, as the post without a goal, m."""
-
-
-def traced_mesh(surface: Surface, device: Any = DEVICE) -> wp.Mesh:
-    """Creates the mesh that rays are traced against."""
-    return wp.Mesh(array(surface.vertices, wp.vec3, device), array(surface.faces.flatten(), int, device))
+DEVICE = "cpu"
+"""Device of films, the same on every machine, so that pictures are the same too."""
+MAX_THREADS = 8
+"""Largest number of threads."""
+BANDS_PER_THREAD = 4
+"""Number of parts of a launch per thread, as some parts of a picture take longer than others."""
+SMALL = 4096
+"""Number of elements up to which threads take longer to start than to work."""
 
 
-def scene_of(
-    terrain: Terrain,
-    ground_faces: int,
-    bodies: Sequence[Surface],
-    meshes: Sequence[wp.Mesh],
-    openness: np.ndarray,
-    sunshine: np.ndarray,
-    device: Any = DEVICE,
-) -> rays.Scene:
-    """Creates a scene of bodies.
-
-    Args:
-        terrain: the ground.
-        ground_faces: number of its triangles, with which the scenery begins.
-        bodies: surfaces of the scenery, the rover and the post.
-        meshes: mesh of each. The scene holds no reference to them.
-        openness, sunshine: light on each vertex of all bodies: see the fields of ``rays.Scene``.
-        device: device of the meshes.
-    """
-    scene, joined, heights = rays.Scene(), Surface.join(bodies), terrain.heights
-    scene.meshes = array([mesh.id for mesh in meshes], wp.uint64, device)
-    scene.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float, device)
-    scene.first_triangles = array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int, device)
-    scene.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
-    low, high = bodies[rays.ROVER].vertices.min(0), bodies[rays.ROVER].vertices.max(0)
-    scene.rover_center, scene.rover_half = wp.vec3(*((low + high) / 2)), wp.vec3(*((high - low) / 2))
-    is_ground = np.arange(len(joined.faces)) < ground_faces
-    scene.triangles = array(joined.faces, int, device)
-    # Squares turn displayed colors into intensities.
-    scene.colors = array(np.column_stack((joined.colors**2, is_ground)), wp.vec4, device)
-    scene.normals = array(joined.normals, wp.vec3, device)
-    scene.openness, scene.sunshine = array(openness, float, device), array(sunshine, float, device)
-    scene.noise = _noise(str(device))
-    return scene
+def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> None:
+    """Launches a kernel whose first argument is the first row of ``size``, on several threads, and waits for it."""
+    threads = min(os.cpu_count() or 1, MAX_THREADS)
+    count = BANDS_PER_THREAD * threads if math.prod(size) > SMALL else 1
+    ends = np.linspace(0, size[0], count + 1).astype(int).tolist()
+    bands = [
+        wp.launch(kernel, (last - first, *size[1:]), [first, *inputs], device=DEVICE, record_cmd=True)
+        for first, last in pairwise(ends)
+        if last > first
+    ]
+    if count == 1:
+        bands[0].launch()
+        return
+    # A new pool for each launch: threads do not survive a fork of the process.
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(wp.Launch.launch, bands))
 
 
-@cache
-def _noise(device: str) -> wp.array:
-    """Returns the noise of the ground, which all scenes on a device share."""
-    if device != DEVICE:
-        return _noise(DEVICE).to(device)
-    side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
-    noise = wp.empty((side, side), dtype=float, device=DEVICE)
-    launch(light.find_noise, (side, side), [noise])
-    return noise
+def array(values: Any, dtype: Any, device: Any = DEVICE) -> wp.array:
+    """Copies values to an array of a device, by default that of films."""
+    return wp.array(np.asarray(values), dtype=dtype, device=device)
+
+
+class TracedShape:
+    """A surface on a device. ``shape`` is what kernels read, as long as this object lives."""
+
+    def __init__(self, surface: Surface, device: Any = DEVICE, ground_faces: int = 0) -> None:
+        points, normals = (array(values, wp.vec3, device) for values in (surface.vertices, surface.normals))
+        self._mesh = wp.Mesh(points, array(surface.faces.flatten(), int, device), velocities=normals)
+        self.shape = kernels.Shape()
+        # Squares turn displayed colors into intensities.
+        colors = np.column_stack((surface.colors**2, np.arange(len(surface.faces)) < ground_faces))
+        self.shape.mesh, self.shape.colors = self._mesh.id, array(colors, wp.vec4, device)
+        self.reach = float(np.linalg.norm(surface.vertices, axis=1).max())
+        """Radius of a sphere around the origin that contains the surface, m."""
+
+
+class TracedWorld(TracedShape):
+    """The ground and the obstacles of a world on a device, as ``scenery``."""
+
+    def __init__(self, world: World, device: Any = DEVICE) -> None:
+        ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)
+        surface = ground if obstacles is None else Surface.join([ground, obstacles])
+        super().__init__(surface, device, len(ground.faces))
+        heights = world.terrain.heights
+        self.scenery = kernels.Scenery()
+        self.scenery.shape = self.shape
+        self.scenery.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
+
+
+class TracedShapes:
+    """Shapes of bodies on a device, by number: those given, and those of parts of movers, made when first asked for."""
+
+    def __init__(self, surfaces: Sequence[Surface], device: Any = DEVICE) -> None:
+        self._device, self._numbers = device, dict[Form, int]()
+        self._shapes = [TracedShape(surface, device) for surface in surfaces]
+        self._array: wp.array | None = None
+
+    def number(self, form: Form) -> int:
+        """Returns the number of the shape of parts of a form."""
+        if form not in self._numbers:
+            self._numbers[form] = len(self._shapes)
+            self._shapes.append(TracedShape(part_surface(form), self._device))
+            self._array = None
+        return self._numbers[form]
+
+    @property
+    def reaches(self) -> list[float]:
+        """Radius of a sphere around the origin of each shape that contains it, m."""
+        return [one.reach for one in self._shapes]
+
+    def bodies(self, poses: Tensor, numbers: Tensor, reaches: Tensor, rows: Tensor | None = None) -> tuple[Any, Any]:
+        """Returns bodies for the kernels, and their tree, which must live as long.
+
+        Args:
+            poses: position (m) and quaternion of each, ``[B, 7]``.
+            numbers: number of the shape of each, int32 ``[B]``.
+            reaches: radius of a sphere around each, ``[B]``, m.
+            rows: row of each, int32 ``[B]``, for a tree with a branch for each row.
+        """
+        if self._array is None:
+            shapes = [one.shape for one in self._shapes]
+            self._array = wp.array(shapes, dtype=kernels.Shape, device=self._device)
+        corners = [
+            wp.from_torch((poses[:, :3] + sign * reaches[:, None]).contiguous(), dtype=wp.vec3) for sign in (-1, 1)
+        ]
+        tree = wp.Bvh(*corners, groups=None if rows is None else wp.from_torch(rows))
+        bodies = kernels.Bodies()
+        bodies.tree, bodies.root, bodies.shapes = tree.id, -1, self._array
+        bodies.poses, bodies.numbers = wp.from_torch(poses, dtype=wp.transform), wp.from_torch(numbers)
+        return bodies, tree

@@ -1,31 +1,33 @@
-"""Colored triangle meshes of the ground, the obstacles and the goal."""
+"""Colored triangle meshes of the ground, the obstacles, the goal and the parts of movers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
 import trimesh
 from trimesh.graph import smooth_shade
-from trimesh.remesh import subdivide_to_size
 
-from rover_rl.sims.rendering.scenery import GOAL, GROUND, OBSTACLE, POST_LENGTH, POST_RADIUS
-from rover_rl.worlds import Solids, Terrain, World
+from rover_rl.sims.rendering import scenery
+from rover_rl.sims.rendering.scenery import Look, looks_of
+from rover_rl.worlds import Terrain, World
+from rover_rl.worlds.movers.mover import KINDS, Kind
+from rover_rl.worlds.movers.parts import Parts
+from rover_rl.worlds.solids import Solids
 
 SEGMENTS = 48
 """Number of sides of the prisms that stand for cylinders."""
 MAX_ANGLE = math.radians(30)
 """Angle between two triangles up to which their common edge is shaded smoothly, rad."""
-MAX_CELL = 0.25
-"""Largest cell of flat ground, m: its vertices hold the shades of corners and shadows."""
-MAX_EDGE = 1.0
-"""Longest edge of a triangle of an obstacle, m, for the same reason. Rays also find small triangles faster."""
 TINT = 0.04
-"""Largest relative difference of the brightness of an obstacle from :data:`OBSTACLE`."""
+"""Largest relative difference of the brightness of an obstacle from ``scenery.OBSTACLE``."""
+SHOULDERS, HEAD = 0.32, 0.11
+"""Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,6 @@ class Surface:
 
     @classmethod
     def join(cls, parts: Sequence[Surface]) -> Surface:
-        """Joins surfaces to one."""
         starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
         return cls(
             np.concatenate([part.vertices for part in parts]),
@@ -63,22 +64,19 @@ class Surface:
         return cls(np.array(shaded.vertices), np.array(shaded.faces), np.array(shaded.vertex_normals), colors)
 
 
-def ground_surface(terrain: Terrain, max_cell: float = MAX_CELL) -> Surface:
+def ground_surface(terrain: Terrain, max_cell: float = math.inf) -> Surface:
     """Creates the surface of a terrain. Cells of flat ground that are larger than ``max_cell`` (m) are divided."""
     if terrain.is_flat:
         parts = math.ceil(terrain.cell / min(max_cell, terrain.cell))
         rows, columns = ((count - 1) * parts + 1 for count in terrain.heights.shape)
         terrain = Terrain(terrain.heights[:1, :1].expand(rows, columns), terrain.cell / parts, terrain.origin)
     vertices, faces = terrain.mesh()
-    colors = np.tile(GROUND, (len(faces), 1))
+    colors = np.tile(scenery.GROUND, (len(faces), 1))
     return Surface(vertices.numpy(), faces.numpy(), _vertex_normals(vertices, faces).numpy(), colors)
 
 
-def obstacles_surface(world: World, max_edge: float = MAX_EDGE) -> Surface | None:
-    """Creates the surface of all obstacles of a world, ``None`` if there are none.
-
-    Triangles with an edge longer than ``max_edge`` (m) are divided.
-    """
+def obstacles_surface(world: World) -> Surface | None:
+    """Creates the surface of all obstacles of a world, ``None`` if there are none."""
     solids = Solids.of(world.obstacles)
     if not solids:
         return None
@@ -86,22 +84,62 @@ def obstacles_surface(world: World, max_edge: float = MAX_EDGE) -> Surface | Non
     corners = solids.vertices[solids.faces.flatten()].numpy()
     tints = np.random.default_rng(0).uniform(1 - TINT, 1 + TINT, len(solids))
     counts = [len(shape.faces) for shape in solids.shapes]
-    obstacle = np.arange(len(counts)).repeat(counts)
-    vertices, faces = corners, np.arange(len(corners)).reshape(-1, 3)
-    if max_edge < math.inf:
-        vertices, faces, whole = subdivide_to_size(vertices, faces, max_edge, max_iter=30, return_index=True)
-        order = obstacle[whole].argsort(kind="stable")
-        faces, obstacle = faces[order], obstacle[whole][order]
-    normals = _vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
-    return Surface(vertices, faces, normals, np.outer(tints[obstacle], OBSTACLE))
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    normals = _vertex_normals(torch.from_numpy(corners), torch.from_numpy(faces)).numpy()
+    return Surface(corners, faces, normals, np.outer(tints.repeat(counts), scenery.OBSTACLE))
 
 
 @cache
 def post_surface() -> Surface:
     """Creates the surface of the post of the goal, whose origin is on the ground."""
-    post = trimesh.creation.cylinder(POST_RADIUS, POST_LENGTH, sections=SEGMENTS)
-    post.apply_translation((0, 0, POST_LENGTH / 2))
-    return Surface.of_solid(post, GOAL)
+    post = trimesh.creation.cylinder(scenery.POST_RADIUS, scenery.POST_LENGTH, sections=SEGMENTS)
+    post.apply_translation((0, 0, scenery.POST_LENGTH / 2))
+    return Surface.of_solid(post, scenery.GOAL)
+
+
+class Form(NamedTuple):
+    """Kind, length, width and height (m), and look of parts that share a mesh."""
+
+    kind: Kind
+    size: tuple[float, float, float]
+    look: Look
+
+
+def forms_of(world: World, parts: Parts) -> list[Form]:
+    """Returns the form of each part of one row in a world. Sizes are rounded, so that equal parts share a form."""
+    forms, kinds, halves = [], parts.kind[0].tolist(), parts.half[0].tolist()
+    for kind, half, look in zip(kinds, halves, looks_of(world, len(kinds)), strict=True):
+        length, width, height = (round(2 * one, 4) for one in half)
+        forms.append(Form(KINDS[kind], (length, width, height), look))
+    return forms
+
+
+@lru_cache(maxsize=512)
+def part_surface(form: Form) -> Surface:
+    length, width, height = form.size
+    if form.look.is_figure:
+        return _figure(length / 2, height, form.look.color)
+    if form.kind == "box":
+        solid = trimesh.creation.box((length, width, height))
+    elif form.kind == "cylinder":
+        solid = trimesh.creation.cylinder(length / 2, height, sections=SEGMENTS)
+    else:
+        solid = trimesh.creation.capsule(height - length, length / 2, (SEGMENTS, SEGMENTS // 2))
+    return Surface.of_solid(solid, form.look.color)
+
+
+def _figure(radius: float, height: float, color: Sequence[float]) -> Surface:
+    """Creates the trunk and the head of a person, within the cylinder that the trunk is for lidar and physics."""
+    scale = radius / 0.22
+    shoulders, head = height / 2 - SHOULDERS * scale, HEAD * scale
+    bend = np.linspace(0, np.pi / 2, 9)
+    # A trunk with round edges, and a ball above it.
+    hem = np.column_stack((0.8 * radius + 0.2 * radius * np.sin(bend), -height / 2 + 0.1 * (1 - np.cos(bend)) * scale))
+    neck = np.column_stack((radius * np.cos(bend), shoulders + 0.09 * scale * np.sin(bend)))
+    trunk = trimesh.creation.revolve([(0, -height / 2), *hem, *neck[:-1], (0, neck[-1, 1])], sections=SEGMENTS)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=head)
+    ball.apply_translation((0, 0, height / 2 - head))
+    return Surface.join([Surface.of_solid(trunk, color), Surface.of_solid(ball, scenery.SKIN)])
 
 
 def _vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:

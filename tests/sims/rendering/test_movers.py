@@ -59,8 +59,9 @@ def test_a_mover_is_seen_in_every_simulator(backend: str) -> None:
     assert is_red(met).sum() > 100
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.6])
-def test_a_box_is_where_it_should_be_from_above(yaw: float) -> None:
+def test_a_box_is_where_it_should_be_from_above() -> None:
+    yaw = 0.6
+
     def on_top(x: float, y: float) -> tuple[float, float, float]:
         return 2 + x * math.cos(yaw) - y * math.sin(yaw), 1 + x * math.sin(yaw) + y * math.cos(yaw), 0.4
 
@@ -72,34 +73,11 @@ def test_a_box_is_where_it_should_be_from_above(yaw: float) -> None:
     assert not is_red(colors_at(box, around)).any()
 
 
-def test_a_picture_differs_where_the_mover_and_its_shadow_are() -> None:
-    bare, camera = picture(world(None))
-    met, _ = picture(world(TALL))
-    rows, columns = (bare != met).any(-1).nonzero().unbind(-1)
-    shadow = [2 - SUN[0] / SUN[2] * 1.5, 1 - SUN[1] / SUN[2] * 1.5, 0.0]
-    ends = torch.tensor([[2.0, 1.0, 0.0], [2.0, 1.0, 1.5], shadow])
-    pixels, _ = camera.see(ends, *SIZE)
-    # A radius of 0.3 m is 6 pixels.
-    low, high = pixels.amin(0) - 8, pixels.amax(0) + 8
-    assert len(rows) > 100
-    assert low[0] < columns.min() < columns.max() < high[0]
-    assert low[1] < rows.min() < rows.max() < high[1]
-
-
 def test_movers_cast_shadows() -> None:
     away = -torch.tensor(SUN[:2]) / math.hypot(*SUN[:2])
     points = [(2 + k * away[0].item(), 1 + k * away[1].item(), 0.0) for k in (1.0, -1.0)]
     shadow, opposite = colors_at(world(TALL), points).float().mean(-1)
     assert shadow < 0.75 * opposite
-
-
-def test_thin_shadows_are_never_lost_between_rays() -> None:
-    # At this distance, the shadow of a pole is about two pixels wide, and one pixel in nine has a ray of its own.
-    away = -torch.tensor(SUN[:2]) / math.hypot(*SUN[:2])
-    points = [(4 + k * away[0].item(), 1 + k * away[1].item(), 0.0) for k in torch.linspace(0.2, 1.2, 30).tolist()]
-    dark = colors_at(world(Cylinder(0.04, 1.5), 4.0), points).float().mean(-1)
-    bare = colors_at(world(None), points).float().mean(-1)
-    assert (dark < 0.85 * bare).all()
 
 
 @pytest.mark.parametrize("shape", [Cylinder(0.3, 1.2), Capsule(0.3, 1.2)])
