@@ -164,14 +164,10 @@ class Sensors:
         return self.messages.value("odometry", torch.zeros(2))
 
     def image(self, of: ImageKind, topic: str | None) -> Tensor | None:
-        """Returns the latest image on a topic; ``None`` before the first one. ``None`` is the topic of the connection.
-
-        The first call subscribes to the topic.
-        """
+        """Returns the latest image on a topic, or on that of the connection; ``None`` before the first one."""
         topic = topic or self._connection.image_topics[of]
         message, read, _ = image_format(of, topic)
-        image: Tensor | None = self.latest_on(topic, of, message, read)
-        return image
+        return self.latest_on(topic, of, message, read)  # type: ignore[no-any-return]
 
     def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
         """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
