@@ -159,7 +159,7 @@ class Simulation:
             needs |= dict.fromkeys(sensor.needs, f"sensor {key!r} needs a backend that measures it")
         for feature, need in needs.items():
             if feature not in simulator.features:
-                raise ValueError(f"{need}: {type(simulator).__name__} does not state the feature {feature!r}")
+                raise ValueError(f"{need}: {type(simulator).__name__} does not have the feature {feature!r}")
         sideways = config.action.max_sideways
         if sideways and live:
             raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")

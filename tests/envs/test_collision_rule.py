@@ -43,7 +43,7 @@ def test_the_ranges_of_the_beams_reach_to_the_outline_and_a_margin():
 
 def test_rover_zero_has_the_contracts_threshold_in_every_direction():
     assert set(collision_ranges(get_robot("rover_zero"), BEAMS)) == {0.3}
-    assert bare(scripted([Moment()])).task.collision_threshold == 0.3
+    assert bare(scripted([Moment()])).config.task.collision_threshold == 0.3
     assert [collides(reading(BACK, d)) for d in (0.31, 0.29)] == [False, True]
 
 

@@ -24,7 +24,7 @@ FEATURES = [
     pytest.param({"backend": "warp", "pose": PoseConfig("localized")}, id="localization"),
     pytest.param({"backend": "warp", "world_n": "moon", "sensors": NOISY}, id="sensors"),
     pytest.param({"backend": "warp", "sensors": ["route"]}, id="route"),
-    pytest.param({"backend": "warp", "lidar_period": 4}, id="slow lidar"),
+    pytest.param({"backend": "warp", "randomization": Randomization(scan_period=(4, 4))}, id="slow lidar"),
     pytest.param({"backend": "warp", "world_n": WorldPool(*ROOMS)}, id="pool of worlds"),
     pytest.param({"backend": "warp", "world_n": "maze:0-2"}, id="range of worlds"),
     pytest.param({"backend": "warp", "robot": "any:0-3", "sensors": ["route", "robot"]}, id="robots"),

@@ -91,7 +91,7 @@ def test_the_mask_is_that_of_the_view_of_the_robot_and_its_mirror_image_is_mirro
         ({"lidar_view": (3.0, 2.0)}, r"^lidar_view must be a range .* of at most 2 pi rad, got \(3.0, 2.0\)$"),
         ({"lidar_view": (0.0, 2.0)}, "^lidar_view must be a range"),
         ({"lidar_view": (1.0, 7.0)}, "^lidar_view must be a range"),
-        ({"dead_sectors": -1}, "^dead_sectors must be a whole number from 0 to 16, got -1$"),
+        ({"dead_sectors": -1}, "^dead_sectors must be at least 0 and at most 16, got -1$"),
         ({"dead_sectors": 1.5}, "^dead_sectors must be a whole number, got 1.5$"),
         ({"dead_sector_width": (-0.1, 0.2)}, r"^dead_sector_width must be a range .* got \(-0.1, 0.2\)$"),
         ({"dead_sector_width": (0.3, 0.2)}, r"^dead_sector_width must be a range .* got \(0.3, 0.2\)$"),
