@@ -26,7 +26,7 @@ from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.ground import ground_at, ground_gap, ground_normal
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.warp.kernels.convex import find_overlap, is_near, is_straight, part_center, part_radius
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, Solver
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Body, MoverArrays, RobotModel, Solver
 
 EXTRA_CONTACTS = 8
 """Maximum number of contacts besides those of the wheels with the ground; the deepest are kept."""
@@ -54,19 +54,26 @@ resist turning on the spot as a line of uniform pressure does (two-point Gauss-L
 
 
 @wp.struct
-class Contact:
-    """A contact and its three constraint rows: normal, longitudinal and lateral. Body frame.
+class Row:
+    """A constraint row, in the body frame: entries of the Jacobian, and the change of w per unit impulse."""
 
-    ``*_moment`` and ``*_axle`` are the Jacobian entries of the angular velocity and of the wheel's spin, ``*_response``
-    is the change of the angular velocity per unit impulse.
-    """
+    direction: wp.vec3
+    moment: wp.vec3
+    response: wp.vec3
+    axle: float
+
+
+@wp.struct
+class Contact:
+    """A contact and its three constraint rows. Body frame."""
 
     # 1 if the contact takes part in the current substep, else 0.
     active: int
     # Contact point, and the point where friction acts, relative to the center of mass, m.
     arm: wp.vec3
     friction_arm: wp.vec3
-    # Velocity of the other surface at the contact point, m/s.
+    # Unit normal from the other surface to the rover, and velocity of that surface at the contact point, m/s.
+    direction: wp.vec3
     surface: wp.vec3
     # Identifies the same pair of features in the next substep, for the warm start.
     key: int
@@ -79,42 +86,14 @@ class Contact:
     bias: float
     # Speed of the other surface along the two tangents, m/s.
     drift: wp.vec2
-    normal: wp.vec3
-    normal_moment: wp.vec3
-    normal_response: wp.vec3
-    normal_axle: float
-    longitudinal: wp.vec3
-    longitudinal_moment: wp.vec3
-    longitudinal_response: wp.vec3
-    longitudinal_axle: float
-    lateral: wp.vec3
-    lateral_moment: wp.vec3
-    lateral_response: wp.vec3
-    lateral_axle: float
+    normal: Row
+    longitudinal: Row
+    lateral: Row
     # Effective masses, kg: along the normal (with softness), and one for both tangents.
     normal_mass: float
     tangent_mass: float
     # Accumulated impulses, N s: normal, longitudinal, lateral.
     impulse: wp.vec3
-
-
-@wp.struct
-class Body:
-    """Pose, velocity and inertia of a rover in one substep.
-
-    ``center`` is the center of mass in the base frame, ``position`` the same point in the world frame (m), ``rotation``
-    the rotation from the body to the world frame. Velocities (m/s, rad/s) and inertia are in the body frame;
-    ``inverse_spin`` is ``1 / J`` of a wheel.
-    """
-
-    center: wp.vec3
-    position: wp.vec3
-    rotation: wp.mat33
-    velocity: wp.vec3
-    angular_velocity: wp.vec3
-    inverse_mass: float
-    inverse_inertia: wp.mat33
-    inverse_spin: float
 
 
 @wp.func
@@ -133,22 +112,32 @@ def bottom_of(axle: wp.vec3, down: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def body_moment(arm: wp.vec3, direction: wp.vec3, axle: wp.vec3, moment: float) -> wp.vec3:
-    """Jacobian entry of the angular velocity, ``arm x d - a e``: the moment that goes into the body (m)."""
+def make_row(
+    arm: wp.vec3, lever: wp.vec3, direction: wp.vec3, axle: wp.vec3, wheel: int, inverse_inertia: wp.mat33
+) -> Row:
+    """Constraint row of a point along a direction: ``a = e . (lever x d)``, 0 on the chassis, and ``arm x d - a e``."""
+    row = Row()
+    row.direction = direction
+    spin = float(0.0)
+    if wheel != NO_WHEEL:
+        if is_straight(axle):
+            spin = lever[2] * direction[0] - lever[0] * direction[2]
+        else:
+            spin = wp.dot(axle, wp.cross(lever, direction))
     whole = wp.cross(arm, direction)
+    moment = whole - spin * axle
     if is_straight(axle):
-        return wp.vec3(whole[0], whole[1] - moment, whole[2])
-    return whole - moment * axle
+        moment = wp.vec3(whole[0], whole[1] - spin, whole[2])
+    row.axle = spin
+    row.moment = moment
+    row.response = inverse_inertia * moment
+    return row
 
 
 @wp.func
-def axle_moment(lever: wp.vec3, direction: wp.vec3, axle: wp.vec3, wheel: int) -> float:
-    """Jacobian entry of the wheel's spin, ``a = e . (lever x d)`` with the axle e (m); 0 for the chassis."""
-    if wheel == NO_WHEEL:
-        return 0.0
-    if is_straight(axle):
-        return lever[2] * direction[0] - lever[0] * direction[2]
-    return wp.dot(axle, wp.cross(lever, direction))
+def inverse_mass_of(row: Row, inverse_spin: float) -> float:
+    """What the rotation of the body and the spin of the wheel add to the inverse of the effective mass, 1/kg."""
+    return wp.dot(row.moment, row.response) + row.axle * row.axle * inverse_spin
 
 
 @wp.func
@@ -163,24 +152,12 @@ def set_contact(
     friction: float,
     surface: wp.vec3,
 ):
-    """Sets where contact ``k`` is; its key and accumulated impulse stay as they are.
-
-    Args:
-        contacts: contacts of the thread.
-        k: index of the contact.
-        wheel: index of the touching wheel, or ``NO_WHEEL``.
-        arm: contact point relative to the center of mass, m.
-        friction_arm: point where friction acts, relative to the center of mass, m.
-        normal: unit normal from the other surface to the rover.
-        gap: distance of the two surfaces, m; negative for a penetration.
-        friction: friction coefficient.
-        surface: velocity of the other surface at the contact point, in the body frame, m/s.
-    """
+    """Sets where contact ``k`` is, see :class:`Contact`; its key and accumulated impulse stay as they are."""
     contacts[k].active = 1
     contacts[k].wheel = wheel
     contacts[k].arm = arm
     contacts[k].friction_arm = friction_arm
-    contacts[k].normal = normal
+    contacts[k].direction = normal
     contacts[k].gap = gap
     contacts[k].friction = friction
     contacts[k].surface = surface
@@ -202,21 +179,13 @@ def prepare_contacts(
         gap <= 0:  bias = min(ERP depth / dt, max_correction), the penetration is reduced
 
     The speed of the other surface along the normal is added.
-
-    Args:
-        contacts: contacts of the thread.
-        count: number of contacts.
-        body: pose and inertia of the rover.
-        model: model of the robot.
-        solver: solver parameters.
-        axles: directions of the axles of the wheels.
     """
     for k in range(count):
         if contacts[k].active == 1:
             wheel = contacts[k].wheel
             arm = contacts[k].arm
             friction_arm = contacts[k].friction_arm
-            normal = contacts[k].normal
+            normal = contacts[k].direction
             axle = LEFT
             lever = arm
             if wheel != NO_WHEEL:
@@ -235,42 +204,24 @@ def prepare_contacts(
                 if wp.length_sq(roller) > 0.0:
                     longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
                     lateral = wp.vec3(0.0, 0.0, 0.0)
-            normal_axle = axle_moment(lever, normal, axle, wheel)
-            longitudinal_axle = axle_moment(lever, longitudinal, axle, wheel)
-            lateral_axle = axle_moment(lever, lateral, axle, wheel)
-            normal_moment = body_moment(arm, normal, axle, normal_axle)
-            longitudinal_moment = body_moment(friction_arm, longitudinal, axle, longitudinal_axle)
-            lateral_moment = body_moment(friction_arm, lateral, axle, lateral_axle)
-            normal_response = body.inverse_inertia * normal_moment
-            longitudinal_response = body.inverse_inertia * longitudinal_moment
-            lateral_response = body.inverse_inertia * lateral_moment
-
-            contacts[k].normal_moment = normal_moment
-            contacts[k].normal_response = normal_response
-            contacts[k].normal_axle = normal_axle
-            contacts[k].longitudinal = longitudinal
-            contacts[k].longitudinal_moment = longitudinal_moment
-            contacts[k].longitudinal_response = longitudinal_response
-            contacts[k].longitudinal_axle = longitudinal_axle
-            contacts[k].lateral = lateral
-            contacts[k].lateral_moment = lateral_moment
-            contacts[k].lateral_response = lateral_response
-            contacts[k].lateral_axle = lateral_axle
+            inertia = body.inverse_inertia
+            spin = body.inverse_spin
+            normal_row = make_row(arm, lever, normal, axle, wheel, inertia)
+            longitudinal_row = make_row(friction_arm, lever, longitudinal, axle, wheel, inertia)
+            lateral_row = make_row(friction_arm, lever, lateral, axle, wheel, inertia)
+            contacts[k].normal = normal_row
+            contacts[k].longitudinal = longitudinal_row
+            contacts[k].lateral = lateral_row
             contacts[k].normal_mass = 1.0 / (
                 body.inverse_mass
-                + wp.dot(normal_moment, normal_response)
-                + normal_axle * normal_axle * body.inverse_spin
+                + wp.dot(normal_row.moment, normal_row.response)
+                + normal_row.axle * normal_row.axle * body.inverse_spin
                 + solver.softness
             )
             # Both tangents take steps of the same size, so that the friction stays opposite to the slip; with a step of
             # its own for each, it would turn toward the tangent with the larger mass.
             contacts[k].tangent_mass = 1.0 / (
-                body.inverse_mass
-                + wp.max(
-                    wp.dot(longitudinal_moment, longitudinal_response)
-                    + longitudinal_axle * longitudinal_axle * body.inverse_spin,
-                    wp.dot(lateral_moment, lateral_response) + lateral_axle * lateral_axle * body.inverse_spin,
-                )
+                body.inverse_mass + wp.max(inverse_mass_of(longitudinal_row, spin), inverse_mass_of(lateral_row, spin))
             )
             gap = contacts[k].gap
             if gap > 0.0:
@@ -449,25 +400,19 @@ def collide_part(
     scene: Scene,
     solid: int,
     part: int,
-    position: wp.vec3,
-    rotation: wp.mat33,
-    velocity: wp.vec3,
-    turn: wp.vec3,
     body: Body,
     model: RobotModel,
     axles: wp.array[wp.vec3],
     friction: float,
     key: int,
-    touched: wp.array[wp.bool],
-    rover: int,
+    velocity: wp.vec3,
+    turn: wp.vec3,
 ) -> int:
     """Adds a contact if a part (box or wheel) of the rover overlaps with a solid; returns the contact count.
 
-    Sets ``touched[rover]`` if it does, also if the array of contacts is full.
-
-    ``position`` (m) is the rover's center of mass in the frame of the scene, and ``rotation`` that from the body to
-    this frame. The solid turns at ``turn`` (rad/s) and would move at ``velocity`` (m/s) at the center of mass, both in
-    the body frame. ``key`` identifies solid and part from step to step.
+    It is negative if they overlap: also if the array of contacts is full. ``body`` is in the frame of the scene. The
+    solid turns at ``turn`` (rad/s) and would move at ``velocity`` (m/s) at the center of mass, both in the body frame.
+    ``key`` identifies solid and part from step to step.
     """
     wheel = part - model.box_centers.shape[0]
     axle = LEFT
@@ -475,11 +420,10 @@ def collide_part(
         axle = axles[wheel]
     else:
         wheel = NO_WHEEL
-    hit = find_overlap(scene, model, body.center, position, rotation, part, axle, solid)
+    hit = find_overlap(scene, model, body, part, axle, solid)
     if hit.depth > 0.0:
-        touched[rover] = True
         surface = velocity + wp.cross(turn, hit.arm)
-        count = add_contact(contacts, count, model, key, wheel, hit.arm, hit.normal, -hit.depth, friction, surface)
+        return -add_contact(contacts, count, model, key, wheel, hit.arm, hit.normal, -hit.depth, friction, surface)
     return count
 
 
@@ -498,9 +442,9 @@ def collide_with_obstacles(
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
 
-    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover, and bounding spheres and face planes
-    reject most pairs. The others are collected in ``pairs`` before they are tested: neighboring threads of a GPU, which
-    find theirs at different times, test them together.
+    Sets ``touched[rover]`` if there is any. Broad phase: a uniform grid over (x, y) lists the obstacles near the rover,
+    and bounding spheres and face planes reject most pairs. The others are collected in ``pairs`` before they are
+    tested: neighboring threads of a GPU, which find theirs at different times, test them together.
     """
     if scene.grid_columns == 0:
         return count
@@ -527,24 +471,14 @@ def collide_with_obstacles(
                     found += 1
             pair += step
         for k in range(found):
-            count = collide_part(
-                contacts,
-                count,
-                scene,
-                pairs[k] // parts,
-                pairs[k] % parts,
-                body.position,
-                body.rotation,
-                AT_REST,
-                AT_REST,
-                body,
-                model,
-                axles,
-                friction,
-                OBSTACLE_KEYS + pairs[k],
-                touched,
-                rover,
+            solid = pairs[k] // parts
+            key = OBSTACLE_KEYS + pairs[k]
+            hit = collide_part(
+                contacts, count, scene, solid, pairs[k] % parts, body, model, axles, friction, key, AT_REST, AT_REST
             )
+            if hit < 0:
+                touched[rover] = True
+            count = wp.abs(hit)
     return count
 
 
@@ -564,14 +498,15 @@ def collide_with_movers(
 ) -> int:
     """Adds a contact for each overlapping pair of a part of the rover and one of a mover; returns the contact count.
 
-    A part of a mover is a solid in a frame that moves: with its position x and orientation q at this time, the pose of
-    the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface moves at ``v + w z x (c - x)`` at a point c. See
-    :func:`collide_part`.
-
-    ``forms`` has the solids, each in its own frame. ``rest`` is the time from the start of this substep to the end of
-    the control step, s.
+    Sets ``touched[rover]`` if there is any. A part of a mover is a solid in a frame that moves: with its position x and
+    orientation q at this time, the pose of the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface moves at
+    ``v + w z x (c - x)`` at a point c. ``forms`` has the solids, each in its own frame. ``rest`` is the time from the
+    start of this substep to the end of the control step, s.
     """
     parts = model.box_centers.shape[0] + model.wheels
+    to_body = wp.transpose(body.rotation)
+    local = Body()
+    local.center = body.center
     for n in range(movers.form.shape[1]):
         form = movers.form[rover, n]
         if form < 0:
@@ -583,32 +518,21 @@ def collide_with_movers(
             continue
         turn = movers.turn[rover, n]
         frame = wp.quat_from_axis_angle(UP, -rest * turn) * movers.orientation[rover, n]
-        position = wp.quat_rotate_inv(frame, body.position - place)
-        rotation = wp.transpose(wp.quat_to_matrix(frame)) * body.rotation
-        to_body = wp.transpose(body.rotation)
+        local.position = wp.quat_rotate_inv(frame, body.position - place)
+        local.rotation = wp.transpose(wp.quat_to_matrix(frame)) * body.rotation
         turning = turn * (to_body * UP)
+        moving = to_body * velocity + wp.cross(turning, to_body * (body.position - place))
         for part in range(parts):
-            middle = position + rotation * (part_center(model, part) - body.center)
+            middle = local.position + local.rotation * (part_center(model, part) - body.center)
             if is_near(forms, form, middle, part_radius(model, part)):
-                count = collide_part(
-                    contacts,
-                    count,
-                    forms,
-                    form,
-                    part,
-                    position,
-                    rotation,
-                    to_body * velocity + wp.cross(turning, to_body * (body.position - place)),
-                    turning,
-                    body,
-                    model,
-                    axles,
-                    friction,
-                    # From 2^24, above those of the obstacles.
-                    MOVER_KEYS + n * parts + part,
-                    touched,
-                    rover,
+                # From 2^24, above those of the obstacles.
+                key = MOVER_KEYS + n * parts + part
+                hit = collide_part(
+                    contacts, count, forms, form, part, local, model, axles, friction, key, moving, turning
                 )
+                if hit < 0:
+                    touched[rover] = True
+                count = wp.abs(hit)
     return count
 
 
@@ -621,7 +545,7 @@ def add_forces(forces: wp.array2d[float], rover: int, contacts: wp.array[Contact
     for k in range(first, count):
         if contacts[k].key >= OBSTACLE_KEYS:
             side = wp.where(contacts[k].key >= MOVER_KEYS, 4, 0)
-            push = rate * contacts[k].impulse[0] * contacts[k].normal
+            push = rate * contacts[k].impulse[0] * contacts[k].direction
             forces[rover, side] += wp.max(-push[0], 0.0)
             forces[rover, side + 1] += wp.max(-push[1], 0.0)
             forces[rover, side + 2] += wp.max(push[0], 0.0)

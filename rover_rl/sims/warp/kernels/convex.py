@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
-from rover_rl.sims.warp.kernels.types import RobotModel
+from rover_rl.sims.warp.kernels.types import Body, RobotModel
 
 MAX_PORTALS = 24
 """Maximum number of iterations, of the portal's discovery and of its refinement."""
@@ -130,15 +130,7 @@ def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3
 
 @wp.func
 def support(
-    scene: Scene,
-    model: RobotModel,
-    center: wp.vec3,
-    position: wp.vec3,
-    rotation: wp.mat33,
-    part: int,
-    axle: wp.vec3,
-    obstacle: int,
-    direction: wp.vec3,
+    scene: Scene, model: RobotModel, body: Body, part: int, axle: wp.vec3, obstacle: int, direction: wp.vec3
 ) -> Support:
     """Support point of the Minkowski difference part - obstacle along ``direction``, in the body frame.
 
@@ -146,8 +138,8 @@ def support(
     The obstacle's vertices are compared in the world frame, and only the one chosen is transformed.
     """
     point = Support()
-    point.arm = part_support(model, part, axle, direction) - center
-    world_direction = rotation * direction
+    point.arm = part_support(model, part, axle, direction) - body.center
+    world_direction = body.rotation * direction
     start = scene.vertex_starts[obstacle]
     best = scene.vertices[start]
     least = wp.dot(best, world_direction)
@@ -157,7 +149,7 @@ def support(
         if value < least:
             least = value
             best = vertex
-    point.difference = point.arm - wp.transpose(rotation) * (best - position)
+    point.difference = point.arm - wp.transpose(body.rotation) * (best - body.position)
     return point
 
 
@@ -175,42 +167,22 @@ def interior_point(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def find_overlap(
-    scene: Scene,
-    model: RobotModel,
-    center: wp.vec3,
-    position: wp.vec3,
-    rotation: wp.mat33,
-    part: int,
-    axle: wp.vec3,
-    obstacle: int,
-) -> Overlap:
-    """Penetration of a part into an obstacle by Minkowski portal refinement.
-
-    Args:
-        scene: world of the obstacle.
-        model: model of the robot.
-        center: center of mass in the base frame, m.
-        position: center of mass in the world frame, m.
-        rotation: rotation from the body to the world frame.
-        part: index of the part, see :func:`part_center`.
-        axle: direction of the axle of the part, if it is a wheel.
-        obstacle: index of the obstacle.
-    """
+def find_overlap(scene: Scene, model: RobotModel, body: Body, part: int, axle: wp.vec3, obstacle: int) -> Overlap:
+    """Penetration of a part, which has the axle if it is a wheel, into an obstacle."""
     result = Overlap()
     result.depth = -1.0
     # v0: a point inside part - obstacle, where the ray to the origin begins.
-    part_arm = part_center(model, part) - center
-    part_position = position + rotation * part_arm
+    part_arm = part_center(model, part) - body.center
+    part_position = body.position + body.rotation * part_arm
     inner = interior_point(scene, obstacle, part_position)
-    v0 = wp.transpose(rotation) * (part_position - inner)
+    v0 = wp.transpose(body.rotation) * (part_position - inner)
     if wp.length_sq(v0) < 1.0e-8:
         # The part's center is the interior point itself: leave through the nearest face.
         plane = max_separation_plane(scene, obstacle, part_position)
-        v0 = wp.transpose(rotation) * wp.vec3(plane[0], plane[1], plane[2]) * 1.0e-3
+        v0 = wp.transpose(body.rotation) * wp.vec3(plane[0], plane[1], plane[2]) * 1.0e-3
 
     # First support point, toward the origin. A support point that does not pass the origin separates the two shapes.
-    v1 = support(scene, model, center, position, rotation, part, axle, obstacle, -v0)
+    v1 = support(scene, model, body, part, axle, obstacle, -v0)
     if wp.dot(v1.difference, v0) >= 0.0:
         return result
     n = wp.cross(v1.difference, v0)
@@ -222,7 +194,7 @@ def find_overlap(
         result.arm = v1.arm
         return result
     # Second support point, perpendicular to the plane of v0, v1 and the origin.
-    v2 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
+    v2 = support(scene, model, body, part, axle, obstacle, n)
     if wp.dot(v2.difference, n) <= 0.0:
         return result
     # Orient the portal so that its normal points away from v0.
@@ -234,7 +206,7 @@ def find_overlap(
         n = -n
 
     # Portal discovery: find a triangle (v1, v2, v3) that the ray from v0 through the origin passes through.
-    v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
+    v3 = support(scene, model, body, part, axle, obstacle, n)
     # 0: no portal yet, 1: a portal, 2: a portal on the surface.
     stage = int(0)
     for _ in range(MAX_PORTALS):
@@ -245,12 +217,12 @@ def find_overlap(
                 # The origin is outside the plane (v0, v1, v3): drop v2.
                 v2 = v3
                 n = wp.cross(v1.difference - v0, v3.difference - v0)
-                v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
+                v3 = support(scene, model, body, part, axle, obstacle, n)
             elif wp.dot(wp.cross(v3.difference, v2.difference), v0) < 0.0:
                 # The origin is outside the plane (v0, v3, v2): drop v1.
                 v1 = v3
                 n = wp.cross(v3.difference - v0, v2.difference - v0)
-                v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
+                v3 = support(scene, model, body, part, axle, obstacle, n)
             else:
                 stage = 1
     if stage == 0:
@@ -260,7 +232,7 @@ def find_overlap(
     for _ in range(MAX_PORTALS):
         if stage == 1:
             n = wp.normalize(wp.cross(v2.difference - v1.difference, v3.difference - v1.difference))
-            v4 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
+            v4 = support(scene, model, body, part, axle, obstacle, n)
             beyond = wp.dot(v4.difference, n)
             if beyond <= 0.0:
                 # The support plane separates the origin from A - B: no overlap.

@@ -2,8 +2,8 @@
 
 A rover is one rigid body with spinning wheels. The wheels are fixed to the chassis but for their rotation about the
 axles and the turn of steered ones, which changes the axle e but no inertia, and have their centers of mass there: the
-    inertia of the whole does not depend on the wheels' angles, and motors
-and contacts are all that couples a wheel's spin to the body.
+inertia of the whole does not depend on the wheels' angles, and motors and contacts are all that couples a wheel's spin
+to the body.
 
 State (world frame unless stated otherwise): position of the center of mass (m), orientation quaternion (x, y, z, w),
 velocity v (m/s), angular velocity w (rad/s), and the absolute spin rate s of each wheel about its axle (rad/s). The
@@ -28,31 +28,16 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
-from rover_rl.sims.warp.kernels.contacts import (
-    EXTRA_CONTACTS,
-    LEFT,
-    MAX_CONTACTS,
-    MAX_PAIRS,
-    NO_WHEEL,
-    Body,
-    Contact,
-    add_forces,
-    collide_chassis_with_ground,
-    collide_peaks_with_chassis,
-    collide_wheels_with_ground,
-    collide_with_movers,
-    collide_with_obstacles,
-    prepare_contacts,
-    restore_impulses,
-)
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, RoverArrays, Solver
+from rover_rl.sims.warp.kernels import contacts as contact
+from rover_rl.sims.warp.kernels.contacts import EXTRA_CONTACTS, LEFT, MAX_CONTACTS, MAX_PAIRS, NO_WHEEL, Contact, Row
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Body, MoverArrays, RobotModel, RoverArrays, Solver
 
 GRAVITY = 9.81
 """Gravitational acceleration, m/s^2."""
 
 
 @wp.struct
-class Motion:
+class Twist:
     """Velocity of the center of mass (m/s) and angular velocity (rad/s), in the body frame, while the solver runs."""
 
     velocity: wp.vec3
@@ -64,7 +49,7 @@ class Motion:
 __syncthreads();
 #endif
 """)
-def meet():
+def sync_threads():
     """Lets the threads of a block go on together on a GPU, so that they read the same instructions at the same time.
 
     The instructions of a substep do not fit into the instruction cache.
@@ -74,45 +59,42 @@ def meet():
 
 @wp.func
 def apply_impulse(
-    motion: Motion,
+    twist: Twist,
     wheel_spins: wp.array[float],
     contacts: wp.array[Contact],
     k: int,
     impulse: wp.vec3,
     inverse_mass: float,
     inverse_spin: float,
-) -> Motion:
+) -> Twist:
     """Applies an impulse (normal, longitudinal, lateral; N s) at contact ``k``: ``u += M^-1 J^T p``.
 
-    Returns the new motion of the body; the wheel's spin is changed in place.
+    Returns the new twist of the body; the wheel's spin is changed in place.
     """
-    motion.velocity += inverse_mass * (
-        impulse[0] * contacts[k].normal + impulse[1] * contacts[k].longitudinal + impulse[2] * contacts[k].lateral
+    normal = contacts[k].normal
+    longitudinal = contacts[k].longitudinal
+    lateral = contacts[k].lateral
+    twist.velocity += inverse_mass * (
+        impulse[0] * normal.direction + impulse[1] * longitudinal.direction + impulse[2] * lateral.direction
     )
-    motion.angular += (
-        impulse[0] * contacts[k].normal_response
-        + impulse[1] * contacts[k].longitudinal_response
-        + impulse[2] * contacts[k].lateral_response
-    )
+    twist.angular += impulse[0] * normal.response + impulse[1] * longitudinal.response + impulse[2] * lateral.response
     wheel = contacts[k].wheel
     if wheel != NO_WHEEL:
         wheel_spins[wheel] += inverse_spin * (
-            impulse[0] * contacts[k].normal_axle
-            + impulse[1] * contacts[k].longitudinal_axle
-            + impulse[2] * contacts[k].lateral_axle
+            impulse[0] * normal.axle + impulse[1] * longitudinal.axle + impulse[2] * lateral.axle
         )
-    return motion
+    return twist
 
 
 @wp.func
-def row_speed(motion: Motion, spin: float, direction: wp.vec3, moment: wp.vec3, axle: float) -> float:
+def row_speed(twist: Twist, spin: float, row: Row) -> float:
     """Speed of the rover's contact point along a direction, m/s: the Jacobian row times the velocity, ``J u``."""
-    return wp.dot(direction, motion.velocity) + wp.dot(moment, motion.angular) + axle * spin
+    return wp.dot(row.direction, twist.velocity) + wp.dot(row.moment, twist.angular) + row.axle * spin
 
 
 @wp.func
 def solve_motors(
-    motion: Motion,
+    twist: Twist,
     wheel_spins: wp.array[float],
     motors: wp.array[float],
     model: RobotModel,
@@ -122,46 +104,35 @@ def solve_motors(
     masses: wp.array[float],
     targets: wp.array[float],
     max_impulse: float,
-) -> Motion:
+) -> Twist:
     """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
 
     A motor turns its wheels against the chassis. The row of a wheel with the axle e is ``s - e . w = target``, with
     effective mass ``1 / (1/J + e . I^-1 e)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque
-    limit times dt.
-
-    Args:
-        motion: motion of the body.
-        wheel_spins: absolute spin rates of the wheels, rad/s; changed in place.
-        motors: accumulated angular impulses of the motors, N m s; changed in place.
-        model: model of the robot.
-        axles: directions e of the axles.
-        responses: changes of the angular velocity per unit of angular impulse about the axles, ``I^-1 e``.
-        inverse_spin: inverse of a wheel's inertia about its axle, 1 / (kg m^2).
-        masses: effective masses of the wheels, kg m^2; 0 for a wheel without a motor.
-        targets: target speeds of the wheels relative to the chassis, rad/s.
-        max_impulse: limit of the accumulated impulses, N m s.
+    limit times dt. ``axles`` are the directions e, ``responses`` ``I^-1 e``, ``masses`` the effective masses, 0 without
+    a motor, and ``targets`` speeds relative to the chassis (rad/s). ``wheel_spins`` and ``motors`` change in place.
     """
     for wheel in range(model.wheels):
-        speed = wheel_spins[wheel] - wp.dot(axles[wheel], motion.angular)
+        speed = wheel_spins[wheel] - wp.dot(axles[wheel], twist.angular)
         before = motors[wheel]
         after = wp.clamp(before + masses[wheel] * (targets[wheel] - speed), -max_impulse, max_impulse)
         motors[wheel] = after
         # Equal and opposite: the wheel gains what the body loses.
         wheel_spins[wheel] += inverse_spin * (after - before)
-        motion.angular -= (after - before) * responses[wheel]
-    return motion
+        twist.angular -= (after - before) * responses[wheel]
+    return twist
 
 
 @wp.func
 def solve_contacts(
-    motion: Motion,
+    twist: Twist,
     wheel_spins: wp.array[float],
     contacts: wp.array[Contact],
     count: int,
     softness: float,
     inverse_mass: float,
     inverse_spin: float,
-) -> Motion:
+) -> Twist:
     """One Gauss-Seidel pass over the contacts: all normals first, then all friction.
 
     Normal row (no penetration, compliant): ``p_n <- max(p_n + m_n (bias - J_n u - softness p_n), 0)``.
@@ -176,16 +147,17 @@ def solve_contacts(
             spin = float(0.0)
             if wheel != NO_WHEEL:
                 spin = wheel_spins[wheel]
-            speed = row_speed(motion, spin, contacts[k].normal, contacts[k].normal_moment, contacts[k].normal_axle)
+            row = contacts[k].normal
+            speed = row_speed(twist, spin, row)
             before = contacts[k].impulse
             error = contacts[k].bias - speed - softness * before[0]
             after = wp.max(before[0] + contacts[k].normal_mass * error, 0.0)
             contacts[k].impulse = wp.vec3(after, before[1], before[2])
             change = after - before[0]
-            motion.velocity += (inverse_mass * change) * contacts[k].normal
-            motion.angular += change * contacts[k].normal_response
+            twist.velocity += (inverse_mass * change) * row.direction
+            twist.angular += change * row.response
             if wheel != NO_WHEEL:
-                wheel_spins[wheel] += inverse_spin * change * contacts[k].normal_axle
+                wheel_spins[wheel] += inverse_spin * change * row.axle
     for k in range(count):
         if contacts[k].active == 1:
             spin = float(0.0)
@@ -194,12 +166,8 @@ def solve_contacts(
             before = contacts[k].impulse
             mass = contacts[k].tangent_mass
             drift = contacts[k].drift
-            forward = row_speed(
-                motion, spin, contacts[k].longitudinal, contacts[k].longitudinal_moment, contacts[k].longitudinal_axle
-            )
-            sideways = row_speed(
-                motion, spin, contacts[k].lateral, contacts[k].lateral_moment, contacts[k].lateral_axle
-            )
+            forward = row_speed(twist, spin, contacts[k].longitudinal)
+            sideways = row_speed(twist, spin, contacts[k].lateral)
             longitudinal = before[1] - mass * (forward - drift[0])
             lateral = before[2] - mass * (sideways - drift[1])
             max_friction = contacts[k].friction * before[0]
@@ -208,8 +176,8 @@ def solve_contacts(
             )
             contacts[k].impulse = wp.vec3(before[0], longitudinal * scale, lateral * scale)
             tangential = wp.vec3(0.0, longitudinal * scale - before[1], lateral * scale - before[2])
-            motion = apply_impulse(motion, wheel_spins, contacts, k, tangential, inverse_mass, inverse_spin)
-    return motion
+            twist = apply_impulse(twist, wheel_spins, contacts, k, tangential, inverse_mass, inverse_spin)
+    return twist
 
 
 @wp.kernel
@@ -299,67 +267,58 @@ def step_dynamics(
         body.angular_velocity -= dt * (body.inverse_inertia * wp.cross(body.angular_velocity, momentum))
 
         # 2. Collision detection and constraint rows.
-        meet()
-        collide_wheels_with_ground(contacts, scene, body, model, solver, axles, ground_friction)
+        sync_threads()
+        contact.collide_wheels_with_ground(contacts, scene, body, model, solver, axles, ground_friction)
         count = wheel_contacts
-        count = collide_chassis_with_ground(contacts, count, scene, body, model, ground_friction)
-        count = collide_peaks_with_chassis(contacts, count, scene, body, model, ground_friction)
-        meet()
-        count = collide_with_obstacles(
+        count = contact.collide_chassis_with_ground(contacts, count, scene, body, model, ground_friction)
+        count = contact.collide_peaks_with_chassis(contacts, count, scene, body, model, ground_friction)
+        sync_threads()
+        count = contact.collide_with_obstacles(
             contacts, count, scene, body, model, axles, obstacle_friction, pairs, rovers.contact, row
         )
         if movers.form.shape[1] > 0:
             rest = float(solver.substeps - substep) * dt
-            count = collide_with_movers(
-                contacts,
-                count,
-                forms[0],
-                movers,
-                body,
-                model,
-                axles,
-                obstacle_friction,
-                rest,
-                rovers.mover_contact,
-                row,
+            touched = rovers.mover_contact
+            count = contact.collide_with_movers(
+                contacts, count, forms[0], movers, body, model, axles, obstacle_friction, rest, touched, row
             )
-        meet()
-        prepare_contacts(contacts, count, body, model, solver, axles)
-        restore_impulses(contacts, wheel_contacts, count, keys, impulses)
+        sync_threads()
+        contact.prepare_contacts(contacts, count, body, model, solver, axles)
+        contact.restore_impulses(contacts, wheel_contacts, count, keys, impulses)
 
         # 3. Warm start: few iterations suffice, since the impulses of the last substep are close to the solution.
-        motion = Motion()
-        motion.velocity = body.velocity
-        motion.angular = body.angular_velocity
+        twist = Twist()
+        twist.velocity = body.velocity
+        twist.angular = body.angular_velocity
         for wheel in range(wheels):
             wheel_spins[wheel] += body.inverse_spin * motors[wheel]
-            motion.angular -= motors[wheel] * responses[wheel]
+            twist.angular -= motors[wheel] * responses[wheel]
         for k in range(count):
             if contacts[k].active == 1:
-                motion = apply_impulse(
-                    motion, wheel_spins, contacts, k, contacts[k].impulse, body.inverse_mass, body.inverse_spin
+                twist = apply_impulse(
+                    twist, wheel_spins, contacts, k, contacts[k].impulse, body.inverse_mass, body.inverse_spin
                 )
 
         # 4. Solver iterations.
-        meet()
+        sync_threads()
         for _iteration in range(solver.iterations):
-            motion = solve_contacts(
-                motion, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
+            twist = solve_contacts(
+                twist, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
             )
-            motion = solve_motors(
-                motion, wheel_spins, motors, model, axles, responses, body.inverse_spin, masses, targets, max_impulse
+            twist = solve_motors(
+                twist, wheel_spins, motors, model, axles, responses, body.inverse_spin, masses, targets, max_impulse
             )
         for n in range(EXTRA_CONTACTS):
             impulses[n] = contacts[wheel_contacts + n].impulse
         if rovers.contact_force.shape[1] > 0:
-            add_forces(rovers.contact_force, row, contacts, wheel_contacts, count, mean)
+            contact.add_forces(rovers.contact_force, row, contacts, wheel_contacts, count, mean)
         if rovers.wheel_torque.shape[1] > 0:
             for wheel in range(wheels):
                 rovers.wheel_torque[row, wheel] += mean * motors[wheel]
 
         # 5. Integration, in the world frame.
-        velocity = body.rotation * motion.velocity
-        angular_velocity = body.rotation * motion.angular
+        velocity = body.rotation * twist.velocity
+        angular_velocity = body.rotation * twist.angular
         body.position = body.position + dt * velocity
         rate = wp.quat(angular_velocity[0], angular_velocity[1], angular_velocity[2], 0.0)
         orientation = wp.normalize(orientation + (0.5 * dt) * (rate * orientation))

@@ -38,6 +38,25 @@ class RobotModel:
 
 
 @wp.struct
+class Body:
+    """Pose, velocity and inertia of a rover in one substep.
+
+    ``center`` is the center of mass in the base frame, ``position`` the same point in the world frame (m), ``rotation``
+    the rotation from the body to the world frame. Velocities (m/s, rad/s) and inertia are in the body frame;
+    ``inverse_spin`` is ``1 / J`` of a wheel.
+    """
+
+    center: wp.vec3
+    position: wp.vec3
+    rotation: wp.mat33
+    velocity: wp.vec3
+    angular_velocity: wp.vec3
+    inverse_mass: float
+    inverse_inertia: wp.mat33
+    inverse_spin: float
+
+
+@wp.struct
 class MoverArrays:
     """Parts of the movers of all rows, [N, P] each: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
 
