@@ -32,7 +32,7 @@ def test_an_equal_world_has_the_stored_scene(folder: Path) -> None:
     packed = PackedScene.stored(yard(), 0.5)
     assert_equal(packed, PackedScene.of(yard(), 0.5))
     assert_equal(packed, PackedScene.stored(yard(), 0.5))
-    assert len(list(folder.rglob("*.bin"))) == 1
+    assert len(list(folder.rglob("*.npz"))) == 1
 
 
 def test_another_world_or_robot_has_its_own(folder: Path) -> None:
@@ -44,7 +44,7 @@ def test_another_world_or_robot_has_its_own(folder: Path) -> None:
 
 def test_a_damaged_file_is_replaced(folder: Path) -> None:
     packed = PackedScene.stored(get_world("moon"), 0.5)
-    (file,) = folder.rglob("*.bin")
+    (file,) = folder.rglob("*.npz")
     file.write_bytes(b"damaged")
     assert_equal(packed, PackedScene.stored(get_world("moon"), 0.5))
     assert file.stat().st_size > 1000
