@@ -15,7 +15,7 @@ from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.warp import WarpSettings
 from tests.gpu.driven import ROUGH, drive, environment
 
-STEPS = 70
+STEPS = 40
 SEED = 7
 
 
@@ -28,17 +28,16 @@ def assert_same(some: list[TensorDictBase], others: list[TensorDictBase], rows: 
             assert torch.equal(a[key], b[key]), (step, key)
 
 
-@pytest.mark.parametrize("settings", [{}, {"world_n": "moon"}, {"randomization": Randomization.typical()}])
+@pytest.mark.parametrize("settings", [{"world_n": "moon"}, {"randomization": Randomization.typical()}])
 def test_a_run_repeats_itself(gpu: torch.device, settings: dict[str, Any]) -> None:
     first, again = (drive(environment(gpu, 64, **settings), STEPS) for _ in range(2))
     assert_same(first, again, slice(None), slice(None))
 
 
-@pytest.mark.parametrize("world", ["maze", "moon"])
-def test_a_row_does_not_depend_on_the_size_of_the_batch(gpu: torch.device, world: str) -> None:
+def test_a_row_does_not_depend_on_the_size_of_the_batch(gpu: torch.device) -> None:
     # The actions of drive() repeat every 20 rows: row 40 of the one batch acts as row 0 of the other.
-    many = drive(environment(gpu, 300, world_n=world, seed=SEED), STEPS)
-    few = drive(environment(gpu, 7, world_n=world, seed=SEED + 40), STEPS)
+    many = drive(environment(gpu, 300, world_n="moon", seed=SEED), STEPS)
+    few = drive(environment(gpu, 7, world_n="moon", seed=SEED + 40), STEPS)
     assert_same(many, few, slice(40, 47), slice(7))
 
 

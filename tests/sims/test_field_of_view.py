@@ -10,7 +10,7 @@ import torch
 
 from rover_rl import RoverEnv
 from rover_rl.robots import get_robot
-from rover_rl.sims.rays import in_view, seen
+from rover_rl.sims.rays import seen
 from tests.sims.driven import ROVER
 
 FRONT = replace(ROVER, name="front", lidar_view=math.radians(270))
@@ -32,11 +32,6 @@ def test_readings_outside_of_the_view_have_no_return(backend: str) -> None:
     assert (readings[12:20] >= expected[12:20]).all()
     assert readings[13:19].tolist() == [12.0] * 6
     assert partial.scan.isinf().sum() > full.scan.isinf().sum()
-
-
-def test_a_full_view_costs_nothing() -> None:
-    env = RoverEnv(world_n="maze", seed=0)
-    assert in_view(env.scanner, env.fleet) is env.scanner
 
 
 def test_robots_state_the_views_of_their_lidars() -> None:

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.leaks import in_fresh_process
 from tests.extras import BACKENDS
 
-WARMUP, CYCLES = 2, 2
+WARMUP, CYCLES = 1, 2
 WORLDS = ("new",)
 """World with a mesh of the ground, boulders and a box. The built-in ones have nothing that it does not have."""
 LIMIT = 5.0 * CYCLES

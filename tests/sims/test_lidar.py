@@ -11,7 +11,7 @@ import torch
 from rover_rl.sims import make_scanner
 from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
 from rover_rl.sims.rays import RayScanner
-from rover_rl.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.worlds import Terrain, World, box, get_world
 from rover_rl.worlds.table import WorldTable
 from tests.sims.driven import ROVER, all_rows, placed, slope
 
@@ -43,8 +43,7 @@ def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float)
     return np.minimum(np.abs(along_x), np.abs(along_y))
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
-@pytest.mark.parametrize("beams", [7, 64, 640])
+@pytest.mark.parametrize(("yaw", "beams"), [(0.7, 7), (-2.5, 640)])
 def test_ranges_in_a_room_match_analytic_distances(backend, yaw, beams):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     x, y = 0.9 + MOUNT * math.cos(yaw), -0.4 + MOUNT * math.sin(yaw)
@@ -53,8 +52,7 @@ def test_ranges_in_a_room_match_analytic_distances(backend, yaw, beams):
     np.testing.assert_allclose(scan(backend, world, (0.9, -0.4, yaw), beams).numpy(), expected, atol=0.01)
 
 
-@pytest.mark.parametrize("tilt", [5.0, 12.0])
-@pytest.mark.parametrize("yaw", [0.0, math.pi])
+@pytest.mark.parametrize(("tilt", "yaw"), [(12.0, 0.0), (5.0, math.pi)])
 def test_tilted_scan_measures_slanted_distances(backend, tilt, yaw):
     """On a slope along x, beams ahead and behind hit vertical walls at d / cos(tilt), beams to the sides at d."""
     world = World("ramp", slope(tilt, size=30).terrain, room(8, 6, height=12))
@@ -69,15 +67,6 @@ def test_tilted_scan_measures_slanted_distances(backend, tilt, yaw):
     torch.testing.assert_close(ranges, torch.tensor(expected), atol=0.01, rtol=0)
 
 
-def test_beam_0_points_forward_and_beams_go_counter_clockwise(backend):
-    world = World("posts", Terrain.flat((30, 30)), [cylinder((0, 3, 0.5), 0.2, 1.0)])
-    ranges = scan(backend, world, (0.0, 0.0, math.pi / 2), 4)
-    assert ranges[0] == pytest.approx(3 - 0.2 - MOUNT, abs=0.01)
-    assert torch.isinf(ranges[1:]).all()
-    ranges = scan(backend, world, (-MOUNT, 0.0, 0.0), 4)
-    assert ranges[1] == pytest.approx(2.8, abs=0.01)
-
-
 def test_wall_beyond_the_range_is_not_seen(backend):
     world = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
     assert torch.isinf(scan(backend, world, (0.0, 0.0, 0.0))).all()
@@ -88,11 +77,6 @@ def test_scan_from_inside_an_obstacle_is_zero(backend):
     world = World("block", Terrain.flat((30, 30)), [box((0, 0, 1), (2, 2, 2))])
     assert (scan(backend, world, (0.0, 0.0, 0.0)) == 0).all()
     assert (scan(backend, world, (-1.3, 0.0, 0.0))[1:] > 0).any()
-
-
-def test_no_return_is_infinite_and_rovers_are_invisible_to_one_another(backend):
-    world = World("plain", Terrain.flat((60, 60)))
-    assert torch.isinf(scans(backend, world, torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]), 32)).all()
 
 
 def test_large_batches_match_single_scans(backend):

@@ -11,13 +11,13 @@ from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.worlds import Terrain, World, box
-from tests.sims.driven import FLAT, ROVER, drive, in_world, placed, slope
+from tests.sims.driven import FLAT, ROVER, drive, placed, slope
 
 MODEL = read_inertial_model(ROVER)
 CENTER = MODEL.total(torch.tensor([MODEL.chassis_mass], dtype=torch.float64))[1][0].numpy()
 """Center of mass in the base frame, m."""
 ORIGIN = [(0.0, 0.0, 0.0)]
-DT, GRAVITY = 0.05, 9.81
+DT = 0.05
 
 
 def yaw_rate(states) -> torch.Tensor:
@@ -33,19 +33,6 @@ def test_commanded_speed_is_reached_on_flat_ground(backend):
     body = (states[-1].position - states[-21].position).norm(dim=-1) / (20 * DT)
     torch.testing.assert_close(body, speeds, atol=0.0, rtol=0.05)
     torch.testing.assert_close(states[-1].linear_velocity.squeeze(-1), speeds, atol=0.01, rtol=0)
-
-
-def test_stops_within_its_acceleration_limit(backend):
-    simulator = placed(backend, FLAT, ORIGIN)
-    moving = drive(simulator, (1.0, 0.0), 40)[-1]
-    states = [moving, *drive(simulator, (0.0, 0.0), 20)]
-    speeds = torch.stack([s.linear_velocity[0, 0] for s in states])
-    # Braking from 1 m/s at 5 m/s^2 takes 0.2 s and 0.1 m.
-    assert (speeds[1:] - speeds[:-1]).abs().max() <= ROVER.drive.max_linear_acceleration * DT * 1.05
-    assert speeds[5:].abs().max() < 0.02
-    braking = (states[-1].position - moving.position).norm().item()
-    # Friction of 0.5 brakes at 4.9 m/s^2. The wheels hold the mean speed of a step: 0.1 m/s more, for 0.2 s.
-    assert 0.085 <= braking <= 0.125
 
 
 def test_turns_within_its_angular_acceleration_limit_and_odometry_reports_the_wheels_not_the_body(backend):
@@ -72,9 +59,7 @@ PLANE = World("plane", Terrain.flat((20, 20)))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("world", "headings", "axes"), [(slope(0.001), AROUND, 2), (slope(15.0), AROUND, 2), (PLANE, [0.3], 3)]
-)
+@pytest.mark.parametrize(("world", "headings", "axes"), [(slope(15.0), AROUND, 2), (PLANE, [0.3], 3)])
 def test_stands_still_for_600_steps(backend, world, headings, axes):
     poses = [(1.5 * k, 0.0, yaw) for k, yaw in enumerate(headings)]
     states = drive(placed(backend, world, poses), (0.0, 0.0), 600)
@@ -113,14 +98,6 @@ def test_resting_pose_needs_no_settling(backend):
     assert (quaternion_to_euler(after.orientation) - quaternion_to_euler(before.orientation)).abs().max() < 0.01
 
 
-def test_base_frame_is_level_on_level_ground(backend):
-    # The chassis' principal axes of inertia are rotated by a degree against the base frame; the pose is not.
-    state = drive(placed(backend, FLAT, [(1.0, 2.0, 0.5)]), (0.0, 0.0), 20)[-1]
-    euler = quaternion_to_euler(state.orientation)
-    torch.testing.assert_close(euler, torch.tensor([[0.0, 0.0, 0.5]]), atol=1e-3, rtol=0)
-    torch.testing.assert_close(state.position[0, :2], torch.tensor([1.0, 2.0]), atol=1e-3, rtol=0)
-
-
 # Warp alone
 
 
@@ -136,19 +113,6 @@ def test_rover_tips_over_at_the_static_stability_angle():
         simulator = placed(settings, slope(degrees, cell=0.1), [(0.0, 0.0, math.pi / 2)])
         rolls = [quaternion_to_euler(state.orientation)[0, 0].item() for state in drive(simulator, (0.0, 0.0), 30)]
         assert (math.degrees(max(map(abs, rolls))) < degrees + 5) == stands
-
-
-def test_free_fall():
-    # Driving off a cliff of 3 m at 1 m/s: only gravity acts until the rover lands.
-    heights = torch.zeros(81, 81)
-    heights[:, :40] = 3.0
-    states = drive(placed("warp", World("cliff", Terrain(heights, 0.25)), [(-1.0, 0.0, 0.0)]), (1.0, 0.0), 60)
-    centers = torch.stack([in_world(state, [CENTER])[0, 0] for state in states])
-    speed = (centers[1:] - centers[:-1]) / DT
-    falling = (speed[1:, 2] - speed[:-1, 2]) / DT
-    free = falling < -9.0
-    assert free.sum() >= 5
-    assert falling[free].median().item() == pytest.approx(-GRAVITY, rel=0.01)
 
 
 def test_obstacles_have_their_own_friction():

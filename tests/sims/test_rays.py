@@ -47,17 +47,7 @@ def test_ranges_are_those_of_geometry(world: World, origin: Any, directions: Any
     assert ranges[0].tolist() == pytest.approx(expected, rel=1e-6, abs=0)
 
 
-def test_hills_have_the_heights_of_the_terrain() -> None:
-    generator = torch.Generator().manual_seed(0)
-    hills = Terrain(torch.rand(21, 31, generator=generator), cell=0.5)
-    points = torch.rand(1, 500, 2, generator=generator) * torch.tensor([14.0, 9.0]) - torch.tensor([7.0, 4.5])
-    origins = torch.cat((points, torch.full((1, 500, 1), 3.0)), -1)
-    down = torch.tensor([0.0, 0.0, -1.0]).expand_as(origins)
-    ranges = RayCaster(WorldTable([World("hills", hills)])).cast(origins, down)
-    torch.testing.assert_close(3.0 - ranges, hills.height_at(points), atol=1e-5, rtol=0)
-
-
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(
     seed=st.integers(0, 2**31),
     # Starts and directions on lines, corners and diagonals of the grid, too.

@@ -78,15 +78,6 @@ def test_an_environment_uses_a_registered_backend():
     env.close()
 
 
-def test_a_backend_without_presets_raises_for_a_preset():
-    register_backend("registered-plain", PlainBackend)
-    assert substeps("registered-plain") == BulletSettings().substeps
-    with pytest.raises(
-        ValueError, match="^backend 'registered-plain' has no presets for its physics, got physics='fast'$"
-    ):
-        substeps("registered-plain", physics="fast")
-
-
 @pytest.mark.parametrize(("name", "part"), [("registered-number", 4), ("registered-function-of-a-number", lambda: 4)])
 def test_anything_without_make_raises(name, part):
     register_backend(name, part)

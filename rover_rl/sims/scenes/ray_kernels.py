@@ -10,8 +10,7 @@ Lengths in m; u and v are x and y in cells of the ground, from its first height.
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.scenes.ground import ground_at
-from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.scenes.scene import Scene, ground_at
 
 SLOWEST = wp.constant(1.0e-9)
 """Rate below which a ray does not move along an axis."""

@@ -16,11 +16,7 @@ from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel
 
 
 def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Device) -> RobotModel:
-    """Copies the geometry of a robot to a device.
-
-    Raises:
-        ValueError: if the robot has more than :data:`MAX_WHEELS` wheels.
-    """
+    """Copies the geometry of a robot to a device. Raises ``ValueError`` for more than :data:`MAX_WHEELS` wheels."""
     wheels = len(inertial_model.hubs)
     if wheels > MAX_WHEELS:
         raise ValueError(f"the warp backend supports at most {MAX_WHEELS} wheels, {robot.name!r} has {wheels}")

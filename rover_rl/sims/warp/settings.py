@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rover_rl.plain import take_numbers
-from rover_rl.sims.settings import CONTROL_DT
+from rover_rl.sims.settings import CONTROL_DT, PhysicsSettings
 
 
 @dataclass(frozen=True)
-class WarpSettings:
+class WarpSettings(PhysicsSettings):
     """Settings of the Warp backend. The defaults match the default preset of the Bullet backend as closely as possible.
 
     Args:
@@ -31,7 +30,7 @@ class WarpSettings:
         block_size: threads per block on a GPU, a multiple of 32: to tune the speed there. ``None`` uses 32.
 
     Raises:
-        ValueError: for a number that is out of range.
+        ValueError: if a number is out of range.
     """
 
     control_dt: float = CONTROL_DT
@@ -48,36 +47,8 @@ class WarpSettings:
     block_size: int | None = None
 
     def __post_init__(self) -> None:
-        take_numbers(self)
-        for name in ("substeps", "solver_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.threads is not None and self.threads < 1:
-            raise ValueError(f"threads must be at least 1, got {self.threads}")
+        super().__post_init__()
         if self.lidar_lanes not in (None, 1, 2, 4, 8, 16, 32):
             raise ValueError(f"lidar_lanes must be 1, 2, 4, 8, 16 or 32, got {self.lidar_lanes}")
         if self.block_size is not None and not (32 <= self.block_size <= 1024 and self.block_size % 32 == 0):
             raise ValueError(f"block_size must be a multiple of 32 from 32 to 1024, got {self.block_size}")
-        if not self.control_dt > 0:
-            raise ValueError(f"control_dt must be positive, got {self.control_dt}")
-        if not self.stiffness > 0:
-            raise ValueError(f"stiffness must be positive, got {self.stiffness}")
-        for name in ("damping", "max_correction", "margin", "ground_friction", "obstacle_friction"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-
-    @property
-    def substep(self) -> float:
-        """Duration of a substep, s."""
-        return self.control_dt / self.substeps
-
-    @classmethod
-    def preset(cls, name: str) -> WarpSettings:
-        """Returns the settings of a preset by name; the only preset is ``"default"``.
-
-        Raises:
-            ValueError: for an unknown name.
-        """
-        if name != "default":
-            raise ValueError(f"unknown physics {name!r}; backend 'warp' has one preset, 'default'")
-        return cls()

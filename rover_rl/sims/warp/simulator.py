@@ -50,7 +50,7 @@ class WarpSimulator(Simulator):
 
     Args:
         worlds: world of each rover.
-        robot: robot to simulate, or a fleet with the robot of each rover.
+        robot: robot, or a fleet with the robot of each rover.
         settings: settings of the physics; ``None`` uses the defaults.
         device: device of the simulation and of its tensors; ``None`` is the CPU.
 
@@ -112,7 +112,7 @@ class WarpSimulator(Simulator):
         return {"device": self._wp_device, **blocks}
 
     def _divide(self) -> list[tuple[int, int]]:
-        """Returns the first rover and the number of rovers of each CPU thread."""
+        """First rover and number of rovers of each CPU thread."""
         threads = self.settings.threads or torch.get_num_threads()
         # Launches on a GPU are asynchronous: one host thread suffices.
         max_threads = 1 if self.device.type == "cuda" else max(1, self.num_envs // MIN_ROVERS_PER_THREAD)
@@ -209,7 +209,6 @@ class WarpSimulator(Simulator):
         return self.state()
 
     def state(self) -> RoverState:
-        """Returns a copy of the current state."""
         buffers = self._buffers
         touched = None if self._parts is None else buffers.mover_contact.clone()
         reports = {name: values.clone() for name, values in buffers.reports.items()}

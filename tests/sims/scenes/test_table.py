@@ -35,13 +35,6 @@ def test_an_equal_world_has_the_stored_scene(folder: Path) -> None:
     assert len(list(folder.rglob("*.npz"))) == 1
 
 
-def test_another_world_or_robot_has_its_own(folder: Path) -> None:
-    PackedScene.stored(yard(), 0.5)
-    assert_equal(PackedScene.stored(yard(1.1), 0.5), PackedScene.of(yard(1.1), 0.5))
-    assert_equal(PackedScene.stored(yard(), 1.5), PackedScene.of(yard(), 1.5))
-    assert len(list(folder.rglob("*.bin"))) == 3
-
-
 def test_a_damaged_file_is_replaced(folder: Path) -> None:
     packed = PackedScene.stored(get_world("moon"), 0.5)
     (file,) = folder.rglob("*.npz")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
 from rover_rl import make_env
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.worlds import Terrain, World, boulder, get_world
+from rover_rl.worlds import Terrain, World, get_world
 from tests.sims.driven import ROVER, drive, in_world, placed
 
 
@@ -44,15 +43,15 @@ def test_several_threads_scan_for_a_rover():
 @pytest.mark.slow
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
     """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
-    for name in ("inspect", "moon", "maze"):
+    for name in ("moon", "maze"):
         world = get_world(name)
-        env = make_env(backend="warp", world_n=name, num_envs=96, seed=0, lidar_beams=32, length=400)
+        env = make_env(backend="warp", world_n=name, num_envs=48, seed=0, lidar_beams=32, length=400)
         td = env.reset()
         generator = torch.Generator().manual_seed(0)
         space = env.action_spec.space
         for step in range(200):
             if step % 10 == 0:
-                action = space.low + (space.high - space.low) * torch.rand(96, 2, generator=generator)
+                action = space.low + (space.high - space.low) * torch.rand(48, 2, generator=generator)
             _, td = env.step_and_maybe_reset(td.set("action", action))
             position = env.base_env.rover_state.position
             assert torch.isfinite(position).all()
@@ -67,16 +66,6 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
                     outside = (hubs @ planes[:, :3].T + planes[:, 3]).amax(-1)
                     # The least distance of a hub to a wall, with the wheel parallel to it, is half of a wheel's width.
                     assert outside.min() > ROVER.wheels.width / 2 - 0.01
-
-
-def test_boulder_stops_the_rover():
-    rock = boulder((2.0, 0.0, 0.2), 0.8, np.random.default_rng(0))
-    world = World("rock", Terrain.flat((20, 20)), [rock])
-    simulator = placed("warp", world, [(0.0, 0.0, yaw) for yaw in (0.0, 0.05, 0.12)])
-    state = drive(simulator, (1.0, 0.0), 100)[-1]
-    # The front of the rover does not pass the middle of the rock.
-    assert (state.position[:, 0] < 2.0 - 0.26).all()
-    assert torch.isfinite(state.position).all()
 
 
 def test_ridge_between_the_wheels_carries_the_rover():

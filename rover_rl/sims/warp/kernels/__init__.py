@@ -4,16 +4,6 @@ Kernels and functions are written in Warp's subset of Python and compiled on fir
 only the rows of its own rover, so that a result depends neither on the other rovers of a batch nor on the number of
 threads, to the last bit.
 
-Modules:
-    types: structs passed to the kernels (scene, robot model, solver parameters, rover state).
-    ground: height, slope and normal of the terrain.
-    convex: penetration of a box or wheel into a convex obstacle.
-    contacts: collision detection and the constraint rows of a contact.
-    dynamics: constraint solver and time integration.
-    placing: placement at rest on the ground.
-    scan_plane: plane of a scan, and how far the lidar sees in it.
-    lidar: planar lidar scan.
-
 Frames, used by all modules:
     world: z up, m.
     base: base link of the URDF; x forward, y left, z up.

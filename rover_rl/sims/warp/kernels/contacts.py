@@ -23,8 +23,7 @@ mass (E. Catto, "Iterative Dynamics with Temporal Coherence", GDC 2005).
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.scenes.ground import ground_at, ground_gap, ground_normal
-from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.scenes.scene import Scene, ground_at, ground_gap, ground_normal
 from rover_rl.sims.warp.kernels.convex import find_overlap, is_near, is_straight, part_center, part_radius
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Body, MoverArrays, RobotModel, Solver
 

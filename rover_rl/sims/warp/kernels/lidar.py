@@ -20,8 +20,7 @@ the origin at the lidar. Lengths in m, angles in turns of 2 pi.
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.scenes.ground import ground_at
-from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.scenes.scene import Scene, ground_at
 from rover_rl.sims.warp.kernels.convex import max_separation_plane
 from rover_rl.sims.warp.kernels.scan_plane import (
     ScanPlane,
@@ -107,17 +106,8 @@ def slice_triangle(
     the two sides whose ends lie on different sides of it, at the share ``h_1 / (h_1 - h_2)`` of the way from end 1 to
     end 2 (marching triangles).
 
-    Args:
-        beams: directions of the beams in the scan plane.
-        ranges: ranges of all rovers, m.
-        row: row of the rover.
-        plane: scan plane.
-        x: x of the right-angle corner relative to the lidar, m.
-        y: y of the right-angle corner relative to the lidar, m.
-        leg: signed length of the legs, m: positive for the lower triangle of a cell, negative for the upper one.
-        height: height of the right-angle corner above the scan plane, m.
-        height_x: height of the corner (x + leg, y) above the scan plane, m.
-        height_y: height of the corner (x, y + leg) above the scan plane, m.
+    x and y are relative to the lidar. ``leg`` is positive for the lower triangle of a cell, negative for the upper one.
+    ``height``, ``height_x`` and ``height_y`` are those of the corners above the scan plane, m.
     """
     above = height > 0.0
     above_x = height_x > 0.0
@@ -155,15 +145,9 @@ def slice_triangle(
 
 @wp.func
 def points_above_plane(scene: Scene, j: int, first: int, last: int, height: float, step: float) -> int:
-    """Bit mask of the grid points of a row that are above the scan plane; bit k is column ``first + k``.
+    """Bit mask of the grid points of row ``j`` that are above the scan plane; bit k is column ``first + k``.
 
-    Args:
-        scene: world with the ground.
-        j: row of the grid.
-        first: first column.
-        last: last column, inclusive.
-        height: height of the scan plane at the first column, m.
-        step: height that the plane gains per column, m.
+    The plane is at ``height`` (m) at the first column, and gains ``step`` per column.
     """
     bits = int(0)
     for k in range(last - first + 1):
@@ -322,15 +306,6 @@ def slice_face(
     """Shortens the beams that meet one face of an obstacle.
 
     The scan plane cuts a convex polygon in two of its edges or none: those whose ends lie on different sides of it.
-
-    Args:
-        scene: world of the obstacle.
-        beams: directions of the beams.
-        ranges: ranges of the beams of all rovers, m.
-        row: index of the rover.
-        plane: scan plane.
-        face: index of the face in the scene's list of faces.
-        first_vertex: index of the obstacle's first vertex.
     """
     start = scene.face_starts[face]
     end = scene.face_starts[face + 1]
@@ -405,37 +380,6 @@ def slice_obstacles(
     return inside
 
 
-@wp.func
-def scan_share(
-    scenes: wp.array[Scene],
-    models: wp.array[RobotModel],
-    rovers: RoverArrays,
-    beams: wp.array[wp.vec2],
-    row: int,
-    lane: int,
-    lanes: int,
-):
-    """Shortens the beams of one rover by the share of the world that belongs to one of its lanes.
-
-    Order: near obstacles, far obstacles that these do not occlude, then the ground.
-    """
-    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
-    orientation = wp.quat(
-        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
-    )
-    scene = scenes[rovers.scene[row]]
-    robot = rovers.robot[row]
-    plane = scan_plane(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
-    plane.lane = lane
-    plane.lanes = lanes
-    plane.tie = wp.where(lanes == 1, 1.0, TIE)
-    inside = slice_obstacles(scene, beams, rovers.ranges, rovers.visible, row, plane)
-    slice_ground(scene, beams, rovers.ranges, rovers.visible, row, plane)
-    if inside or plane.origin[2] < ground_at(scene, plane.origin[0], plane.origin[1])[3]:
-        for beam in range(beams.shape[0]):
-            wp.atomic_min(rovers.ranges, row, beam, 0.0)
-
-
 @wp.kernel
 def scan(
     scenes: wp.array[Scene],
@@ -445,7 +389,7 @@ def scan(
     first: int,
     lanes: int,
 ):
-    """One scan per rover that scans, from the pose in ``rovers.base_state``.
+    """One scan per rover that scans, from the pose in ``rovers.base_state``: of obstacles, then the ground.
 
     Thread ``(t, lane)`` is one of the ``lanes`` threads that scan for rover ``first + t``. With several, the ranges of
     rovers that scan must be ``inf`` before the launch, and ``rovers.visible`` the maximum range: no thread may start
@@ -461,4 +405,18 @@ def scan(
     if lanes == 1:
         for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
-    scan_share(scenes, models, rovers, beams, row, lane, lanes)
+    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
+    orientation = wp.quat(
+        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
+    )
+    scene = scenes[rovers.scene[row]]
+    robot = rovers.robot[row]
+    plane = scan_plane(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
+    plane.lane = lane
+    plane.lanes = lanes
+    plane.tie = wp.where(lanes == 1, 1.0, TIE)
+    inside = slice_obstacles(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    slice_ground(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    if inside or plane.origin[2] < ground_at(scene, plane.origin[0], plane.origin[1])[3]:
+        for beam in range(beams.shape[0]):
+            wp.atomic_min(rovers.ranges, row, beam, 0.0)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.free_space.ground import CLEARANCE, RIM_ANGLE, RIM_POINTS
-from rover_rl.sims.scenes.ground import ground_at
-from rover_rl.sims.scenes.scene import Scene
+from rover_rl.sims.scenes.scene import Scene, ground_at
 from rover_rl.sims.warp.kernels.dynamics import clear_reports, write_base_state
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays
 

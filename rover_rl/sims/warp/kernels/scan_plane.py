@@ -131,16 +131,8 @@ def is_occluded(
     """Conservative occlusion test of a disk in the scan plane.
 
     The disk is occluded if every sector that it overlaps sees less far than to it. Its half-width in angle is
-    ``asin(radius / d) <= (radius / d) (pi / 2)``, or ``0.25 radius / d`` turns.
-
-    Args:
-        visible: bounds of how far each sector of each scan sees, m.
-        row: row of the rover.
-        plane: scan plane.
-        x: x of the disk's center relative to the lidar, m.
-        y: y of the disk's center relative to the lidar, m.
-        radius: radius of the disk, m.
-        distance: lower bound of the distance of its points to the lidar, m.
+    ``asin(radius / d) <= (radius / d) (pi / 2)``, or ``0.25 radius / d`` turns. Its center is at x and y relative to
+    the lidar, and ``distance`` is a lower bound of that of its points to it, m.
     """
     ahead = plane.ahead_from_xy[0] * x + plane.ahead_from_xy[1] * y
     left = plane.left_from_xy[0] * x + plane.left_from_xy[1] * y
