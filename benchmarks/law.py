@@ -24,7 +24,6 @@ from benchmarks.engines import choose_engines, with_friction
 from benchmarks.options import Options
 from benchmarks.ratios import told
 from rover_rl.robots import get_robot
-from rover_rl.robots.inertial_model import read_inertial_model
 
 FRICTION = 0.5
 """Friction coefficient between rover and ground."""
@@ -78,8 +77,7 @@ class Quantity:
 
 def center_of_mass(robot_name: str = "rover_zero") -> tuple[float, float]:
     """Returns the x and z coordinate of the center of mass of a rover in its base frame, m."""
-    model = read_inertial_model(get_robot(robot_name))
-    center = model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0]
+    center = torch.tensor(get_robot(robot_name).center_of_mass, dtype=torch.float64)
     return center[0].item(), center[2].item()
 
 

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from rover_rl.robots import get_robot
 from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world
-from rover_rl.sims.bullet.rover import load_rover
+from rover_rl.sims.bullet.rover import load_rovers
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.worlds import get_world
@@ -67,7 +67,7 @@ class PlainRover(gymnasium.Env):
         for body in range(pybullet.getNumBodies(physicsClientId=client)):
             # Static bodies collide with rays and the rover, not with one another.
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _RAYS | _ROVER, physicsClientId=client)
-        self._body = load_rover(client, self._robot.urdf, settings)
+        self._body = load_rovers(client, self._robot, settings, 1)[0]
         names = [*self._robot.drive.left, *self._robot.drive.right]
         joints = range(pybullet.getNumJoints(self._body, physicsClientId=client))
         index = {pybullet.getJointInfo(self._body, j, physicsClientId=client)[1].decode(): j for j in joints}

@@ -12,7 +12,7 @@ import tyro
 
 from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.files import check_outputs, written_whole
-from rover_rl.robots.options import RobotOptions, is_robot_file, split_options, with_options
+from rover_rl.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
     from rover_rl.robots import Robot
@@ -48,7 +48,7 @@ class ShowRobot:
         check_outputs(out, inputs=[self.robot], force=self.force)
         lines = describe(robot)
         print("\n".join(lines))
-        for note in _notes(name) or [str(each.message) for each in caught]:
+        for note in robot.notes or [str(each.message) for each in caught]:
             print(f"  {note}")
         with written_whole(out) as temporary:
             draw_robot(robot, lines[1:], temporary)
@@ -83,7 +83,6 @@ class Robots:
         if self.action is not None:
             return self.action()
         from rover_rl.robots import FAMILIES, ROBOTS, get_robot, robot_names
-        from rover_rl.robots.footprint import footprint
 
         print(f"{'name':12} {'mass':>9} {'size':>13} {'drive':12} {'speed':>9} {'turn':>12}  source")
         for name in robot_names():
@@ -92,11 +91,11 @@ class Robots:
             except (ValueError, OSError) as error:
                 print(f"{name:12} cannot be loaded: {error}")
                 continue
-            outline, drive = footprint(robot), robot.drive
+            outline, drive = robot.footprint, robot.drive
             size = f"{outline.front - outline.back:.2f} x {outline.left - outline.right:.2f} m"
             radius = drive.min_radius(robot.wheels)
             turn = "in place" if drive.turns_in_place else f"{radius:.2f} m"
-            source = "built in" if name in ROBOTS else str(robot.urdf)
+            source = "built in" if name in ROBOTS else str(robot.urdf or "")
             if name in FAMILIES:
                 source = f"one of a family: {name}:0, {name}:1, ..."
             kind, speed = type(drive).__name__, f"{drive.max_speed:.3g} m/s"
@@ -107,11 +106,9 @@ class Robots:
 
 def describe(robot: Robot) -> list[str]:
     """Describes a robot, in lines: the first has its name, the others are indented."""
-    from rover_rl.robots.draw import center_of_mass
     from rover_rl.robots.drives import Ackermann, SkidSteer
-    from rover_rl.robots.footprint import footprint
 
-    outline, wheels, drive = footprint(robot), robot.wheels, robot.drive
+    outline, wheels, drive = robot.footprint, robot.wheels, robot.drive
     casters = len(drive.casters) if isinstance(drive, SkidSteer) else 0
     count, with_casters = len(wheels.hubs) - casters, f" on the ground and {casters} for casters" if casters else ""
     width = f"{wheels.width:.3g} m wide" if wheels.width else "spheres"
@@ -124,7 +121,7 @@ def describe(robot: Robot) -> list[str]:
         f"  disc that is kept free: radius {robot.radius:.3g} m",
         f"  wheels: {count}{with_casters}, radius {wheels.radius:.3g} m, {width}",
         f"  wheelbase: {max(x) - min(x):.3g} m, track {max(y) - min(y):.3g} m",
-        f"  center of mass: {_place(center_of_mass(robot))} m",
+        f"  center of mass: {_place(robot.center_of_mass)} m",
         f"  lidar: {_place(robot.lidar_position)} m, {robot.lidar_range:g} m, {view}",
         f"  IMU: {_place(robot.imu_position)} m",
         f"  limits: {drive.max_speed:g} m/s, {drive.max_yaw_rate:g} rad/s, {drive.max_linear_acceleration:g} m/s^2,",
@@ -148,16 +145,6 @@ def _joints(robot: Robot) -> list[tuple[str, tuple[str, ...]]]:
         "of steering": drive.steering,
     }
     return [(name, joints) for name, joints in named.items() if joints]
-
-
-def _notes(name: str) -> list[str]:
-    own, options = split_options(name)
-    if not is_robot_file(own):
-        return []
-    from rover_rl.robots.urdf import read_urdf
-
-    read = read_urdf(Path(own), options)
-    return [f"read as {read.summary}", *read.notes]
 
 
 def _place(position: tuple[float, ...]) -> str:

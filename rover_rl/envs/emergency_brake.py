@@ -11,8 +11,7 @@ from rover_rl.envs.config import GuardConfig
 from rover_rl.envs.stages import SensorDelays, Stage, StepState
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.slip import estimated_yaw_gain
+from rover_rl.robots.turning import estimated_yaw_gain
 
 SPACING = 0.08
 """Distance of the places along the arc at which the outline is tested, m."""
@@ -46,7 +45,7 @@ class EmergencyBrake(Stage):
 
     def _numbers(self, robot: Robot) -> list[float]:
         """Returns back, front and half the width of the outline with the margin, place of the lidar, and yaw gain."""
-        outline, margin = footprint(robot), self._config.margin
+        outline, margin = robot.footprint, self._config.margin
         size = [outline.back - margin, outline.front + margin, outline.half_width + margin]
         return [*size, *robot.lidar_position[:2], estimated_yaw_gain(robot)]
 

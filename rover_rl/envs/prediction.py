@@ -10,7 +10,7 @@ from torch.nn.functional import pad
 
 from rover_rl.envs.stages import CommandDelay, DelayLine, SensorDelays, Stage, StepState
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.skidding import yaw_gain
+from rover_rl.robots.turning import yaw_gain
 from rover_rl.rotations import wrap_angle
 from rover_rl.sims.simulated_drives import SimulatedDrives
 

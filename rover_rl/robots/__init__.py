@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     RobotSource: TypeAlias = str | Robot | Sequence[str | Robot]
 
 ROBOTS = {
-    "rover_zero": "rover_rl.robots.rover_zero:ROVER_ZERO",
-    "leo": "rover_rl.robots.leo:LEO",
-    "jackal": "rover_rl.robots.jackal:JACKAL",
-    "husky": "rover_rl.robots.husky:HUSKY",
-    "racer": "rover_rl.robots.racer:RACER",
-    "hunter": "rover_rl.robots.hunter:HUNTER",
+    "rover_zero": "rover_rl.robots.built_in:ROVER_ZERO",
+    "leo": "rover_rl.robots.built_in:LEO",
+    "jackal": "rover_rl.robots.built_in:JACKAL",
+    "husky": "rover_rl.robots.built_in:HUSKY",
+    "racer": "rover_rl.robots.built_in:RACER",
+    "hunter": "rover_rl.robots.built_in:HUNTER",
 }
 """Built-in robots, by name."""
 FAMILIES = {"any": "rover_rl.robots.any_robot:any_robot"}
@@ -123,7 +123,9 @@ def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
     changes: dict[str, Any] = {"drive": replace(robot.drive, **drive), **options.lidar_settings}
     if options.lidar is not None:
         place = options.lidar.split()
-        changes["lidar"] = tuple(map(float, place)) if len(place) == 3 else options.lidar
+        if len(place) != 3:
+            raise ValueError(f'lidar of robot {robot.name!r} must be "x y z", got {options.lidar!r}')
+        changes["lidar_position"] = tuple(map(float, place))
     return replace(robot, **changes)
 
 

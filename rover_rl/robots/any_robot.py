@@ -7,18 +7,15 @@ evaluation, by the same convention as those of worlds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_rl.robots.description import Frame, Shape
 from rover_rl.robots.drives import Ackermann, Drive, SkidSteer, Wheels
 from rover_rl.robots.robot import Robot
-from rover_rl.robots.urdf.body import Mass
-from rover_rl.robots.urdf.derived import Derived, Wheel, store
+from rover_rl.robots.shapes import WEIGHTLESS, Box, Frame, Mass, Shape, box_mass, nine_digits
 
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 FRICTION, GRAVITY = 0.5, 9.81
@@ -28,11 +25,6 @@ NIMBLE = 0.8
 """Smallest radius of a turn up to which the lidar of a car may not see what is behind, m."""
 BODY, TIRE = (0.35, 0.55, 0.75), (0.12, 0.12, 0.13)
 """Colors."""
-
-Box: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""Center and size of a box, ``[3]`` each, m."""
-_Vector: TypeAlias = tuple[float, float, float]
-_HERE = Frame(np.zeros(3), np.eye(3))
 
 
 @lru_cache(maxsize=2048)
@@ -69,19 +61,39 @@ def any_robot(seed: int = 0) -> Robot:
     center = np.array((base * draw.uniform(-0.08, 0.08), 0.0, bottom + 0.4 * size[2]))
     wheel = mass * draw.uniform(0.02, 0.06)
     drive = _car(draw, base, track, radius, mass) if is_car else _skid_steer(draw, base, track, radius, mass)
-    body = Mass(mass - 4 * wheel, center, (mass - 4 * wheel) / 12 * np.diag((size**2).sum() - size**2))
-    hubs = tuple((x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2))
-    derived = _derived(f"any_{seed}", boxes, body, Wheels(hubs, radius, width), wheel, lidar, is_car)
+    body = box_mass(mass - 4 * wheel, center, size)
+    hubs = [(x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2)]
+    steering: tuple[int, ...] = ()
+    # In the order of the drive: the rear wheels of a car come first, and the left wheels of a skid-steer.
+    order = (2, 3, 0, 1) if is_car else (0, 2, 1, 3)
+    if is_car:
+        steering = (-1, -1, 0, 1)
+    across, along = wheel * (3 * radius**2 + width**2) / 12, wheel * radius**2 / 2
     ranges: dict[str, Any] = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
     # A car with a wide turning circle drives backward often.
     wide = isinstance(drive, Ackermann) and base / math.tan(drive.max_steering) > NIMBLE
     if draw.random() < 0.5 and not wide:
         ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
-    return Robot(f"any:{seed}", store(derived, f"seed {seed} of a family"), drive, **ranges)
+    numbers: dict[str, Any] = {
+        "body": body,
+        "boxes": tuple(boxes),
+        "wheel": Mass.of(wheel, np.zeros(3), np.diag((across, along, across))),
+        "lidar_position": lidar,
+        "imu_position": (0.0, 0.0, float(boxes[0].center[2])),
+    }
+    numbers = {name: nine_digits(values) for name, values in numbers.items()}
+    wheels = Wheels(*nine_digits((tuple(hubs[corner] for corner in order), radius, width)), steering)
+    visuals = [Shape("box", Frame(np.array(box.center), np.eye(3)), box.size, "", BODY) for box in boxes]
+    axle = Rotation.from_rotvec((math.pi / 2, 0, 0)).as_matrix()
+    visuals += [Shape("cylinder", Frame(np.array(hub), axle), (radius, width), "", TIRE) for hub in hubs]
+    looks = {"visuals": tuple(visuals), "order": tuple(f"{corner}_wheel" for corner in CORNERS)}
+    return Robot(name=f"any:{seed}", drive=drive, wheels=wheels, **numbers, **ranges, **looks)
 
 
 def _box(x: float, bottom: float, size: np.ndarray) -> Box:
-    return np.array((x, 0.0, bottom + size[2] / 2)), size
+    middle = np.array((x, 0.0, bottom + size[2] / 2))
+    low, high = middle - size / 2, middle + size / 2
+    return Box(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), WEIGHTLESS)
 
 
 def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
@@ -124,28 +136,4 @@ def _car(draw: np.random.Generator, base: float, track: float, radius: float, ma
         max_linear_acceleration=draw.uniform(1.5, 2.0),
         max_speed=_log_uniform(draw, 0.6, 3.0),
         max_yaw_rate=_log_uniform(draw, 2.0, 6.0),
-    )
-
-
-def _derived(
-    name: str, boxes: Sequence[Box], body: Mass, wheels: Wheels, wheel_mass: float, lidar: _Vector, is_car: bool
-) -> Derived:
-    """Returns what the URDF states. Wheels are in the order of :data:`CORNERS`, and the front ones of a car steer."""
-    radius, width = wheels.radius, wheels.width
-    across, along = wheel_mass * (3 * radius**2 + width**2) / 12, wheel_mass * radius**2 / 2
-    knuckles = [f"{corner}_knuckle" if is_car and "front" in corner else None for corner in CORNERS]
-    names = [f"{corner}_wheel" for corner in CORNERS]
-    visuals = [(Frame(middle, np.eye(3)), Shape("box", _HERE, tuple(size), "", BODY)) for middle, size in boxes]
-    axle = Rotation.from_rotvec((math.pi / 2, 0, 0)).as_matrix()
-    tire = Shape("cylinder", _HERE, (radius, width), "", TIRE)
-    return Derived(
-        name=name,
-        body=body,
-        boxes=[(middle - size / 2, middle + size / 2) for middle, size in boxes],
-        wheels=[Wheel(*wheel) for wheel in zip(names, wheels.hubs, knuckles, strict=True)],
-        wheel=Mass(wheel_mass, np.zeros(3), np.diag((across, along, across))),
-        radius=radius,
-        width=width,
-        mounts={"lidar_link": lidar, "imu_link": (0.0, 0.0, float(boxes[0][0][2]))},
-        visuals=[*visuals, *((Frame(np.array(hub), axle), tire) for hub in wheels.hubs)],
     )

@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 from matplotlib.transforms import Affine2D
 
-from rover_rl.robots.description import Description, Shape
 from rover_rl.robots.drives import Ackermann, SkidSteer
-from rover_rl.robots.footprint import footprint
 from rover_rl.robots.robot import Robot
 
 BODY, EDGE, TIRE, CASTER, STEERED = "#b8c4d6", "#475569", "#27272a", "#a1a1aa", "#f97316"
@@ -49,7 +47,7 @@ def draw_robot(robot: Robot, lines: list[str], path: str | Path | None = None) -
 
 
 def _draw_above(ax: Axes, robot: Robot) -> None:
-    outline = footprint(robot)
+    outline = robot.footprint
     _add_boxes(ax, robot, (0, 1))
     _add_wheels(ax, robot)
     width, depth = outline.front - outline.back, outline.left - outline.right
@@ -70,7 +68,7 @@ def _draw_above(ax: Axes, robot: Robot) -> None:
 
 
 def _draw_side(ax: Axes, robot: Robot) -> None:
-    outline, wheels = footprint(robot), robot.wheels
+    outline, wheels = robot.footprint, robot.wheels
     ax.axhline(0.0, color=EDGE, linewidth=1.0)
     _add_boxes(ax, robot, (0, 2))
     for name, (x, _, z) in zip(robot.drive.wheels, wheels.hubs, strict=True):
@@ -80,7 +78,7 @@ def _draw_side(ax: Axes, robot: Robot) -> None:
     z = robot.lidar_position[2]
     ax.axhline(z, color=LIDAR, linewidth=0.8, linestyle=(0, (2, 3)))
     half = (1 + MARGIN) * max(outline.half_length, robot.radius)
-    top = max([z, *(high[2] for _, high in _boxes(robot))])
+    top = max([z, *(center[2] + size[2] / 2 for center, size, _ in robot.boxes)])
     ax.set(xlim=(-1.6 * half, 1.6 * half), ylim=(-0.1 * half, top + 0.2 * half), xlabel="x (m)", ylabel="z (m)")
     ax.set_aspect("equal")
     ax.set_title("from the right, with the plane of the lidar", fontsize=10)
@@ -88,7 +86,7 @@ def _draw_side(ax: Axes, robot: Robot) -> None:
 
 def _draw_turn(ax: Axes, robot: Robot) -> None:
     """Draws the sharpest turn: the way of the origin or of the rear axle, and the ground that the body covers."""
-    outline, drive, wheels = footprint(robot), robot.drive, robot.wheels
+    outline, drive, wheels = robot.footprint, robot.drive, robot.wheels
     radius, rear = drive.min_radius(wheels), 0.0
     if isinstance(drive, Ackermann):
         rear = (wheels.hubs[0][0] + wheels.hubs[1][0]) / 2
@@ -110,31 +108,9 @@ def _draw_turn(ax: Axes, robot: Robot) -> None:
     ax.set(xlim=(rear - 1.1 * max(reach), rear + 1.1 * max(reach)), ylim=(low, high), aspect="equal", xlabel="x (m)")
 
 
-def _boxes(robot: Robot) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns the lowest and highest corners of the boxes around the collision shapes of the body."""
-    description = Description(robot.urdf)
-    boxes = []
-    for name, frame in description.fixed.items():
-        for shape in description.links[name].shapes:
-            half = _half(shape)
-            if half is not None:
-                placed = frame @ shape.frame
-                reach = np.abs(placed.rotation) @ half
-                boxes.append((placed.position - reach, placed.position + reach))
-    return boxes
-
-
-def _half(shape: Shape) -> np.ndarray | None:
-    if shape.kind == "box":
-        return np.array(shape.sizes) / 2
-    if shape.kind == "sphere":
-        return np.full(3, shape.sizes[0])
-    return np.array((shape.sizes[0], shape.sizes[0], shape.sizes[1] / 2)) if shape.kind == "cylinder" else None
-
-
 def _add_boxes(ax: Axes, robot: Robot, plane: tuple[int, int]) -> None:
-    for low, high in _boxes(robot):
-        corner, size = low[[*plane]], (high - low)[[*plane]]
+    for center, sides, _ in robot.boxes:
+        corner, size = [center[k] - sides[k] / 2 for k in plane], [sides[k] for k in plane]
         ax.add_patch(Rectangle(tuple(corner), *size, facecolor=BODY, edgecolor=EDGE, linewidth=0.6, alpha=0.7))
 
 
@@ -173,17 +149,8 @@ def _add_points(ax: Axes, robot: Robot, plane: tuple[int, int]) -> None:
     points = {
         "lidar": (robot.lidar_position, "o", LIDAR),
         "IMU": (robot.imu_position, "s", IMU),
-        "center of mass": (center_of_mass(robot), "X", CENTER),
+        "center of mass": (robot.center_of_mass, "X", CENTER),
     }
     for label, (place, marker, color) in points.items():
         x, y = (place[axis] for axis in plane)
         ax.plot([x], [y], marker, color=color, label=label, markersize=6, linestyle="none")
-
-
-def center_of_mass(robot: Robot) -> tuple[float, float, float]:
-    """Returns the center of mass of a robot in its base frame, m."""
-    description = Description(robot.urdf)
-    links = [(description.links[name].inertial, frame) for name, frame in description.frames.items()]
-    parts = [(each.mass, (frame @ each.frame).position) for each, frame in links if each is not None and each.mass > 0]
-    x, y, z = (sum(mass * place[axis] for mass, place in parts) / sum(mass for mass, _ in parts) for axis in range(3))
-    return float(x), float(y), float(z)

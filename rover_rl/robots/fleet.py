@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -79,3 +80,60 @@ class Fleet:
     def table(self, numbers: Callable[[Robot], Any], dtype: torch.dtype = torch.float32) -> Tensor:
         """Returns numbers of each robot on the device of the rows, ``[K, ...]``."""
         return torch.tensor([numbers(robot) for robot in self.robots], dtype=dtype, device=self.index.device)
+
+
+class MassTable:
+    """Mass properties of K robots, copied to a device once: a copy from the host waits for the device.
+
+    Attributes:
+        chassis_mass: mass of the chassis of each robot, ``[K]``, kg, float64.
+    """
+
+    def __init__(self, robots: Sequence[Robot], device: torch.device | str | None = None) -> None:
+        most = max(len(robot.wheels.hubs) for robot in robots)
+        # A wheel that a robot lacks has no mass.
+        weights = np.array([[float(wheel < len(robot.wheels.hubs)) for wheel in range(most)] for robot in robots])
+        hubs = [np.array(robot.wheels.hubs) for robot in robots]
+        moments = [
+            robot.wheel.mass * torch.from_numpy(each).sum(0).numpy() for robot, each in zip(robots, hubs, strict=True)
+        ]
+        turns = np.array([np.diag((robot.wheel.inertia[0][0], 0.0, robot.wheel.inertia[0][0])) for robot in robots])
+        arrays = {
+            "mass": [robot.chassis.mass for robot in robots],
+            "center": [robot.chassis.center for robot in robots],
+            "inertia": [robot.chassis.inertia for robot in robots],
+            "wheels_mass": [len(robot.wheels.hubs) * robot.wheel.mass for robot in robots],
+            "wheels_moment": moments,
+            "hubs": [np.pad(each, ((0, most - len(each)), (0, 0))) for each in hubs],
+            "wheel": np.array([robot.wheel.mass for robot in robots])[:, None] * weights,
+            "turn": turns[:, None] * weights[:, :, None, None],
+        }
+        tensors = {name: torch.from_numpy(np.array(array, dtype=float)).to(device) for name, array in arrays.items()}
+        self.chassis_mass, self._tensors = tensors["mass"], tensors
+
+    def total(self, chassis_mass: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns the mass properties of whole rovers.
+
+        Args:
+            chassis_mass: masses of the chassis, ``[N]``, float64; the inertia of the chassis scales with its mass.
+            index: robot of each rover, int64 ``[N]``.
+
+        Returns:
+            Mass ``[N]``, center of mass ``[N, 3]``, and inertia about it ``[N, 3, 3]``. The inertia leaves out that of
+            the wheels about their axles, since the spin of a wheel is a state of its own.
+        """
+        own = {name: values[index] for name, values in self._tensors.items()}
+        mass = chassis_mass + own["wheels_mass"]
+        center = (chassis_mass[:, None] * own["center"] + own["wheels_moment"]) / mass[:, None]
+        inertia = (chassis_mass / own["mass"])[:, None, None] * own["inertia"]
+        inertia = inertia + _parallel_axis(chassis_mass, own["center"] - center)
+        for wheel in range(own["hubs"].shape[1]):
+            offset = own["hubs"][:, wheel] - center
+            inertia = inertia + own["turn"][:, wheel] + _parallel_axis(own["wheel"][:, wheel], offset)
+        return mass, center, inertia
+
+
+def _parallel_axis(mass: Tensor, offset: Tensor) -> Tensor:
+    """Inertia of point masses ``[N]`` at offsets ``[N, 3]``, ``m (|r|^2 1 - r r^T)`` (parallel axis theorem)."""
+    square = (offset**2).sum(-1)[:, None, None] * torch.eye(3, dtype=mass.dtype, device=mass.device)
+    return mass[:, None, None] * (square - offset[:, :, None] * offset[:, None, :])

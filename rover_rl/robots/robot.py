@@ -5,68 +5,68 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
-from rover_rl.robots.description import Description
+import numpy as np
+
 from rover_rl.robots.drives import Drive, Wheels
-from rover_rl.robots.footprint import footprint
 from rover_rl.robots.options import RobotOptions
-from rover_rl.robots.wheels import read_wheels
-
-Mount: TypeAlias = str | tuple[float, float, float]
-"""Place of a sensor: the name of a link of the URDF, or its position (x, y, z) in the base frame, m."""
+from rover_rl.robots.shapes import HERE, Box, Frame, Mass, Shape, Vector, combined_mass
 
 TOLERANCE = 0.01
-"""Tolerance of positions and lengths in :func:`check_plausibility`, m."""
+"""Tolerance of positions and lengths in the checks of a robot, m."""
 WEAKEST, WEAK = 2.0, 15.0
 """Slopes that the motors must be able to climb, and usually can, degrees."""
+FULL_VIEW = math.radians(340)
+"""Angle that a lidar sees from which on it sees what is behind the robot, rad."""
 _GRAVITY = 9.81
 
 
-FULL_VIEW = math.radians(340)
-"""Angle that a lidar sees from which on it sees what is behind the robot, rad."""
+class Footprint(NamedTuple):
+    """Rectangle around the wheels and the body of a robot, seen from above, in the base frame.
+
+    ``back`` and ``front`` are the lowest and the highest x, ``right`` and ``left`` those of y, m.
+    """
+
+    back: float
+    front: float
+    right: float
+    left: float
+
+    @property
+    def half_length(self) -> float:
+        """Largest distance from the origin along x, m."""
+        return max(-self.back, self.front)
+
+    @property
+    def half_width(self) -> float:
+        """Largest distance from the origin along y, m."""
+        return max(-self.right, self.left)
+
+    @property
+    def corner(self) -> float:
+        """Radius of a disc around the origin that holds the rectangle, m."""
+        return math.hypot(self.half_length, self.half_width)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Robot:
-    """A rover: a body, a drive and sensors. Masses, inertias, wheels, shapes and colors are those of its URDF.
+    """A rover: a rigid body of boxes, wheels that are alike, a drive and sensors.
 
     Positions are in the base frame, whose origin lies on the ground below the center of the rover: x forward, y left,
-    z up. Lengths are in meters, angles in radians.
-
-    Args:
-        name: name of the robot, by which a live simulator identifies it.
-        urdf: path of the URDF file. The base is the link that is the child of no joint. Every wheel has a continuous
-            joint about +y, on the base, on a link fixed to it or on the link of a steering joint, and one cylinder or
-            sphere around its hub. Every link has at most one collision shape.
-        drive: drive, which names the joints of the wheels: see :mod:`rover_rl.robots.drives`.
-        lidar: place of the lidar: a link of the URDF, or a position.
-        imu: place of the IMU.
-        lidar_range: maximum range of the lidar, m.
-        lidar_view: angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it
-            have no return. A map of what has been seen does not take them for free.
-        sensors: sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
-            :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries
-            to the observation.
-        radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``:
-            that of the disc around its wheels and body, rounded up to a centimeter.
-        collision_range: lidar reading below which the robot is in collision, m. ``None``: in each direction, the
-            distance of its outline from the lidar and a margin: see
-            :func:`~rover_rl.robots.footprint.collision_ranges`.
-
-    Attributes:
-        mass: mass of all links, kg.
-        wheels: geometry of the wheels.
-        lidar_position: position of the lidar, m.
-        imu_position: position of the IMU, m.
+    z up. Lengths are in meters, angles in radians. :meth:`from_urdf` reads a robot from its URDF.
 
     Raises:
-        ValueError: if a length is not positive, the drive or a mount contradicts the URDF, or the robot cannot drive
-            (:func:`check_plausibility`, which also warns of what is unusual).
-        FileNotFoundError: if ``urdf`` does not exist.
+        ValueError: if a length is not positive, the drive cannot move the wheels, or the robot cannot drive: ``radius``
+            is less than the reach of the body forward or sideways, the lidar is below the ground or outside of both the
+            body and the disc, or the motors cannot climb a slope of 2 degrees.
+
+    Warns:
+        UserWarning: if a corner of the body is outside of the disc, the lidar is outside of the body, or the motors
+            cannot climb a slope of 15 degrees.
 
     Example:
         >>> robot = get_robot("rover_zero")
@@ -75,51 +75,126 @@ class Robot:
     """
 
     name: str
-    urdf: Path
+    """Name of the robot, by which a live simulator identifies it."""
     drive: Drive
-    lidar: Mount = "lidar_link"
-    imu: Mount = "imu_link"
+    """Drive, which names the joints of the wheels: see :mod:`rover_rl.robots.drives`."""
+    body: Mass
+    """Mass of the body without wheels, knuckles and boxes with a mass of their own."""
+    boxes: tuple[Box, ...]
+    """Collision shape of the body."""
+    wheels: Wheels
+    """Geometry of the wheels."""
+    wheel: Mass
+    """Mass of each wheel, about its hub."""
+    knuckle: Mass | None = None
+    """Mass of each steering joint, about the hub of its wheel."""
+    steering_limits: tuple[float, float] | None = None
+    """Lowest and highest angle at which Bullet stops the steering joints, rad. ``None``: it does not."""
+    lidar_position: Vector
+    """Position of the lidar, m."""
+    imu_position: Vector
+    """Position of the IMU, m."""
     lidar_range: float = 12.0
+    """Maximum range of the lidar, m."""
     lidar_view: float = 2 * math.pi
+    """Angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it have no return. A
+    map of what has been seen does not take them for free."""
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
+    """Radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``: that of the
+    disc around its wheels and body, rounded up to a centimeter."""
     sensors: tuple[Any, ...] = ()
+    """Sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
+    :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries to the
+    observation."""
     # A rule of the task: robots that differ in it alone are the same.
     collision_range: float | None = field(default=None, compare=False)
-    mass: float = field(init=False, repr=False)
-    wheels: Wheels = field(init=False, repr=False)
-    lidar_position: tuple[float, float, float] = field(init=False, repr=False)
-    imu_position: tuple[float, float, float] = field(init=False, repr=False)
+    """Lidar reading below which the robot is in collision, m. ``None``: in each direction, the distance of its outline
+    from the lidar and a margin: see :func:`~rover_rl.robots.footprint.collision_ranges`."""
+    visuals: tuple[Shape, ...] = field(default=(), repr=False, compare=False)
+    """Shapes for pictures, in the base frame, with all joints at zero."""
+    order: tuple[str, ...] = field(default=(), repr=False, compare=False)
+    """Wheel joints in the order in which Bullet solves their contacts. Empty: that of the drive."""
+    urdf: Path | None = field(default=None, repr=False, compare=False)
+    """File that the robot was read from."""
+    notes: tuple[str, ...] = field(default=(), repr=False, compare=False)
+    """What was assumed when the file was read, a sentence each."""
 
     def __post_init__(self) -> None:
         for name in ("lidar_range", "radius", "collision_range"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
+            if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
         if not 0 < self.lidar_view <= 2 * math.pi:
             raise ValueError(
                 f"lidar_view of robot {self.name!r} must be positive and at most 2 pi rad, got {self.lidar_view}"
             )
-        object.__setattr__(self, "urdf", Path(self.urdf))
+        for name in ("lidar_position", "imu_position"):
+            place = getattr(self, name)
+            if len(place) != 3 or not all(map(math.isfinite, place)):
+                raise ValueError(f"{name} must have finite coordinates (x, y, z) in meters, got {place}")
         object.__setattr__(self, "sensors", tuple(self.sensors))
-        if not self.urdf.is_file():
-            raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
-        try:
-            description = Description(self.urdf)
-            object.__setattr__(self, "wheels", read_wheels(description, self.drive))
-            object.__setattr__(self, "lidar_position", _position(description, "lidar", self.lidar))
-            object.__setattr__(self, "imu_position", _position(description, "imu", self.imu))
-        except ValueError as error:
-            raise ValueError(f"robot {self.name!r} cannot be driven with its URDF {self.urdf}: {error}") from error
-        masses = (link.inertial.mass for link in description.links.values() if link.inertial is not None)
-        object.__setattr__(self, "mass", math.fsum(masses))
+        if len(self.wheels.hubs) != len(self.drive.wheels):
+            raise ValueError(
+                f"the drive of robot {self.name!r} names the wheels {self.drive.wheels}, it has {len(self.wheels.hubs)}"
+            )
+        self.drive.check(self.wheels)
         if self.radius is None:
-            object.__setattr__(self, "radius", math.ceil(100 * footprint(self).corner - 1e-9) / 100)
-        check_plausibility(self)
+            object.__setattr__(self, "radius", math.ceil(100 * self.footprint.corner - 1e-9) / 100)
+        _check_radius(self)
+        _check_lidar(self)
+        _check_motors(self)
 
     @property
     def sees_behind(self) -> bool:
         """Whether the lidar sees a full turn, or nearly so: :data:`FULL_VIEW`."""
         return self.lidar_view > FULL_VIEW
+
+    @property
+    def mass(self) -> float:
+        """Mass of all parts, kg."""
+        return math.fsum([*(each.mass for each, _ in self._parts()), *[self.wheel.mass] * len(self.wheels.hubs)])
+
+    @cached_property
+    def chassis(self) -> Mass:
+        """Mass of all but the wheels, which is rigid."""
+        return combined_mass(self._parts())
+
+    def _parts(self) -> list[tuple[Mass, Frame]]:
+        """Masses of all but the wheels, and their frames."""
+        parts = [(mass, HERE) for mass in (self.body, *(box.mass for box in self.boxes)) if mass is not None]
+        if self.knuckle is not None:
+            hubs = zip(self.wheels.hubs, self.wheels.steering, strict=True)
+            parts += [(self.knuckle, Frame(np.array(hub), np.eye(3))) for hub, joint in hubs if joint >= 0]
+        return parts
+
+    @cached_property
+    def center_of_mass(self) -> Vector:
+        """Center of mass, m."""
+        chassis, hubs = self.chassis, np.array(self.wheels.hubs)
+        moment = chassis.mass * np.array(chassis.center) + self.wheel.mass * hubs.sum(0)
+        return tuple((moment / (chassis.mass + self.wheel.mass * len(hubs))).tolist())
+
+    @cached_property
+    def footprint(self) -> Footprint:
+        """The smallest rectangle around the wheels and the boxes, seen from above.
+
+        Wheels are the boxes around their cylinders or spheres.
+
+        Example:
+            >>> from rover_rl.robots import get_robot
+            >>> outline = get_robot("rover_zero").footprint
+            >>> round(outline.half_length, 3), round(outline.half_width, 3)
+            (0.267, 0.225)
+        """
+        reach = np.array((self.wheels.radius, self.wheels.width / 2 or self.wheels.radius))
+        hubs = np.array(self.wheels.hubs)[:, :2]
+        centers, sizes = (np.array([box[part] for box in self.boxes]).reshape(-1, 3)[:, :2] for part in (0, 1))
+        low, high = (
+            np.concatenate((hubs - reach, centers - sizes / 2)),
+            np.concatenate((hubs + reach, centers + sizes / 2)),
+        )
+        (back, right), (front, left) = low.min(0).tolist(), high.max(0).tolist()
+        return Footprint(back, front, right, left)
 
     @classmethod
     def from_urdf(
@@ -127,23 +202,28 @@ class Robot:
         path: Path | str,
         *,
         drive: Drive | None = None,
-        name: str | None = None,
         options: RobotOptions | None = None,
+        name: str | None = None,
+        lidar: str | Vector | None = None,
+        imu: str | Vector | None = None,
         **settings: Any,
     ) -> Robot:
-        """Creates a robot from its URDF.
+        """Creates a robot from the URDF of a wheeled robot.
 
-        With a drive, the URDF is taken as it is, and must be as :class:`Robot` needs it. Without, it may be any URDF of
-        a wheeled robot: the wheels are found by their joints and shapes, the drive by the wheels, and a URDF as
-        :class:`Robot` needs it is derived, in the folder of the cache. All joints but those of the drive are held, the
-        body becomes boxes, casters become wheels without friction, and the mass stays.
+        With a drive, its joints are those of the wheels, and the base frame is that of the file. Without, the wheels
+        are found by their joints and shapes, and the drive by the wheels; casters become wheels without friction. All
+        joints but those of the drive are held, the body becomes boxes, and the mass stays.
 
         Args:
             path: path of the URDF file. Expand xacro first: ``xacro robot.urdf.xacro > robot.urdf``.
             drive: drive. ``None`` finds it.
-            name: name of the robot. ``None``: that of the URDF.
             options: what the URDF does not tell, if the drive is to be found.
-            settings: further arguments of :class:`Robot`.
+            name: name of the robot. ``None``: that of the URDF.
+            lidar: place of the lidar: a link of the URDF, or a position (x, y, z) in the base frame, m. ``None``: the
+                link ``"lidar_link"``; without a drive, a link with the name of a lidar, or above the middle.
+            imu: place of the IMU. ``None``: the link ``"imu_link"``; without a drive, a link with ``imu`` in its name,
+                or the middle.
+            settings: further fields of :class:`Robot`.
 
         Raises:
             ValueError: as :class:`Robot`, or if no drive fits the wheels, or there are none.
@@ -151,28 +231,17 @@ class Robot:
             FileNotFoundError: if the file does not exist.
 
         Warns:
-            UserWarning: of what was assumed, if the drive was found.
+            UserWarning: of what was assumed or left out.
         """
-        path = Path(path)
-        if drive is None:
-            return cls._found_in(path, name, options or RobotOptions(), settings)
-        if options is not None:
+        from rover_rl.robots.urdf.read import read_urdf
+
+        if drive is not None and options is not None:
             raise TypeError("from_urdf takes a drive or options to find it, not both")
-        # The robot reports what is wrong with the file.
-        with suppress(ValueError, OSError):
-            name = name or Description(path).name
-        return cls(name or path.stem, path, drive, **settings)
-
-    @classmethod
-    def _found_in(cls, path: Path, name: str | None, options: RobotOptions, settings: dict[str, Any]) -> Robot:
-        """Returns the robot that is found in any URDF of a wheeled robot."""
-        # Reads meshes, for which the other robots need not wait.
-        from rover_rl.robots.urdf import read_urdf
-
-        read = read_urdf(path, options, name)
-        sentence = f"{path.name}: robot {read.name!r} is read as {read.summary}: {'; '.join(read.notes)}"
-        warnings.warn(sentence, stacklevel=_level_of_user())
-        return cls(read.name, read.urdf, read.drive, **{**options.lidar_settings, **settings})
+        read = read_urdf(Path(path), drive, options, name, lidar, imu)
+        if read["notes"]:
+            sentence = f"{Path(path).name}: robot {read['name']!r} is {'; '.join(read['notes'])}"
+            warnings.warn(sentence, stacklevel=_level_of_user())
+        return cls(**{**read, **(options.lidar_settings if options else {}), **settings})
 
 
 def _level_of_user() -> int:
@@ -184,38 +253,8 @@ def _level_of_user() -> int:
     return level
 
 
-def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:
-    """Returns the position of a sensor in the base frame."""
-    if isinstance(mount, str):
-        if mount not in description.fixed:
-            raise ValueError(
-                f"{sensor} must be a position (x, y, z) in meters, or one of the links fixed to the base, "
-                f"{sorted(description.fixed)}, got {mount!r}"
-            )
-        mount = tuple(description.fixed[mount].position.tolist())
-    if len(mount) != 3 or not all(map(math.isfinite, mount)):
-        raise ValueError(f"{sensor} must have finite coordinates (x, y, z) in meters, got {mount}")
-    return mount
-
-
-def check_plausibility(robot: Robot) -> None:
-    """Checks that a robot fits into its disc, that its lidar is on it, and that its motors can move it.
-
-    Raises:
-        ValueError: if ``radius`` is less than the reach of the body forward or sideways, if the lidar is below the
-            ground, or outside of both the body and the disc, or if the motors cannot climb a slope of 2 degrees.
-
-    Warns:
-        UserWarning: if a corner of the body is outside of the disc, if the lidar is outside of the body, or if the
-            motors cannot climb a slope of 15 degrees.
-    """
-    _check_radius(robot)
-    _check_lidar(robot)
-    _check_motors(robot)
-
-
 def _check_radius(robot: Robot) -> None:
-    outline = footprint(robot)
+    outline = robot.footprint
     reach = max(outline.half_length, outline.half_width)
     if robot.radius < reach - TOLERANCE:
         raise ValueError(
@@ -226,12 +265,12 @@ def _check_radius(robot: Robot) -> None:
         warnings.warn(
             f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from "
             "the origin: they may start in obstacles",
-            stacklevel=5,
+            stacklevel=4,
         )
 
 
 def _check_lidar(robot: Robot) -> None:
-    outline, (x, y, z) = footprint(robot), robot.lidar_position
+    outline, (x, y, z) = robot.footprint, robot.lidar_position
     if not z > 0:
         raise ValueError(f"the lidar of robot {robot.name!r} is at z = {z:g} m; it must be above the ground, at z > 0")
     beside = max(outline.back - x, x - outline.front, outline.right - y, y - outline.left)
@@ -240,7 +279,7 @@ def _check_lidar(robot: Robot) -> None:
     place = f"the lidar of robot {robot.name!r} is at x = {x:g}, y = {y:g} m, {beside:.3g} m outside of its body"
     if math.hypot(x, y) > robot.radius + TOLERANCE:
         raise ValueError(f"{place} and outside of its radius of {robot.radius:g} m: it would start in obstacles")
-    warnings.warn(f"{place}: check lidar", stacklevel=5)
+    warnings.warn(f"{place}: check lidar_position", stacklevel=4)
 
 
 def _check_motors(robot: Robot) -> None:
@@ -255,4 +294,4 @@ def _check_motors(robot: Robot) -> None:
     )
     if slope < WEAKEST:
         raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
-    warnings.warn(f"{problem}: it cannot climb a slope of more than {slope:.0f} degrees", stacklevel=5)
+    warnings.warn(f"{problem}: it cannot climb a slope of more than {slope:.0f} degrees", stacklevel=4)

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-from rover_rl.robots.drives import SkidSteer
-
-if TYPE_CHECKING:
-    from rover_rl.robots.robot import Robot
 
 _ROUNDING = 1e-3
 """Slip, relative to that of the wheels, below which the friction of the calculation is rounded off."""
@@ -67,22 +60,3 @@ def effective_track(points: np.ndarray, sides: Sequence[int], center: Sequence[f
     tolerances = {"xatol": 1e-6, "fatol": 1e-12}
     least = minimize(power, np.array((0.0, 0.0, 0.5)), method="Nelder-Mead", options=tolerances)
     return float(2 * scale / least.x[2])
-
-
-@lru_cache(maxsize=1024)
-def yaw_gain(robot: Robot) -> float:
-    """Returns the yaw rate of the body of a robot in a slow turn, relative to that of its wheel odometry.
-
-    The weight is taken to be in the middle of the wheels. 1 for a robot whose wheels do not slip in turns.
-
-    Example:
-        >>> from rover_rl.robots import get_robot
-        >>> round(yaw_gain(get_robot("rover_zero")), 2)
-        0.4
-    """
-    drive, wheels = robot.drive, robot.wheels
-    if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
-        return 1.0
-    points = np.array(wheels.hubs)[: len(drive.left) + len(drive.right), :2]
-    sides = [1] * len(drive.left) + [-1] * len(drive.right)
-    return drive.track(wheels) / effective_track(points, sides, points.mean(0).tolist(), wheels.width)

@@ -14,7 +14,6 @@ from torch import Tensor
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, make_env
 from rover_rl.envs.placement import Placement
 from rover_rl.robots import Robot, get_robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.sims.warp.simulator import WarpSimulator
 from rover_rl.worlds.movers import Mover, Waypoints
 from rover_rl.worlds.pool import WorldPool
@@ -162,7 +161,7 @@ def test_other_robots_see_and_stop_one_another(make_robot: Callable[[Path], Robo
     robot = make_robot(tmp_path)
     env = make(2, 2, robot=robot)
     td = env.reset(start=torch.tensor([[-1.5, 0, 0], [1.5, 0, 0]]), goal=torch.tensor([[8.0, 0.0], [8.0, 2.0]]))
-    outline = footprint(robot)
+    outline = robot.footprint
     assert td["outcome", "mover_distance"].flatten().tolist() == pytest.approx(
         [3.0 + outline.back, 3.0 - outline.front], abs=0.02
     )

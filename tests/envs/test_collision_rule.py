@@ -10,7 +10,7 @@ import pytest
 
 from rover_rl import TaskConfig
 from rover_rl.robots import get_robot
-from rover_rl.robots.footprint import COLLISION_MARGIN, collision_ranges, footprint
+from rover_rl.robots.footprint import COLLISION_MARGIN, collision_ranges
 from tests.envs.contract.scripted_env import bare, play, scripted
 from tests.envs.scripted import Moment
 from tests.fleet import husky
@@ -30,7 +30,7 @@ def collides(moment: Moment, **settings) -> bool:
 
 
 def test_the_ranges_of_the_beams_reach_to_the_outline_and_a_margin():
-    robot, outline = husky(), footprint(husky())
+    robot, outline = husky(), husky().footprint
     x, y, _ = robot.lidar_position
     ranges = collision_ranges(robot, 360, margin=0.0)
     angles = np.radians(np.arange(360))

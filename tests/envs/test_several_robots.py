@@ -13,8 +13,7 @@ from rover_rl.algos.train.run import prepare
 from rover_rl.envs.config import ActionConfig, EnvConfig, Randomization, require_match
 from rover_rl.envs.sensors.robot import RobotBody
 from rover_rl.robots import get_robot, get_robots
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.skidding import yaw_gain
+from rover_rl.robots.turning import yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.worlds import Terrain, World, box, get_world
 
@@ -113,7 +112,7 @@ def test_the_sensor_tells_size_and_limits_of_each_robot():
     for _ in range(2):
         told = env.reset()["robot"]
         for row, robot in enumerate(env.fleet):
-            outline, drive = footprint(robot), robot.drive
+            outline, drive = robot.footprint, robot.drive
             size = (-outline.back, outline.front, outline.half_width)
             limits = (drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels))
             turns = (drive.pivot(robot.wheels), yaw_gain(robot))
@@ -165,7 +164,7 @@ def test_robots_that_cannot_share_a_batch_are_refused_in_one_sentence(robot, set
 
 def test_each_seed_is_another_robot_and_always_the_same():
     robots = get_robots("any:0-15")
-    assert len({robot.urdf.read_text() for robot in robots}) == 16
+    assert len({robot.boxes for robot in robots}) == 16
     assert {type(robot.drive).__name__ for robot in robots} == {"SkidSteer", "Ackermann"}
     assert robots[7] == get_robot("any:7")
     with pytest.raises(ValueError, match="'any:0-15' names several robots, and one is needed here"):

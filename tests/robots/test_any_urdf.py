@@ -13,11 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rover_rl.robots import Robot, RobotOptions, get_robot
-from rover_rl.robots.description import Description
 from rover_rl.robots.drives import Ackermann, Mecanum, SkidSteer
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.robots.skidding import effective_track
+from rover_rl.robots.urdf.description import Description
 from tests.robots.public_urdfs import Machine, box, car, inertial, joint, link, shape
 from tests.sims.driven import FLAT, drive, placed
 
@@ -31,11 +29,6 @@ def read(path, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return Robot.from_urdf(path, options=RobotOptions(**options))
-
-
-def mass_of(path):
-    stated = (each.inertial for each in Description(path).links.values())
-    return sum(each.mass for each in stated if each is not None)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -58,8 +51,8 @@ def test_a_skid_steer_robot_is_read_from_any_base_frame(tmp_path, height, radius
     assert (robot.wheels.radius, robot.wheels.width) == pytest.approx((radius, 0.3 * radius), abs=1e-6)
     hubs = np.array(sorted(robot.wheels.hubs))
     np.testing.assert_allclose(hubs, sorted((x, y, radius) for x in xs for y in (half, -half)), atol=1e-6)
-    model = read_inertial_model(robot)
-    assert model.chassis_mass + 2 * pairs * model.wheel_mass == pytest.approx(mass_of(path), rel=1e-6)
+    urdf = Description(path)
+    assert robot.mass == pytest.approx(urdf.mass(urdf.links).mass, rel=1e-6)
 
 
 def test_the_mass_stays_where_it_is(tmp_path):
@@ -68,16 +61,15 @@ def test_the_mass_stays_where_it_is(tmp_path):
         joint("shoulder", "revolute", "base_link", "arm", "0.1 0.05 0.3", '<axis xyz="0 1 0"/><limit upper="1"/>'),
     ]
     robot = read(Machine(height=0.3).body().wheels((0.2, -0.2)).add(*arm).write(tmp_path))
-    model = read_inertial_model(robot)
-    assert model.chassis_mass == pytest.approx(12.0)
+    assert robot.chassis.mass == pytest.approx(12.0)
     # The base link, 10 kg, is 0.3 m above the ground; the arm, 2 kg, 0.3 m above it.
-    np.testing.assert_allclose(model.chassis_center, (0.2 / 12, 0.1 / 12, (3.0 + 1.2) / 12), atol=1e-6)
+    np.testing.assert_allclose(robot.chassis.center, (0.2 / 12, 0.1 / 12, (3.0 + 1.2) / 12), atol=1e-6)
 
 
 def test_the_base_frame_is_below_the_middle_of_the_wheels(tmp_path):
     robot = read(Machine().body().wheels((0.5, 0.1)).write(tmp_path))
     assert {round(x, 6) for x, _, _ in robot.wheels.hubs} == {0.2, -0.2}
-    outline = footprint(robot)
+    outline = robot.footprint
     assert outline.back == pytest.approx(-0.6)
     assert outline.front == pytest.approx(0.3)
 
@@ -156,7 +148,7 @@ def test_a_package_that_xacro_would_find_is_found(tmp_path):
     (tmp_path / "my_robot" / "meshes").mkdir(parents=True)
     trimesh.creation.box((0.5, 0.3, 0.2)).export(tmp_path / "my_robot" / "meshes" / "top.stl")
     mesh = shape("collision", '<mesh filename="file://$(find my_robot)/meshes/top.stl"/>', "0 0 0.5")
-    outline = footprint(read(rover_with(more=mesh).write(tmp_path)))
+    outline = read(rover_with(more=mesh).write(tmp_path)).footprint
     assert outline.front == pytest.approx(0.3)
 
 
@@ -218,7 +210,7 @@ def test_a_car_steers_as_far_as_its_joints(tmp_path):
     # The inner wheel reaches the limit of its joint.
     radius = drive.min_radius(robot.wheels)
     assert math.atan(0.5 / (radius - 0.2)) == pytest.approx(0.6, abs=1e-3)
-    assert mass_of(robot.urdf) == pytest.approx(10 + 4 * 0.6 + 2 * 0.1)
+    assert robot.mass == pytest.approx(10 + 4 * 0.6 + 2 * 0.1)
 
 
 def test_steering_joints_about_the_axle_are_told_by_their_names(tmp_path):
@@ -245,7 +237,7 @@ def test_a_robot_with_two_wheels_stands_on_its_casters(tmp_path):
     places = dict(zip(drive.wheels, robot.wheels.hubs, strict=True))
     casters = sorted(places[name] for name in drive.casters)
     np.testing.assert_allclose(casters, [(-0.2, 0, 0.1), (0.2, 0, 0.1)], atol=1e-6)
-    assert mass_of(robot.urdf) == pytest.approx(10 + 2 * 0.6 + 2 * 0.05)
+    assert robot.mass == pytest.approx(10 + 2 * 0.6 + 2 * 0.05)
 
 
 def test_casters_in_the_shape_of_the_body_are_at_its_ends(tmp_path):
@@ -322,7 +314,7 @@ def test_options_replace_what_is_assumed(tmp_path):
 
 def test_what_was_assumed_is_said_once(tmp_path):
     path = Machine().body().wheels((0.2, -0.2)).write(tmp_path)
-    with pytest.warns(UserWarning, match="'machine' is read as skid-steer with 4 wheels: .*torque is not known.*lidar"):
+    with pytest.warns(UserWarning, match="'machine' is read as skid-steer with 4 wheels; .*torque is not known.*lidar"):
         Robot.from_urdf(path)
 
 
@@ -351,7 +343,7 @@ def test_a_file_that_changes_is_read_again(tmp_path):
     path = Machine().body(5.0).wheels((0.2, -0.2)).write(tmp_path)
     before = read(path)
     Machine().body(9.0).wheels((0.2, -0.2)).write(tmp_path)
-    assert mass_of(read(path).urdf) == pytest.approx(mass_of(before.urdf) + 4.0)
+    assert read(path).mass == pytest.approx(before.mass + 4.0)
 
 
 def test_named_robots_take_limits_and_mounts(tmp_path):
@@ -383,7 +375,7 @@ def test_inertias_of_no_rigid_body_are_replaced(tmp_path):
     path.write_text(path.read_text().replace('ixx="0.2"', 'ixx="9000"'))
     with pytest.warns(UserWarning, match="the inertia of its body is not that of a rigid body of its size"):
         robot = Robot.from_urdf(path)
-    assert np.linalg.eigvalsh(read_inertial_model(robot).chassis_inertia)[-1] < 2.0
+    assert np.linalg.eigvalsh(robot.chassis.inertia)[-1] < 2.0
 
 
 def test_the_body_is_made_of_a_few_boxes(tmp_path):
@@ -391,9 +383,8 @@ def test_the_body_is_made_of_a_few_boxes(tmp_path):
         box("0.02 0.02 0.02", f"{0.03 * k - 0.25} {0.01 * (k % 3)} {0.2 + 0.01 * (k % 5)}") for k in range(15)
     )
     robot = read(Machine().body(more=more).wheels((0.2, -0.2)).write(tmp_path))
-    model = read_inertial_model(robot)
-    assert 2 <= len(model.box_halves) <= 6
-    assert (model.box_centers + model.box_halves)[:, 2].max() == pytest.approx(0.1 + 0.25)
+    assert 2 <= len(robot.boxes) <= 6
+    assert max(center[2] + size[2] / 2 for center, size, _ in robot.boxes) == pytest.approx(0.1 + 0.25)
 
 
 def test_the_effective_track_follows_the_wheelbase():

@@ -7,7 +7,7 @@ import pytest
 
 from rover_rl.native.bullet import disconnect, pybullet
 from rover_rl.robots import get_robot
-from rover_rl.robots.description import Description
+from rover_rl.robots.urdf.description import Description
 
 CHAIN = """<?xml version="1.0"?>
 <robot name="chain">
@@ -33,14 +33,13 @@ def test_poses_of_fixed_links_agree_with_bullet(tmp_path):
     path.write_text(CHAIN)
     description = Description(path)
     assert description.base == "base"
-    assert set(description.fixed) == {"base", "middle", "end"}
     client = pybullet.connect(pybullet.DIRECT)
     body = pybullet.loadURDF(str(path), physicsClientId=client)
     for link in range(pybullet.getNumJoints(body, physicsClientId=client)):
         name = pybullet.getJointInfo(body, link, physicsClientId=client)[12].decode()
         if name != "moving":
             position, orientation = pybullet.getLinkState(body, link, physicsClientId=client)[4:6]
-            frame = description.fixed[name]
+            frame = description.frames[name]
             np.testing.assert_allclose(frame.position, position, atol=1e-6)
             np.testing.assert_allclose(frame.rotation.ravel(), pybullet.getMatrixFromQuaternion(orientation), atol=1e-6)
     disconnect([client])
@@ -50,16 +49,16 @@ def test_masses_shapes_and_joints_of_rover_zero():
     description = Description(get_robot("rover_zero").urdf)
     assert len(description.links) == 8
     wheel = description.links["rear_left_wheel_link"]
-    assert wheel.inertial.mass == 1.25
-    np.testing.assert_array_equal(np.diag(wheel.inertial.inertia), (0.005645, 0.01008, 0.005645))
-    (shape,) = wheel.shapes
+    assert wheel.inertial[0].mass == 1.25
+    np.testing.assert_array_equal(np.diag(wheel.inertial[0].inertia), (0.005645, 0.01008, 0.005645))
+    (shape,) = wheel.collisions
     assert (shape.kind, shape.sizes) == ("cylinder", (0.122, 0.09))
     np.testing.assert_allclose(shape.frame.rotation[:, 2], (0, -1, 0), atol=1e-12)
     joint = description.joints["rear_left_wheel"]
     assert (joint.kind, joint.parent, joint.child) == ("continuous", "base_link", "rear_left_wheel_link")
     np.testing.assert_array_equal(joint.axis, (0, 1, 0))
-    assert description.links["base_link"].inertial.inertia[2, 0] == 0.0017
-    np.testing.assert_array_equal(description.fixed["payload_link"].position, (0.012, 0, 0.275))
+    assert description.links["base_link"].inertial[0].inertia[2][0] == 0.0017
+    np.testing.assert_array_equal(description.frames["payload_link"].position, (0.012, 0, 0.275))
 
 
 A = "<robot><link name='a'/>"

@@ -12,7 +12,6 @@ from torch import Tensor
 from benchmarks.coulomb import GRAVITY, steady_motion
 from rover_rl.robots import ROBOTS, Robot, get_robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.robots.kinematics import Kinematics
 from rover_rl.rotations import quaternion_to_euler
 from tests.extras import needs_mujoco
@@ -27,14 +26,9 @@ LAG = 0.012
 SECOND = round(1 / DT)
 
 
-def center_of_mass(robot: Robot) -> list[float]:
-    model = read_inertial_model(robot)
-    return model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0].tolist()
-
-
 def axles(robot: Robot) -> tuple[float, float, float]:
     """Distances of the center of mass from the rear and from the front axle, and its height, m."""
-    x, _, z = center_of_mass(robot)
+    x, _, z = robot.center_of_mass
     hubs = [hub[0] for hub in robot.wheels.hubs]
     return x - min(hubs), max(hubs) - x, z
 
@@ -103,7 +97,7 @@ def test_turns_at_the_rate_at_which_friction_balances(backend: str, name: str) -
     robot = get_robot(name)
     rates = [share * robot.drive.max_yaw_rate for share in (0.5, 1.0)]
     driven = Drive(backend, robot, held(*((0.0, rate) for rate in rates)))
-    law = [steady_motion(robot, center_of_mass(robot)[0], 0.0, rate).yaw for rate in rates]
+    law = [steady_motion(robot, robot.center_of_mass[0], 0.0, rate).yaw for rate in rates]
     assert [driven.twist(row)[1] for row in range(2)] == pytest.approx(law, rel=0.05)
     # The factor of the track that the makers of these robots found.
     assert law == pytest.approx(rates, rel=0.05)
@@ -130,7 +124,7 @@ def test_keeps_its_path_up_to_the_lateral_acceleration_that_friction_allows(back
     Beyond, no path is sharper than ``mu g`` allows, and the rear wheels, which drive as well, slide out.
     """
     robot, speed = get_robot(name), 2.5
-    first, rear, center = speeding_up(robot, speed), min(h[0] for h in robot.wheels.hubs), center_of_mass(robot)[0]
+    first, rear, center = speeding_up(robot, speed), min(h[0] for h in robot.wheels.hubs), robot.center_of_mass[0]
     shares = torch.tensor([0.6, 0.9, 1.1])
     curvatures = shares * FRICTION * GRAVITY / speed**2
     commands = torch.zeros(first + 3 * SECOND, 3, 2)

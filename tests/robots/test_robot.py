@@ -8,10 +8,12 @@ from math import inf, nan
 
 import numpy as np
 import pytest
+import torch
 
 from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.drives import SkidSteer
-from rover_rl.robots.footprint import covering_discs, footprint
+from rover_rl.robots.fleet import MassTable
+from rover_rl.robots.footprint import covering_discs
 
 ROVER = get_robot("rover_zero")
 DRIVE = ROVER.drive
@@ -40,7 +42,7 @@ def test_lengths_and_limits_must_be_positive(value):
             replace(DRIVE, **{field: value})
 
 
-@pytest.mark.parametrize("field", ["lidar", "imu"])
+@pytest.mark.parametrize("field", ["lidar_position", "imu_position"])
 @pytest.mark.parametrize("value", [(0.1, nan, 0.2), (inf, 0.0, 0.0), (0.1, 0.2)])
 def test_sensor_positions_must_be_finite(field, value):
     with pytest.raises(ValueError, match=f"{field} must have finite coordinates .*, got "):
@@ -48,8 +50,8 @@ def test_sensor_positions_must_be_finite(field, value):
 
 
 def test_an_unknown_link_of_a_sensor_raises_with_the_links():
-    with pytest.raises(ValueError, match="lidar must be a position .* one of the links .*'lidar_link'.*, got 'mast'"):
-        replace(ROVER, lidar="mast")
+    with pytest.raises(ValueError, match="lidar must be .* one of its links .*'lidar_link'.*, got 'mast'"):
+        Robot.from_urdf(ROVER.urdf, drive=DRIVE, lidar="mast")
 
 
 @pytest.mark.parametrize(
@@ -63,16 +65,14 @@ def test_each_motor_must_have_separate_wheels(wheels):
 
 def test_a_missing_urdf_raises():
     with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
-        replace(ROVER, urdf="nowhere.urdf")
-    with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
         Robot.from_urdf("nowhere.urdf", drive=DRIVE)
 
 
 WEAK = replace(DRIVE, torque=0.1)
 REFUSED = [
     ({"radius": 0.2}, r"^radius of robot 'rover_zero' is 0.2 m, and its body and wheels reach 0.267 m .* 0.349 m"),
-    ({"lidar": (0.6, 0.0, 0.3)}, r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its"),
-    ({"lidar": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
+    ({"lidar_position": (0.6, 0.0, 0.3)}, r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its"),
+    ({"lidar_position": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
     ({"drive": WEAK}, r"push with 3.28 N \(4 x 0.1 N m on a radius of 0.122 m\), and it has .* kg: it cannot"),
 ]
 
@@ -86,7 +86,7 @@ def test_a_robot_that_cannot_drive_is_refused_with_numbers(changes, message):
 
 UNUSUAL = [
     ({"radius": 0.3}, r"radius of robot 'rover_zero' is 0.3 m, and its corners are 0.349 m from the origin"),
-    ({"lidar": (0.3, 0.0, 0.3)}, r"0.0365 m outside of its body: check lidar"),
+    ({"lidar_position": (0.3, 0.0, 0.3)}, r"0.0365 m outside of its body: check lidar_position"),
     ({"drive": replace(DRIVE, torque=0.5)}, r"push with 16.4 N .* it cannot climb a slope of more than \d+ degrees"),
 ]
 
@@ -105,7 +105,7 @@ def test_a_usual_robot_is_not_warned_of():
 
 
 def test_the_footprint_is_the_rectangle_around_the_wheels_within_the_turning_circle():
-    outline = footprint(ROVER)
+    outline = ROVER.footprint
     assert outline == pytest.approx((-0.267, 0.2635, -0.225, 0.225))
     assert np.hypot(outline.half_length, outline.half_width) <= ROVER.radius
 
@@ -113,8 +113,67 @@ def test_the_footprint_is_the_rectangle_around_the_wheels_within_the_turning_cir
 @pytest.mark.parametrize("excess", [0.005, 0.02, 0.1])
 def test_discs_cover_the_footprint(excess):
     centers, radius = covering_discs(ROVER, excess)
-    outline = footprint(ROVER)
+    outline = ROVER.footprint
     x, y = np.meshgrid(np.linspace(outline.back, outline.front, 60), np.linspace(outline.right, outline.left, 60))
     away = np.hypot(x[..., None] - centers, y[..., None]).min(-1)
     assert away.max() <= radius + 1e-9
     assert outline.half_width < radius <= outline.half_width + excess + 1e-9
+
+
+WHEEL = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
+AXIS, MASS = '<axis xyz="0 1 0"/>', '<mass value="1.25"/>'
+INVALID = [
+    ('type="continuous"', 'type="revolute"', "wheel joint 'front_left_wheel' is revolute, it must be continuous"),
+    (AXIS, "", "wheel joint 'front_left_wheel' must turn about y"),
+    (
+        '<origin xyz="0.1415 0.18 0.125"/>',
+        "",
+        "left wheel 'front_left_wheel' is at y = 0 m; left wheels must be at y > 0",
+    ),
+    (WHEEL, WHEEL.replace("0.122", "0.125"), "its wheels are not alike: the radius is from 0.122 to 0.125"),
+    (MASS, '<mass value="0"/>', "wheel link 'front_left_wheel_link' must have a positive mass, its URDF states none"),
+    (MASS, '<mass value="1.5"/>', "its wheels are not alike: the mass is from 1.25 to 1.5"),
+    ('"7.486"', '"0"', "the body must have a positive mass"),
+    ('ixx="0.0629"', 'ixx="0.01"', "the inertia of the body is not that of a rigid body"),
+    ("</robot>", "", "it is not XML .no element found"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), INVALID)
+def test_a_urdf_that_the_drive_cannot_move_is_refused(edited, old, new, message):
+    path = edited((old, new))
+    with pytest.raises(ValueError, match=rf"(?s)(cannot be read from .*rover.urdf: .*)?{message}"):
+        Robot.from_urdf(path, drive=DRIVE)
+
+
+def test_joints_that_the_urdf_does_not_have_are_named():
+    with pytest.raises(ValueError, match=r"the drive names joint 'x', the URDF has the joints \['front_left_wheel', "):
+        Robot.from_urdf(ROVER.urdf, drive=replace(DRIVE, left=("x",)))
+
+
+def test_masses_of_fixed_links_and_turned_inertias_belong_to_the_chassis(edited):
+    light = '<inertial>\n      <mass value="0"/>\n      <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+    heavy = '<inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/>'
+    loaded, plain = Robot.from_urdf(edited((light, heavy)), drive=DRIVE).chassis, ROVER.chassis
+    assert loaded.mass == pytest.approx(plain.mass + 2)
+    payload = np.array((0.012, 0, 0.275))
+    expected = (plain.mass * np.array(plain.center) + 2 * payload) / loaded.mass
+    np.testing.assert_allclose(loaded.center, expected)
+    offsets = zip((plain.mass, 2), (np.array(plain.center) - expected, payload - expected), strict=True)
+    roll = plain.inertia[0][0] + 0.01 + sum(m * (d[1] ** 2 + d[2] ** 2) for m, d in offsets)
+    assert loaded.inertia[0][0] == pytest.approx(roll)
+    turned = ('<origin xyz="-0.004 0 0.163"/>', '<origin xyz="-0.004 0 0.163" rpy="0 0 1.5707963267948966"/>')
+    across = Robot.from_urdf(edited(turned), drive=DRIVE).chassis.inertia
+    assert (across[0][0], across[1][1]) == pytest.approx((plain.inertia[1][1], plain.inertia[0][0]))
+
+
+def test_mass_and_inertia_of_all_parts_are_about_the_common_center():
+    table, index = MassTable([ROVER]), torch.zeros(2, dtype=torch.int64)
+    mass, center, inertia = table.total(table.chassis_mass * torch.tensor([1.0, 1.5], dtype=torch.float64), index)
+    assert mass.tolist() == pytest.approx([ROVER.mass, ROVER.mass + 0.5 * 7.486])
+    assert center[0].tolist() == pytest.approx(ROVER.center_of_mass)
+    assert center[1, 2] > center[0, 2]
+    # About the vertical axis: inertia of each part plus mass times squared distance.
+    chassis = 0.1567 + 7.486 * ((-0.004 - center[0, 0]) ** 2)
+    wheels = sum(0.005645 + 1.25 * ((x - center[0, 0]) ** 2 + y**2) for x, y, _ in ROVER.wheels.hubs)
+    assert inertia[0, 2, 2].item() == pytest.approx(float(chassis + wheels))

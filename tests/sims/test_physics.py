@@ -7,14 +7,12 @@ import math
 import pytest
 import torch
 
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.worlds import Terrain, World, box
 from tests.sims.driven import FLAT, ROVER, drive, placed, slope
 
-MODEL = read_inertial_model(ROVER)
-CENTER = MODEL.total(torch.tensor([MODEL.chassis_mass], dtype=torch.float64))[1][0].numpy()
+CENTER = ROVER.center_of_mass
 """Center of mass in the base frame, m."""
 ORIGIN = [(0.0, 0.0, 0.0)]
 DT = 0.05

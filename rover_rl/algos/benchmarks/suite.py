@@ -36,7 +36,6 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.specs import action_bounds
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.robots import Robot, get_robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.worlds import Solids, Terrain, World
 from rover_rl.worlds.movers import Mover
 from rover_rl.worlds.pool import WorldPool
@@ -171,7 +170,7 @@ class Suite(ABC):
     def common_differences(self, env: EnvConfig, robot: str, lidar: str) -> list[str]:
         """Returns the differences that all suites share, beside the ``robot`` and ``lidar`` of the original."""
         mine, settings = get_robot(env.robot), env.lidar
-        back, front, right, left = footprint(mine)
+        back, front, right, left = mine.footprint
         speed = action_bounds(env.bounded_action).high[0]
         whole = mine.lidar_view == 2 * math.pi
         seen = "" if whole else f", of which {math.degrees(mine.lidar_view):.0f} are seen"

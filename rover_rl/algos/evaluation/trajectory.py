@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from rover_rl.robots import Robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
@@ -230,7 +229,7 @@ def _near(path: Tensor, obstacle: Solids, reach: float) -> Tensor:
 
 def _outline(robot: Robot) -> Tensor:
     """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
-    back, front, right, left = footprint(robot)
+    back, front, right, left = robot.footprint
     height = sum(hub[2] for hub in robot.wheels.hubs) / len(robot.wheels.hubs)
     x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))

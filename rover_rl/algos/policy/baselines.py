@@ -21,9 +21,8 @@ from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.robots import Robot, get_robot
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.rover_zero import ROVER_ZERO
-from rover_rl.robots.slip import turn_gain
+from rover_rl.robots.built_in import ROVER_ZERO
+from rover_rl.robots.turning import turn_gain
 from rover_rl.rotations import wrap_angle
 from rover_rl.sims.free_space.fitting import passage_scale
 
@@ -110,7 +109,7 @@ def lane_of(robot: Robot) -> Lane:
 
 
 def _reach(robot: Robot) -> tuple[float, float, float, float]:
-    outline, lidar = footprint(robot), robot.lidar_position[0]
+    outline, lidar = robot.footprint, robot.lidar_position[0]
     return outline.half_width, outline.front, outline.front - lidar, lidar - outline.back
 
 

@@ -48,9 +48,9 @@ from rover_rl.algos.policy.arcs import hit_points
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
 from rover_rl.envs.mover_tracker import MoverTracker
 from rover_rl.robots import get_robot
-from rover_rl.robots.footprint import covering_discs, footprint
-from rover_rl.robots.slip import YAW_GAIN as YAW_GAIN
-from rover_rl.robots.slip import estimated_yaw_gain
+from rover_rl.robots.footprint import covering_discs
+from rover_rl.robots.turning import YAW_GAIN as YAW_GAIN
+from rover_rl.robots.turning import estimated_yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.settings import CONTROL_DT
 
@@ -138,7 +138,7 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         self._scale = passage_scale(self._robot)
         self._discs, self._radius = tuple(centers.tolist()), radius + SAFETY + ROOM * (self._scale - 1)
         # In micrometers, so that sums do not round differently.
-        self._half_lane = round(footprint(self._robot).half_width + LANE_MARGIN, 6)
+        self._half_lane = round(self._robot.footprint.half_width + LANE_MARGIN, 6)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set("action", self._act([tensordict[key] for key in self.in_keys]))

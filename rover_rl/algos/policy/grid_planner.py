@@ -24,8 +24,7 @@ from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike, T
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.robots import Robot, get_robot
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.slip import turn_gain
+from rover_rl.robots.turning import turn_gain
 
 MARGIN = 0.02  # free distance on each side of the footprint in the lane ahead, m
 STOP = 0.05  # free distance in front of the footprint at which the rover stops, m
@@ -136,7 +135,7 @@ class Follower(NamedTuple):
     @classmethod
     def of(cls, robot: Robot) -> Follower:
         """Returns that of a robot."""
-        outline = footprint(robot)
+        outline = robot.footprint
         return cls(outline.front, outline.back, outline.half_width, robot.lidar_position[0], turn_gain(robot))
 
 

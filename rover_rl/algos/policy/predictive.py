@@ -35,8 +35,8 @@ from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
 from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import get_robot
-from rover_rl.robots.footprint import covering_discs, footprint
-from rover_rl.robots.slip import estimated_yaw_gain
+from rover_rl.robots.footprint import covering_discs
+from rover_rl.robots.turning import estimated_yaw_gain
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
 PLANNED, DRIVEN = 0.9, 0.97  # parts of this distance that count as the goal in a plan, and in a drive

@@ -14,7 +14,7 @@ from rover_rl.envs.config import SCAN_POSE, HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE
 from rover_rl.robots import Robot
-from rover_rl.robots.slip import YAW_GAIN
+from rover_rl.robots.turning import YAW_GAIN
 
 
 class RowBounds(nn.Module):

@@ -19,7 +19,6 @@ from torch import Tensor, nn
 from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.envs.sensors.lidar_mask import WHOLE
 from rover_rl.robots import get_robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.rays import seen
@@ -263,7 +262,7 @@ class Limits(NamedTuple):
 
 
 def limits_of(robot: RobotLike) -> Limits:
-    half_width = footprint(get_robot(robot)).half_width / map_unit(robot)
+    half_width = get_robot(robot).footprint.half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     # A suspected obstacle may be anywhere in its cell.
     return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
@@ -284,7 +283,7 @@ def reading_of(lidar: LidarConfig, robot: RobotLike, interval: float) -> tuple[f
 def map_unit(robot: RobotLike) -> float:
     """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
     robot = get_robot(robot)
-    return passage_scale(robot, footprint(robot).corner)
+    return passage_scale(robot, robot.footprint.corner)
 
 
 def lidar_mount(robot: RobotLike) -> tuple[float, float, float]:

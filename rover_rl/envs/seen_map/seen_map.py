@@ -44,7 +44,6 @@ from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
 from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.footprint import footprint
 
 KNOWN = 0.2
 """Distance from the body within which the ground is known to be free, as the rover stands there, m."""
@@ -111,10 +110,10 @@ class SeenMap:
         self._fleet, self._reader = fleet, ScanReader(lidar, fleet.robots[0], interval).to(device)
         self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
         # Distance from movers that they keep, m, and their speed, in cells per second.
-        self._sides = self._fleet.table(lambda robot: [footprint(robot).half_width + MOVER_MARGIN])
+        self._sides = self._fleet.table(lambda robot: [robot.footprint.half_width + MOVER_MARGIN])
         self._speeds = self._fleet.table(lambda robot: [robot.drive.max_speed / (CELL * map_unit(robot))])
         # Distance of the farthest corner of the body from its center, m.
-        self._outer = self._fleet.table(lambda robot: [footprint(robot).corner])
+        self._outer = self._fleet.table(lambda robot: [robot.footprint.corner])
         # Unit of the map of the only robot, and of each one.
         self._unit = map_unit(self._fleet.robots[0])
         self._units = self._fleet.table(lambda robot: [map_unit(robot)])

@@ -14,8 +14,7 @@ from torch import Tensor
 from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.skidding import yaw_gain
+from rover_rl.robots.turning import yaw_gain
 
 TYPICAL = (0.3, 0.3, 0.3, 1.0, 3.0, 0.5, 0.2, 1.0, 0.2, 0.2, 0.4, 2 * math.pi)
 """Values that networks read as 1, or -1."""
@@ -82,7 +81,7 @@ class RobotBody(Sensor):
 
 @lru_cache(maxsize=1024)
 def _body_of(robot: Robot) -> list[float]:
-    outline, drive = footprint(robot), robot.drive
+    outline, drive = robot.footprint, robot.drive
     size = [-outline.back, outline.front, outline.half_width]
     limits = [drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels)]
     turns = [drive.pivot(robot.wheels), yaw_gain(robot)]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Sequence
 
 import numpy as np
 
-from rover_rl.robots.urdf.placed import Piece, Placed
+from rover_rl.robots.shapes import Mass, box_mass
+from rover_rl.robots.urdf.description import Description, Piece
 from rover_rl.robots.urdf.wheels import RoundLink
 
-Box: TypeAlias = tuple[np.ndarray, np.ndarray]
+_Corners = tuple[np.ndarray, np.ndarray]
 """Lowest and highest corner of a box along the axes, ``[3]`` each, m."""
 MAX_BOXES = 6
 """Largest number of boxes of a body."""
@@ -26,61 +26,7 @@ SIZES = 0.03, 20.0
 """Smallest and largest length of a robot, m."""
 
 
-class Mass(NamedTuple):
-    """Mass, kg, center of mass ``[3]``, m, and inertia about it ``[3, 3]``, kg m^2."""
-
-    mass: float
-    center: np.ndarray
-    inertia: np.ndarray
-
-    def without(self, other: Mass) -> Mass:
-        """Returns the rest of a body without one of its parts."""
-        mass = self.mass - other.mass
-        center = (self.mass * self.center - other.mass * other.center) / mass
-        inertia = self.inertia + _parallel(self.mass, self.center - center)
-        return Mass(mass, center, inertia - other.inertia - _parallel(other.mass, other.center - center))
-
-    @property
-    def is_rigid(self) -> bool:
-        """Whether a rigid body may have this inertia."""
-        moments = np.linalg.eigvalsh(self.inertia)
-        return bool(moments[0] > 0 and moments[2] <= 1.001 * (moments[0] + moments[1]))
-
-
-def total_mass(placed: Placed, links: Iterable[str]) -> Mass:
-    """Returns the mass of links together."""
-    stated = [(placed.description.links[name].inertial, placed.frames[name]) for name in links]
-    parts = [(each, frame @ each.frame) for each, frame in stated if each is not None and each.mass > 0]
-    mass = sum(each.mass for each, _ in parts)
-    center = np.zeros(3)
-    for each, pose in parts:
-        center = center + each.mass / mass * pose.position
-    inertia = np.zeros((3, 3))
-    for each, pose in parts:
-        inertia += pose.rotation @ each.inertia @ pose.rotation.T + _parallel(each.mass, pose.position - center)
-    return Mass(mass, center, inertia)
-
-
-def box_mass(mass: float, center: np.ndarray, size: np.ndarray) -> Mass:
-    """Returns a box of even density."""
-    squares = np.asarray(size) ** 2
-    return Mass(mass, center, np.diag(mass / 12 * (squares.sum() - squares)))
-
-
-def wheel_mass(mass: float, center: np.ndarray, radius: float, width: float, spin: float | None = None) -> Mass:
-    """Returns a wheel about y: of even density, or with a moment of inertia about its axle, ``spin``."""
-    spin = mass * radius**2 / 2 if spin is None else spin
-    # A wheel of no width is a ball.
-    turn = spin / 2 + mass * width**2 / 12 if width else spin
-    return Mass(mass, center, np.diag((turn, spin, turn)))
-
-
-def _parallel(mass: float, offset: np.ndarray) -> np.ndarray:
-    """Inertia of a point mass at an offset."""
-    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-
-
-def boxes_of(pieces: list[Piece], floor: float) -> list[Box]:
+def boxes_of(pieces: list[Piece], floor: float) -> list[_Corners]:
     """Returns boxes around shapes: few of them, and none below the height ``floor``."""
     boxes = []
     for piece in pieces:
@@ -94,7 +40,7 @@ def boxes_of(pieces: list[Piece], floor: float) -> list[Box]:
     return boxes
 
 
-def _is_inside(box: Box, others: list[Box], index: int) -> bool:
+def _is_inside(box: _Corners, others: list[_Corners], index: int) -> bool:
     """Returns whether a box lies in another. Of equal ones, the first counts."""
     low, high = box
     for k, (other_low, other_high) in enumerate(others):
@@ -105,7 +51,7 @@ def _is_inside(box: Box, others: list[Box], index: int) -> bool:
     return False
 
 
-def _merged(boxes: list[Box]) -> list[Box]:
+def _merged(boxes: list[_Corners]) -> list[_Corners]:
     """Replaces the two boxes by one around both for which that takes the least additional room."""
     pairs = [(i, j) for i in range(len(boxes)) for j in range(i)]
     around = {(i, j): _around(boxes[i], boxes[j]) for i, j in pairs}
@@ -113,11 +59,11 @@ def _merged(boxes: list[Box]) -> list[Box]:
     return [box for k, box in enumerate(boxes) if k not in (i, j)] + [around[i, j]]
 
 
-def _around(one: Box, other: Box) -> Box:
+def _around(one: _Corners, other: _Corners) -> _Corners:
     return np.minimum(one[0], other[0]), np.maximum(one[1], other[1])
 
 
-def _room(box: Box) -> float:
+def _room(box: _Corners) -> float:
     return float(np.prod(box[1] - box[0]))
 
 
@@ -141,12 +87,17 @@ def check_size(points: np.ndarray) -> None:
 
 
 def split_mass(
-    placed: Placed, total: Mass, wheels: Sequence[RoundLink], hubs: np.ndarray, boxes: list[Box], notes: list[str]
+    urdf: Description,
+    total: Mass,
+    wheels: Sequence[RoundLink],
+    hubs: np.ndarray,
+    boxes: list[_Corners],
+    notes: list[str],
 ) -> tuple[Mass, Mass]:
     """Splits the mass of a robot into that of its body and that of each of its wheels, which are alike.
 
     Args:
-        placed: the URDF.
+        urdf: the URDF.
         total: mass of all of its links, in the base frame.
         wheels: wheels, without casters.
         hubs: centers of the wheels and casters, ``[W, 3]``, m.
@@ -157,7 +108,7 @@ def split_mass(
         ValueError: if the wheels, or all other links together, have no mass.
     """
     radius, width = (float(np.mean([getattr(wheel, size) for wheel in wheels])) for size in ("radius", "width"))
-    stated = [total_mass(placed, wheel.links) for wheel in wheels]
+    stated = [urdf.mass(wheel.links) for wheel in wheels]
     masses = [each.mass for each in stated]
     if not min(masses) > 0:
         wheel = wheels[int(np.argmin(masses))]
@@ -166,20 +117,20 @@ def split_mass(
         raise ValueError("all links besides the wheels must have a positive mass together, its URDF states none")
     # Casters are wheels like the others, so that there may be more wheels than the mass is for.
     mass = min(float(np.mean(masses)), WHEELS_SHARE * total.mass / len(hubs))
-    spins = [each.inertia[1, 1] * mass / each.mass for each in stated]
+    spins = [each.inertia[1][1] * mass / each.mass for each in stated]
     disc = mass * radius**2 / 2
-    spin: float | None = float(np.mean(spins))
+    spin = float(np.mean(spins))
     if not all(SPINS[0] * disc <= each <= SPINS[1] * disc for each in spins):
         notes.append("the inertia of its wheels is not that of a wheel: that of even density is taken")
-        spin = None
-    parts = [wheel_mass(mass, hub, radius, width, spin) for hub in hubs]
+        spin = disc
+    # A wheel of no width is a ball.
+    turn = spin / 2 + mass * width**2 / 12 if width else spin
     rest = total
-    for part in parts:
-        rest = rest.without(part)
-    low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
-    size = high - low
+    for hub in hubs:
+        rest = rest.without(Mass.of(mass, hub, np.diag((turn, spin, turn))))
+    size = np.max([box[1] for box in boxes], 0) - np.min([box[0] for box in boxes], 0)
     gyration = np.sqrt(max(np.linalg.eigvalsh(rest.inertia)[-1], 0.0) / rest.mass)
     if not (rest.is_rigid and GYRATION[0] < gyration / np.linalg.norm(size) < GYRATION[1]):
         notes.append("the inertia of its body is not that of a rigid body of its size: that of a box is taken")
-        rest = box_mass(rest.mass, rest.center, size)
-    return rest, parts[0]._replace(center=np.zeros(3))
+        rest = box_mass(rest.mass, np.array(rest.center), size)
+    return rest, Mass.of(mass, np.zeros(3), np.diag((turn, spin, turn)))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_rl.robots.options import DriveKind
-from rover_rl.robots.urdf.placed import Piece, Placed
+from rover_rl.robots.urdf.description import Description, Piece
 from rover_rl.robots.urdf.wheels import FoundWheels, RoundLink
 
 ALIKE = 0.05
@@ -36,11 +36,11 @@ class Layout(NamedTuple):
     others: frozenset[str]
 
 
-def decide(placed: Placed, found: FoundWheels, body: list[Piece], wanted: DriveKind | None) -> Layout:
+def decide(urdf: Description, found: FoundWheels, body: list[Piece], wanted: DriveKind | None) -> Layout:
     """Decides which drive a robot has.
 
     Args:
-        placed: the URDF.
+        urdf: the URDF.
         found: its wheels.
         body: shapes of all other links.
         wanted: kind of the drive; ``None`` decides by the wheels.
@@ -50,12 +50,12 @@ def decide(placed: Placed, found: FoundWheels, body: list[Piece], wanted: DriveK
     """
     pairs = sorted([*found.fixed, *found.steered], key=lambda pair: -pair[0].hub[0])
     _check_alike(pairs)
-    kind = wanted or _kind(placed, found)
+    kind = wanted or _kind(urdf, found)
     if kind == "ackermann":
         _check_car(found)
     if kind == "mecanum" and len(pairs) != 2:
         raise ValueError(f"a mecanum drive has four wheels, it has {2 * len(pairs)}")
-    others = frozenset(link for wheel in found.casters for link in _caster_links(placed, wheel))
+    others = frozenset(link for wheel in found.casters for link in _caster_links(urdf, wheel))
     casters: list[tuple[float, float]] = []
     if kind == "differential" and len(pairs) > 1:
         kind = "skid_steer"
@@ -74,7 +74,7 @@ def decide(placed: Placed, found: FoundWheels, body: list[Piece], wanted: DriveK
     return Layout(kind, pairs, casters, others)
 
 
-def _kind(placed: Placed, found: FoundWheels) -> DriveKind:
+def _kind(urdf: Description, found: FoundWheels) -> DriveKind:
     fixed, steered = len(found.fixed), len(found.steered)
     if steered and not fixed:
         raise ValueError(
@@ -88,17 +88,17 @@ def _kind(placed: Placed, found: FoundWheels) -> DriveKind:
         )
     if steered:
         return "ackermann"
-    if fixed == 2 and _has_rollers(placed, found):
+    if fixed == 2 and _has_rollers(urdf, found):
         return "mecanum"
     return "differential" if fixed == 1 else "skid_steer"
 
 
-def _has_rollers(placed: Placed, found: FoundWheels) -> bool:
+def _has_rollers(urdf: Description, found: FoundWheels) -> bool:
     """Returns whether wheels are mecanum wheels: by rollers on joints of their own, or by that word."""
-    if "mecanum" in placed.path.read_text(errors="replace").lower():
+    if "mecanum" in urdf.path.read_text(errors="replace").lower():
         return True
     for wheel in (each for pair in found.fixed for each in pair):
-        mounts = [placed.mounts[link] for link in wheel.links if link != wheel.joint.child]
+        mounts = [urdf.mounts[link] for link in wheel.links if link != wheel.joint.child]
         if any(joint.kind == "continuous" for joint in mounts):
             return True
     return False
@@ -124,10 +124,10 @@ def _check_alike(pairs: list[tuple[RoundLink, RoundLink]]) -> None:
         )
 
 
-def _caster_links(placed: Placed, wheel: RoundLink) -> list[str]:
+def _caster_links(urdf: Description, wheel: RoundLink) -> list[str]:
     """Names the links of a caster: from its swivel on."""
     top = wheel.swivel.child if wheel.swivel is not None else wheel.joint.child
-    return [*placed.below(top)]
+    return [*urdf.below(top)]
 
 
 def _touching(pair: tuple[RoundLink, RoundLink], body: list[Piece]) -> list[Piece]:

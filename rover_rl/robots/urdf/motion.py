@@ -9,8 +9,8 @@ import numpy as np
 
 from rover_rl.robots.drives import Ackermann, Drive, Mecanum, SkidSteer
 from rover_rl.robots.options import RobotOptions
+from rover_rl.robots.shapes import Mass
 from rover_rl.robots.skidding import effective_track
-from rover_rl.robots.urdf.body import Mass
 from rover_rl.robots.urdf.layout import Layout
 from rover_rl.robots.urdf.wheels import RoundLink
 
@@ -83,7 +83,7 @@ def _car(
 def _separation(hubs: np.ndarray, tread: float, mass: Mass, notes: list[str]) -> float:
     """Returns the effective distance of the sides by Coulomb's law. Wheels of some width slip in any turn."""
     width = float(hubs[0::2, 1].mean() - hubs[1::2, 1].mean())
-    track = effective_track(hubs[:, :2], [1, -1] * (len(hubs) // 2), mass.center.tolist(), tread)
+    track = effective_track(hubs[:, :2], [1, -1] * (len(hubs) // 2), mass.center, tread)
     notes.append(
         f"its wheels slip in turns: separation is {track:.3g} m by Coulomb's law, {track / width:.2f} times that of "
         "its wheels"

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.robots.description import Joint
-from rover_rl.robots.urdf.placed import Piece, Placed
+from rover_rl.robots.urdf.description import Description, Joint, Piece
 
 ALONG = 0.9
 """Least component of the axis of a joint along the direction that it is taken for."""
@@ -62,30 +61,30 @@ class FoundWheels(NamedTuple):
     casters: list[RoundLink]
 
 
-def forward_turn(path_placed: Placed) -> float:
+def forward_turn(urdf: Description) -> float:
     """Returns the angle about z that turns the rolling direction to x: 0, or -pi/2 if the axles are along x."""
-    axes = [np.abs(path_placed.axis(joint)) for joint in _rolling_joints(path_placed)]
+    axes = [np.abs(urdf.axis(joint)) for joint in _rolling_joints(urdf)]
     along_x, along_y = (sum(axis[k] > ALONG for axis in axes) for k in (0, 1))
     return -math.pi / 2 if along_x >= 2 and not along_y else 0.0
 
 
-def find_wheels(placed: Placed) -> FoundWheels:
+def find_wheels(urdf: Description) -> FoundWheels:
     """Finds the wheels that stand on the ground.
 
     Raises:
         ValueError: if there are none, they are not in pairs, or the shape of one cannot be read.
     """
-    rolling = _rolling_joints(placed)
+    rolling = _rolling_joints(urdf)
     problems: list[str] = []
     wheels: list[RoundLink] = []
     for joint in rolling:
         inside = any(joint.child in wheel.links for wheel in wheels)
-        if inside or abs(placed.axis(joint)[1]) < ALONG:
+        if inside or abs(urdf.axis(joint)[1]) < ALONG:
             continue
-        if (wheel := _round_link(placed, joint, problems)) is not None:
+        if (wheel := round_link(urdf, joint, problems)) is not None:
             wheels.append(wheel)
     if not wheels:
-        raise ValueError(problems[0] if problems else _no_wheels(placed, rolling))
+        raise ValueError(problems[0] if problems else _no_wheels(urdf, rolling))
     ground = min(wheel.bottom for wheel in wheels)
     above = [wheel for wheel in wheels if wheel.bottom - ground > NEAR_GROUND * wheel.radius]
     try:
@@ -99,10 +98,10 @@ def find_wheels(placed: Placed) -> FoundWheels:
         raise ValueError(f"{error} ({above[0].joint.name} is round, too, {height:.2g} m above the ground)") from error
 
 
-def _rolling_joints(placed: Placed) -> list[Joint]:
+def _rolling_joints(urdf: Description) -> list[Joint]:
     """Returns the joints that turn without end about a level axis."""
-    joints = (placed.mounts[name] for name in placed.below(placed.description.base) if name in placed.mounts)
-    return [joint for joint in joints if _turns_freely(joint) and abs(placed.axis(joint)[2]) < 1 - ALONG**2]
+    joints = (urdf.mounts[name] for name in urdf.below(urdf.base) if name in urdf.mounts)
+    return [joint for joint in joints if _turns_freely(joint) and abs(urdf.axis(joint)[2]) < 1 - ALONG**2]
 
 
 def _turns_freely(joint: Joint) -> bool:
@@ -112,27 +111,27 @@ def _turns_freely(joint: Joint) -> bool:
     return joint.kind == "continuous"
 
 
-def _no_wheels(placed: Placed, rolling: list[Joint]) -> str:
-    joints = placed.description.joints.values()
+def _no_wheels(urdf: Description, rolling: list[Joint]) -> str:
+    joints = urdf.joints.values()
     free = [joint.name for joint in joints if _turns_freely(joint)]
     if not free:
         kinds = sorted({joint.kind for joint in joints})
         return f"it has no wheels: none of its joints turns without end, they are {', '.join(kinds) or 'none'}"
-    if len({round(each) for each in _angles(placed, rolling)}) >= 3:
-        angles = ", ".join(f"{round(each)}" for each in _angles(placed, rolling))
+    if len({round(each) for each in _angles(urdf, rolling)}) >= 3:
+        angles = ", ".join(f"{round(each)}" for each in _angles(urdf, rolling))
         return (
             f"its {len(rolling)} wheels have axles at {angles} degrees to its direction ahead; no drive of this "
             "package has such wheels"
         )
-    stated = Placed(placed.path)
+    stated = Description(urdf.path)
     turning = [(joint.name, stated.axis(joint)) for joint in joints if joint.name in free[:3]]
     named = ", ".join(f"{name} (about {_direction(axis)})" for name, axis in turning) + (", ..." if free[3:] else "")
     return f"it has no wheels: nothing that turns on {named} is round about a level axle"
 
 
-def _angles(placed: Placed, rolling: list[Joint]) -> list[float]:
+def _angles(urdf: Description, rolling: list[Joint]) -> list[float]:
     """Returns the directions of axles, from 0 to 180 degrees from +x."""
-    axes = (placed.axis(joint) for joint in rolling)
+    axes = (urdf.axis(joint) for joint in rolling)
     return [math.degrees(math.atan2(axis[1], axis[0])) % 180 for axis in axes]
 
 
@@ -142,20 +141,20 @@ def _direction(axis: np.ndarray) -> str:
     return " ".join(f"{round(float(each), 2) + 0.0:g}" for each in axis)
 
 
-def _round_link(placed: Placed, joint: Joint, problems: list[str]) -> RoundLink | None:
+def round_link(urdf: Description, joint: Joint, problems: list[str]) -> RoundLink | None:
     """Returns what a joint turns as a wheel, or ``None`` if that is not round."""
-    links = tuple(placed.below(joint.child))
-    axis = placed.axis(joint)
+    links = tuple(urdf.below(joint.child))
+    axis = urdf.axis(joint)
     failed: list[str] = []
     for visual in (False, True):
-        pieces = placed.pieces(links, visual, failed)
-        size = _wheel_size(pieces, placed.frames[joint.child].position, axis) if pieces else None
+        pieces = urdf.pieces(links, visual, failed)
+        size = _wheel_size(pieces, urdf.frames[joint.child].position, axis) if pieces else None
         if size is not None:
             radius, width, middle = size
-            hub = placed.frames[joint.child].position + middle * axis
-            turning = [each for each in placed.chain(joint.child)[:-1] if _is_swivel(placed, each)]
+            hub = urdf.frames[joint.child].position + middle * axis
+            turning = [each for each in urdf.chain(joint.child)[:-1] if _is_swivel(urdf, each)]
             swivel = turning[-1] if turning else None
-            trail = abs(hub[0] - placed.frames[swivel.child].position[0]) if swivel else 0.0
+            trail = abs(hub[0] - urdf.frames[swivel.child].position[0]) if swivel else 0.0
             return RoundLink(joint, hub, radius, width, links, swivel, trail, float(np.sign(axis[1])))
     problems += failed
     return None
@@ -163,9 +162,17 @@ def _round_link(placed: Placed, joint: Joint, problems: list[str]) -> RoundLink 
 
 def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple[float, float, float] | None:
     """Returns radius, width and the middle along the axis from the joint, or ``None`` if the shapes are not round."""
-    if len(pieces) == 1 and pieces[0].kind == "sphere":
-        offset = pieces[0].frame.position - hub
-        return pieces[0].sizes[0], 0.0, float(offset @ axis)
+    if len(pieces) == 1 and pieces[0].shape.kind in ("sphere", "cylinder"):
+        _, frame, sizes, *_ = pieces[0].shape
+        offset = frame.position - hub
+        middle = float(offset @ axis)
+        if len(sizes) == 1:
+            return sizes[0], 0.0, middle
+        if (
+            np.linalg.norm(np.cross(frame.rotation[:, 2], axis)) < 1e-6
+            and np.linalg.norm(offset - middle * axis) < 1e-6
+        ):
+            return sizes[0], sizes[1], middle
     arms = np.concatenate([piece.points for piece in pieces]) - hub
     along = arms @ axis
     ahead = np.cross(axis, (0.0, 0.0, 1.0))
@@ -181,11 +188,11 @@ def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple
     return radius, float(np.ptp(along)), float(along.max() + along.min()) / 2
 
 
-def _is_swivel(placed: Placed, joint: Joint) -> bool:
+def _is_swivel(urdf: Description, joint: Joint) -> bool:
     """Returns whether a joint turns what it carries about z. One that turns it about the axle is told by its name."""
     if joint.kind not in ("continuous", "revolute"):
         return False
-    axis = np.abs(placed.axis(joint))
+    axis = np.abs(urdf.axis(joint))
     return bool(axis[2] >= ALONG or (axis[1] >= ALONG and "steer" in joint.name.lower()))
 
 

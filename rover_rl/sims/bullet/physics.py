@@ -14,7 +14,7 @@ from rover_rl.rotations import rotation_forms
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
 from rover_rl.sims.bullet.meters import Meters
 from rover_rl.sims.bullet.movers import MoverBodies
-from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
+from rover_rl.sims.bullet.rover import bounding_box, clear_contacts, is_touching, load_rovers, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.movers.near import NearParts, fastest_point
 from rover_rl.sims.rover_state import Force
@@ -70,8 +70,7 @@ class RoverPhysics:
             self._grounds.append(ground)
             self._obstacles.append(obstacles)
             rovers = range(first, min(first + ROVERS_PER_CLIENT, count))
-            with bullet_urdf(robot) as urdf:
-                self._rovers += [(client, load_rover(client, urdf, settings)) for _ in rovers]
+            self._rovers += [(client, body) for body in load_rovers(client, robot, settings, len(rovers))]
         client, body = self._rovers[0]
         corners = bounding_box(client, body)
         self._near = NearObstacles(Solids.of(world.obstacles), *corners, fastest_point(robot) * settings.control_dt)

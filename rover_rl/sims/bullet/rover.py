@@ -1,7 +1,4 @@
-"""Body of a rover in Bullet, from the URDF as Bullet needs it: without bare frames, and with joints for rollers.
-
-Bullet takes a link that states no inertia for one of 1 kg. Here, links without mass and shape are dropped, and other
-links without inertia get a mass of 0.
+"""Body of a rover in Bullet, from a URDF that is written for it.
 
 Bullet has no friction that acts in one direction of a turning wheel. A mecanum wheel is a sphere instead, between which
 and the base is a free joint along the roller on the ground::
@@ -16,53 +13,120 @@ from __future__ import annotations
 
 import math
 import tempfile
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
-from rover_rl.robots.description import child
-from rover_rl.robots.meshes import find_mesh
+from rover_rl.robots.shapes import WEIGHTLESS, Mass
 from rover_rl.sims.bullet.geometry import ROVERS, STATIC, set_contact
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.tiny_xml import parse_xml
 
 _LINK_SHARE = 1e-3
 """Mass and inertia of the small link, relative to those of the wheel."""
-
 _DISTANCE, _NORMAL_FORCE = 8, 9
 """Indices of the distance (m, negative for a penetration) and the normal force (N) in a contact point of PyBullet."""
 
 
-def load_rover(client: int, urdf: Path, settings: BulletSettings) -> int:
-    """Loads a rover without damping and sleeping. Returns the id of its body.
-
-    Raises:
-        ValueError: if a link of the robot description has several collision shapes.
-    """
+def load_rovers(client: int, robot: Robot, settings: BulletSettings, count: int) -> list[int]:
+    """Loads rovers without damping and sleeping. Returns the ids of their bodies."""
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
-    body = pybullet.loadURDF(str(urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
-    for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
-        # Bullet sorts contacts by link. The order of a link's contacts would depend on the other rovers.
-        if (shapes := len(pybullet.getCollisionShapeData(body, link, physicsClientId=client))) > 1:
-            raise ValueError(f"{urdf}: a link may have one collision shape, link {link} has {shapes}")
-        pybullet.changeDynamics(
-            body,
-            link,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            jointDamping=0.0,
-            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-            physicsClientId=client,
-        )
-        # In the call above, the friction would not apply to the wheels.
-        set_contact(client, body, link, 1.0, settings)
-    clear_contacts(client, body)
-    return body
+    bodies = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rover.urdf"
+        path.write_text(rover_urdf(robot), encoding="utf-8")
+        for _ in range(count):
+            body = pybullet.loadURDF(str(path), flags=flags, physicsClientId=client)
+            for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+                pybullet.changeDynamics(
+                    body,
+                    link,
+                    linearDamping=0.0,
+                    angularDamping=0.0,
+                    jointDamping=0.0,
+                    activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+                    physicsClientId=client,
+                )
+                # In the call above, the friction would not apply to the wheels.
+                set_contact(client, body, link, 1.0, settings)
+            clear_contacts(client, body)
+            bodies.append(body)
+    return bodies
+
+
+def rover_urdf(robot: Robot) -> str:
+    """Returns a URDF of a robot without visual shapes, whose joints have the names of its drive.
+
+    A link has one collision shape: Bullet sorts contacts by link, and the order of those of one link would depend on
+    other rovers. All links state an inertia: Bullet takes one without for a link of 1 kg.
+    """
+    on_base = [box for box in robot.boxes if box.mass is None][:1]
+    links = [_link("base", robot.body, "".join(_box(box.center, box.size) for box in on_base))]
+    for number, box in enumerate(box for box in robot.boxes if box not in on_base):
+        mass = box.mass or WEIGHTLESS
+        center = np.subtract(mass.center, box.center).tolist() if mass.mass else mass.center
+        links += [_link(f"box {number}", mass._replace(center=center), _box((0.0, 0.0, 0.0), box.size))]
+        links += [_joint(f"box {number}", "fixed", "base", box.center)]
+    drive, wheels = robot.drive, robot.wheels
+    rollers = drive.rollers or (None,) * len(wheels.hubs)
+    steering = wheels.steering or (-1,) * len(wheels.hubs)
+    parts = [*zip(drive.wheels, wheels.hubs, steering, rollers, strict=True)]
+    order = robot.order or drive.wheels
+    for name, hub, carrier, roller in sorted(parts, key=lambda part: order.index(part[0])):
+        parent, small = "base", f"{name} carrier"
+        sizes = f'radius="{wheels.radius}" length="{wheels.width}"'
+        shape = f'<origin rpy="1.5707963267948966 0 0"/><geometry><cylinder {sizes}/></geometry>'
+        if roller is not None or not wheels.width:
+            shape = f'<geometry><sphere radius="{wheels.radius}"/></geometry>'
+        if carrier >= 0:
+            links += [
+                _link(small, robot.knuckle or WEIGHTLESS),
+                _joint(drive.steering[carrier], "continuous", "base", hub, (0, 0, 1), small, robot.steering_limits),
+            ]
+        elif roller is not None:
+            axis = (math.cos(roller), math.sin(roller), 0)
+            inertia = tuple(tuple(_LINK_SHARE * each for each in row) for row in robot.wheel.inertia)
+            light = Mass(_LINK_SHARE * robot.wheel.mass, (0.0, 0.0, 0.0), inertia)
+            links += [_link(small, light), _joint(roller_joint(name), "continuous", "base", hub, axis, small)]
+        if carrier >= 0 or roller is not None:
+            parent, hub = small, (0.0, 0.0, 0.0)
+        links += [_link(f"{name} wheel", robot.wheel, f"<collision>{shape}</collision>")]
+        links += [_joint(name, "continuous", parent, hub, (0, 1, 0), f"{name} wheel")]
+    return f'<robot name="rover">{"".join(links)}</robot>'
+
+
+def _link(name: str, mass: Mass, shape: str = "") -> str:
+    (xx, xy, xz), (_, yy, yz), (*_, zz) = mass.inertia
+    moments = f'ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"'
+    inertial = f'<origin xyz="{_text(mass.center)}"/><mass value="{mass.mass}"/><inertia {moments}/>'
+    return f'<link name="{name}"><inertial>{inertial}</inertial>{shape}</link>'
+
+
+def _box(center: Iterable[float], size: Iterable[float]) -> str:
+    return f'<collision><origin xyz="{_text(center)}"/><geometry><box size="{_text(size)}"/></geometry></collision>'
+
+
+def _joint(
+    name: str,
+    kind: str,
+    parent: str,
+    place: Iterable[float],
+    axis: Iterable[float] = (0, 1, 0),
+    child: str = "",
+    limits: tuple[float, float] | None = None,
+) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child or name}"/>'
+    limit = ""
+    if limits is not None:
+        kind, limit = "revolute", f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/>'
+    origin = f'<origin xyz="{_text(place)}"/><axis xyz="{_text(axis)}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{origin}{limit}</joint>'
+
+
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(map(repr, numbers))
 
 
 def bounding_box(client: int, body: int) -> tuple[np.ndarray, np.ndarray]:
@@ -92,63 +156,3 @@ def is_touching(client: int, rover: int, obstacle: int) -> bool:
 def roller_joint(wheel: str) -> str:
     """Returns the name of the free joint of a wheel."""
     return f"{wheel} roller"
-
-
-@contextmanager
-def bullet_urdf(robot: Robot) -> Iterator[Path]:
-    """Provides the URDF of a robot for Bullet: its own if that will do, else a file that is deleted afterwards."""
-    root = parse_xml(robot.urdf.read_bytes())
-    if not robot.drive.rollers and all(link.find("inertial") is not None for link in root.findall("link")):
-        yield robot.urdf
-        return
-    _weigh_frames(root)
-    for wheel, angle in zip(robot.drive.wheels, robot.drive.rollers, strict=False):
-        if angle is not None:
-            _add_roller(root, wheel, angle, robot.wheels.radius)
-    for mesh in root.iterfind("link/collision/geometry/mesh"):
-        mesh.set("filename", str(find_mesh(mesh.get("filename", ""), robot.urdf)))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / robot.urdf.name
-        ET.ElementTree(root).write(path)
-        yield path
-
-
-def _weigh_frames(root: ET.Element) -> None:
-    """Drops links without mass and shape that nothing hangs on, and gives the others without inertia a mass of 0."""
-    joints = {child(joint, "child").get("link"): joint for joint in root.findall("joint")}
-    for link in reversed(root.findall("link")):
-        name, mass = link.get("name"), link.find("inertial/mass")
-        weighs = mass is not None and float(mass.get("value", "0")) > 0
-        holds = any(parent.get("link") == name for parent in root.iterfind("joint/parent"))
-        if not weighs and not holds and name in joints and link.find("collision") is None:
-            root.remove(link)
-            root.remove(joints[name])
-        elif link.find("inertial") is None:
-            _add_inertial(link, 0.0, dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 0.0))
-
-
-def _add_inertial(link: ET.Element, mass: float, moments: dict[str, float]) -> None:
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=str(mass))
-    ET.SubElement(inertial, "inertia", {key: str(value) for key, value in moments.items()})
-
-
-def _add_roller(root: ET.Element, wheel: str, angle: float, radius: float) -> None:
-    """Inserts the free joint and the small link of a wheel, and makes its shape a sphere."""
-    (joint,) = (each for each in root.findall("joint") if each.get("name") == wheel)
-    (link,) = (each for each in root.findall("link") if each.get("name") == child(joint, "child").get("link"))
-    parent, origin, small = child(joint, "parent"), joint.find("origin"), f"{roller_joint(wheel)} link"
-    free = ET.SubElement(root, "joint", name=roller_joint(wheel), type="continuous")
-    ET.SubElement(free, "parent", parent.attrib)
-    ET.SubElement(free, "child", link=small)
-    ET.SubElement(free, "axis", xyz=f"{math.cos(angle)} {math.sin(angle)} 0")
-    if origin is not None:
-        joint.remove(origin)
-        free.append(origin)
-    parent.set("link", small)
-    mass = _LINK_SHARE * float(child(link, "inertial/mass").get("value", "0"))
-    moments = {key: _LINK_SHARE * float(value) for key, value in child(link, "inertial/inertia").items()}
-    _add_inertial(ET.SubElement(root, "link", name=small), mass, moments)
-    link.remove(child(link, "collision"))
-    geometry = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
-    ET.SubElement(geometry, "sphere", radius=str(radius))

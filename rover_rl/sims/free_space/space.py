@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -153,9 +153,8 @@ def _stored(world: World, robot: Robot) -> FreeSpace:
 
 @lru_cache(maxsize=16)
 def _description(robot: Robot) -> bytes:
-    """Content of the description of a robot: its numbers and its URDF file, wherever that is."""
-    numbers = {name: value for name, value in asdict(robot).items() if name not in ("name", "urdf")}
-    return repr(numbers).encode() + robot.urdf.read_bytes()
+    """Content of the description of a robot: its numbers, whatever its name."""
+    return repr(replace(robot, name="")).encode()
 
 
 def _compute(world: World, robot: Robot, grid: CellGrid) -> FreeSpace:

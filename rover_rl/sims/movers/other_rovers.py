@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,8 +10,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.robots import Robot
-from rover_rl.robots.description import Description, Frame, Shape
-from rover_rl.robots.footprint import half_sizes
 from rover_rl.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds.movers.mover import Part
@@ -57,7 +54,8 @@ class OtherRovers:
         self._others = torch.stack([numbers[numbers != number] for number in range(agents)])
         self._centers = torch.tensor([part.center for part in self.parts], device=device)
         self._turns = torch.tensor([part.orientation for part in self.parts], device=device)
-        flat = np.array([half_sizes(*shape) for shape in _shapes_of(robot)])[:, :2]
+        wheel = robot.wheels.radius, robot.wheels.width / 2 or robot.wheels.radius
+        flat = np.array([wheel] * len(robot.wheels.hubs) + [[side / 2 for side in box.size[:2]] for box in robot.boxes])
         self._flat = torch.from_numpy(flat).float().to(device)
         points = torch.zeros(rows, 3, device=device)
         self._position, self._velocity, self._yaw = points, points, torch.zeros(rows, 1, device=device)
@@ -149,37 +147,11 @@ class OtherRovers:
 
 
 def solids_of(robot: Robot) -> tuple[Part, ...]:
-    """Returns the collision shapes of a robot, those fixed to its base and its wheels, as parts in its base frame.
-
-    Wheels point ahead. Shapes without known sizes, such as meshes, are left out.
-    """
-    return tuple(_part(frame, shape) for frame, shape in _shapes_of(robot))
-
-
-@lru_cache(maxsize=64)
-def _shapes_of(robot: Robot) -> list[tuple[Frame, Shape]]:
-    wheels = robot.wheels
-    sizes = (wheels.radius, wheels.width) if wheels.width else (wheels.radius,)
-    # The axis of a cylinder is its z axis, and that of a wheel is y.
-    turn = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))) if wheels.width else np.eye(3)
-    own = Frame(np.zeros(3), np.eye(3))
-    wheel = Shape("cylinder" if wheels.width else "sphere", own, sizes, "", None)
-    shapes = [(Frame(np.array(hub), turn), wheel) for hub in wheels.hubs]
-    description = Description(robot.urdf)
-    for name, frame in description.fixed.items():
-        shapes += [(frame @ shape.frame, shape) for shape in description.links[name].shapes]
-    return [(frame, shape) for frame, shape in shapes if half_sizes(frame, shape) is not None]
-
-
-def _part(frame: Frame, shape: Shape) -> Part:
-    x, y, z, w = matrix_to_quaternion(torch.from_numpy(frame.rotation)).tolist()
-    a, b, c = frame.position.tolist()
-    place: dict[str, Any] = {"center": (a, b, c), "orientation": (x, y, z, w)}
-    if shape.kind == "box":
-        length, width, height = shape.sizes
-        return Part("box", (length, width, height), **place)
-    sides = 2 * shape.sizes[0], 2 * shape.sizes[0]
-    if shape.kind == "cylinder":
-        return Part("cylinder", (*sides, shape.sizes[1]), **place)
-    # A sphere is a capsule without a cylinder.
-    return Part("capsule", (*sides, sides[0]), **place)
+    """Returns the wheels of a robot, which point ahead, and its boxes, as parts in its base frame."""
+    radius, width = robot.wheels.radius, robot.wheels.width
+    # The axis of a cylinder is its z axis, and that of a wheel is y. A sphere is a capsule without a cylinder.
+    turn = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))) if width else np.eye(3)
+    x, y, z, w = matrix_to_quaternion(torch.from_numpy(turn)).tolist()
+    kind, size = ("cylinder" if width else "capsule"), (2 * radius, 2 * radius, width or 2 * radius)
+    wheels = [Part(kind, size, center=hub, orientation=(x, y, z, w)) for hub in robot.wheels.hubs]
+    return (*wheels, *(Part("box", box.size, center=box.center) for box in robot.boxes))

@@ -15,7 +15,7 @@ import numpy as np
 from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
 from rover_rl.robots.drives import Drive
-from rover_rl.robots.inertial_model import InertialModel
+from rover_rl.robots.shapes import Mass
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
 from rover_rl.sims.mujoco.parts import add_parts
 from rover_rl.sims.mujoco.settings import MujocoSettings
@@ -56,12 +56,7 @@ LINK_SHARE = 1e-3
 
 
 def make_model(
-    world: World,
-    robot: Robot,
-    inertial_model: InertialModel,
-    settings: MujocoSettings,
-    parts: Sequence[Part] = (),
-    reports: Collection[Force] = (),
+    world: World, robot: Robot, settings: MujocoSettings, parts: Sequence[Part] = (), reports: Collection[Force] = ()
 ) -> mujoco.MjModel:
     """Creates the model of one rover in a world, with ``parts`` of movers, which measures the fields ``reports``.
 
@@ -82,7 +77,7 @@ def make_model(
     # the last bits of a drive.
     body = spec.worldbody.add_body(name="obstacles") if "contact_force" in reports else None
     add_obstacles(spec, world, body=body, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
-    _add_rover(spec, robot, inertial_model, settings)
+    _add_rover(spec, robot, settings)
     _add_contact_sensors(spec, with_movers=bool(parts))
     if "contact_force" in reports:
         _add_force_sensors(spec, ["obstacles", "movers"] if parts else ["obstacles"])
@@ -122,18 +117,25 @@ def _set_options(option: Any, settings: MujocoSettings) -> None:
     option.impratio = FRICTION_HARDNESS
 
 
-def _add_rover(spec: mujoco.MjSpec, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> None:
+def _add_rover(spec: mujoco.MjSpec, robot: Robot, settings: MujocoSettings) -> None:
     base = spec.worldbody.add_body(name="base")
     base.add_freejoint()
-    _set_inertia(base, inertial_model.chassis_mass, inertial_model.chassis_center, inertial_model.chassis_inertia)
-    for center, half in zip(inertial_model.box_centers, inertial_model.box_halves, strict=True):
+    _set_inertia(base, robot.chassis)
+    for box in robot.boxes:
         kind = mujoco.mjtGeom.mjGEOM_BOX
-        base.add_geom(type=kind, pos=center, size=half, condim=3, contype=0, conaffinity=_GROUND | _OBSTACLES)
+        base.add_geom(
+            type=kind,
+            pos=box.center,
+            size=np.array(box.size) / 2,
+            condim=3,
+            contype=0,
+            conaffinity=_GROUND | _OBSTACLES,
+        )
     shafts = [spec.worldbody.add_body(name=f"shaft {motor}") for motor in range(len(robot.drive.motors))]
     for shaft in shafts:
-        _set_inertia(shaft, 1.0, np.zeros(3), SHAFT_INERTIA * np.eye(3))
+        _set_moments(shaft, 1.0, SHAFT_INERTIA, SHAFT_INERTIA)
     for index, motor in enumerate(robot.drive.motor_of_wheel):
-        wheel = _add_wheel(spec, base, index, robot, inertial_model)
+        wheel = _add_wheel(spec, base, index, robot)
         _add_tires(spec, wheel, index, robot, settings)
         if motor >= 0:
             _add_motor(spec, index, motor, robot.drive.torque)
@@ -142,10 +144,10 @@ def _add_rover(spec: mujoco.MjSpec, robot: Robot, inertial_model: InertialModel,
         shaft.add_joint(name=f"shaft {motor}", type=_HINGE, axis=(0, 1, 0))
 
 
-def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertial_model: InertialModel) -> Any:
+def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot) -> Any:
     """Adds the body of a wheel, on a steering joint or on the free joint of its rollers if it has one."""
-    parent, place, drive = base, {"pos": inertial_model.hubs[index]}, robot.drive
-    turn, spin, mass = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia, inertial_model.wheel_mass
+    parent, place, drive = base, {"pos": robot.wheels.hubs[index]}, robot.drive
+    turn, spin, mass = robot.wheel.inertia[0][0], robot.wheel.inertia[1][1], robot.wheel.mass
     joint: dict[str, Any] = {}
     if robot.wheels.steering and robot.wheels.steering[index] >= 0:
         least = STEERING_INERTIA * robot.mass
@@ -156,11 +158,11 @@ def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertia
         joint = {"name": f"roller {index}", "axis": (math.cos(angle), math.sin(angle), 0)}
     if joint:
         parent = base.add_body(name=f"carrier {index}", **place)
-        _set_inertia(parent, LINK_SHARE * mass, np.zeros(3), LINK_SHARE * np.diag((turn, turn, turn)))
+        _set_moments(parent, LINK_SHARE * mass, LINK_SHARE * turn, LINK_SHARE * turn)
         parent.add_joint(type=_HINGE, **joint)
         place = {}
     wheel = parent.add_body(name=f"wheel {index}", **place)
-    _set_inertia(wheel, mass, np.zeros(3), np.diag((turn, spin, turn)))
+    _set_moments(wheel, mass, turn, spin)
     wheel.add_joint(name=f"wheel {index}", type=_HINGE, axis=(0, 1, 0))
     return wheel
 
@@ -179,10 +181,15 @@ def _roller(drive: Drive, index: int) -> float | None:
     return drive.rollers[index] if drive.rollers else None
 
 
-def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray) -> None:
+def _set_moments(body: Any, mass: float, turn: float, spin: float) -> None:
+    """Sets the mass of a body about its origin, with the moment of inertia ``spin`` about y and ``turn`` across."""
+    _set_inertia(body, Mass.of(mass, np.zeros(3), np.diag((turn, spin, turn))))
+
+
+def _set_inertia(body: Any, mass: Mass) -> None:
     body.explicitinertial = True
-    body.mass, body.ipos = mass, center
-    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body.mass, body.ipos = mass.mass, mass.center
+    body.fullinertia = np.array(mass.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.rotations import matrix_to_quaternion
 from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.free_space import rest_on_ground
@@ -42,10 +41,6 @@ class MujocoSimulator(Simulator):
         worlds: world of each rover. Consecutive rovers in the same world share models.
         robot: robot model.
         settings: settings of the physics. ``None`` uses the defaults.
-
-    Raises:
-        ValueError: for a robot whose URDF is not supported: see
-            :func:`rover_rl.robots.inertial_model.read_inertial_model`.
     """
 
     features: frozenset[Feature] = frozenset(
@@ -73,11 +68,10 @@ class MujocoSimulator(Simulator):
 
     def _divide(self, threads: int) -> list[list[_Share]]:
         """Returns the shares of each thread: a share of the rovers of every world."""
-        self._inertial_model = read_inertial_model(self._robot)
         shares: list[list[_Share]] = [[] for _ in range(threads)]
         for world, block in groupby(range(self.num_envs), key=self._worlds.__getitem__):
             rows = list(block)
-            model = make_model(world, self._robot, self._inertial_model, self.settings, reports=self._reports)
+            model = make_model(world, self._robot, self.settings, reports=self._reports)
             ends = np.linspace(rows[0], rows[-1] + 1, threads + 1).astype(int).tolist()
             for own, first, last in zip(shares, ends[:-1], ends[1:], strict=True):
                 if last > first:
@@ -99,7 +93,7 @@ class MujocoSimulator(Simulator):
             if not parts:
                 continue
             slots = slots_of(parts)
-            model = make_model(world, self._robot, self._inertial_model, self.settings, slots, self._reports)
+            model = make_model(world, self._robot, self.settings, slots, self._reports)
             reach = reach_of(model)
             for share in (share for share in shares if share.world is world):
                 share.reach = reach

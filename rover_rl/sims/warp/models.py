@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import torch
 
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
-from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import InertialModel
+from rover_rl.robots.fleet import Fleet, MassTable
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel
 
+POINT_SPACING = 0.3
+"""Maximum spacing of the sample points of the chassis that are tested against the ground, m."""
 
-def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Device) -> RobotModel:
+def make_robot_model(robot: Robot, device: wp.Device) -> RobotModel:
     """Copies the geometry of a robot to a device. Raises ``ValueError`` for more than :data:`MAX_WHEELS` wheels."""
-    wheels = len(inertial_model.hubs)
+    wheels = len(robot.wheels.hubs)
     if wheels > MAX_WHEELS:
         raise ValueError(f"the warp backend supports at most {MAX_WHEELS} wheels, {robot.name!r} has {wheels}")
     model = RobotModel()
@@ -31,12 +31,13 @@ def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Dev
     model.rollers = wp.array(rollers, dtype=wp.vec3, device=device)
     model.wheel_radius = robot.wheels.radius
     model.wheel_half_width = robot.wheels.width / 2
-    model.wheel_inertia = inertial_model.wheel_spin_inertia
-    model.hubs = wp.array(inertial_model.hubs, dtype=wp.vec3, device=device)
-    model.box_centers = wp.array(inertial_model.box_centers, dtype=wp.vec3, device=device)
-    model.box_halves = wp.array(inertial_model.box_halves, dtype=wp.vec3, device=device)
-    model.chassis_points = wp.array(inertial_model.points(), dtype=wp.vec3, device=device)
-    model.bounding_radius = bounding_radius(robot, inertial_model)
+    model.wheel_inertia = robot.wheel.inertia[1][1]
+    model.hubs = wp.array(np.array(robot.wheels.hubs), dtype=wp.vec3, device=device)
+    centers, halves = (np.array([box[part] for box in robot.boxes]).reshape(-1, 3) / (part + 1) for part in (0, 1))
+    model.box_centers = wp.array(centers, dtype=wp.vec3, device=device)
+    model.box_halves = wp.array(halves, dtype=wp.vec3, device=device)
+    model.chassis_points = wp.array(chassis_points(centers, halves), dtype=wp.vec3, device=device)
+    model.bounding_radius = bounding_radius(robot)
     model.lidar_position = wp.vec3(*robot.lidar_position)
     model.lidar_range = robot.lidar_range
     return model
@@ -51,19 +52,37 @@ class ModelTable:
         ranges: maximum range of each robot's lidar, ``[K]``, m.
     """
 
-    def __init__(self, fleet: Fleet, inertial_models: Sequence[InertialModel], device: wp.Device) -> None:
+    def __init__(self, fleet: Fleet, device: wp.Device) -> None:
         # A struct in an array refers to other arrays without owning them.
-        self._owners = [make_robot_model(*pair, device) for pair in zip(fleet.robots, inertial_models, strict=True)]
+        self._owners = [make_robot_model(robot, device) for robot in fleet.robots]
         self.models = wp.array(self._owners, dtype=RobotModel, device=device)
         self.reach = max(model.bounding_radius for model in self._owners)
         self.ranges = fleet.table(lambda robot: robot.lidar_range)
 
 
-def bounding_radius(robot: Robot, model: InertialModel) -> float:
+def chassis_points(centers: np.ndarray, halves: np.ndarray) -> np.ndarray:
+    """Sample points on the top and bottom of boxes ``[B, 3]``, at most :data:`POINT_SPACING` apart, ``[P, 3]``.
+
+    Points inside another box are left out.
+    """
+    points = [np.zeros((0, 3))]
+    for index, (center, half) in enumerate(zip(centers, halves, strict=True)):
+        counts = np.maximum(np.ceil(2 * half / POINT_SPACING).astype(int), 1)
+        axes = [np.linspace(-side, side, count + 1) for side, count in zip(half, counts, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        # The ground touches the bottom, or the top of a rover that has rolled over.
+        own = center + grid[np.abs(grid[:, 2]) > half[2] - 1e-9]
+        others = np.delete(centers, index, 0), np.delete(halves, index, 0) + 5e-3
+        points.append(own[(np.abs(own[:, None] - others[0]) > others[1]).any(2).all(1)])
+    return np.concatenate(points)
+
+
+def bounding_radius(robot: Robot) -> float:
     """Radius (m) of a sphere around the center of mass that contains the whole rover."""
-    center = model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0].numpy()
+    masses = MassTable([robot])
+    center = masses.total(masses.chassis_mass, torch.zeros(1, dtype=torch.int64))[1][0].numpy()
     wheel = math.hypot(robot.wheels.radius, robot.wheels.width / 2)
-    hubs = np.linalg.norm(model.hubs - center, axis=1) + wheel
-    boxes = np.linalg.norm(np.abs(model.box_centers - center) + model.box_halves, axis=1)
+    hubs = np.linalg.norm(np.array(robot.wheels.hubs) - center, axis=1) + wheel
+    boxes = [np.linalg.norm(np.abs(np.array(box.center) - center) + np.array(box.size) / 2) for box in robot.boxes]
     # The margin of 1 cm covers the shift of the center of mass, some millimeters, when the chassis mass is randomized.
     return float(np.concatenate((hubs, boxes)).max()) + 0.01

@@ -14,7 +14,6 @@ from torch import Tensor
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.rendering.cache import RendererCache
@@ -55,8 +54,7 @@ class WarpSimulator(Simulator):
         device: device of the simulation and of its tensors; ``None`` is the CPU.
 
     Raises:
-        ValueError: for a robot with too many wheels, or whose URDF is not supported: see
-            :func:`rover_rl.robots.inertial_model.read_inertial_model`.
+        ValueError: for a robot with too many wheels.
     """
 
     features: frozenset[Feature] = frozenset(
@@ -80,9 +78,8 @@ class WarpSimulator(Simulator):
         self._drive = SimulatedDrives(self.fleet, self.control_dt)
         self._renderers: dict[Robot, RendererCache] = {}
 
-        inertial_models = [read_inertial_model(each) for each in self.fleet.robots]
-        self._buffers = StateBuffers(self.fleet, inertial_models)
-        self._models = ModelTable(self.fleet, inertial_models, self._wp_device)
+        self._buffers = StateBuffers(self.fleet)
+        self._models = ModelTable(self.fleet, self._wp_device)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
         self._scenes = SceneTable(self._worlds.capacity, self._models.reach, self._wp_device)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from functools import partial
 
 import torch
 from torch import Tensor
 
 from rover_rl.native.warp import wp
-from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import InertialModel, MassTable
+from rover_rl.robots.fleet import Fleet, MassTable
 from rover_rl.sims.rover_state import Dynamics, Force, no_forces
 from rover_rl.sims.warp.kernels.types import RoverArrays
 
@@ -35,12 +34,12 @@ class StateBuffers:
         reports: fields that have been asked for.
     """
 
-    def __init__(self, fleet: Fleet, models: Sequence[InertialModel]) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         count, device = len(fleet), fleet.index.device
-        self._fleet, self._masses = fleet, MassTable(models, device)
+        self._fleet, self._masses = fleet, MassTable(fleet.robots, device)
         self._wheel_torque = fleet.table(lambda robot: robot.drive.torque)
         zeros = partial(torch.zeros, device=device)
-        wheels = max(len(model.hubs) for model in models)
+        wheels = max(len(robot.wheels.hubs) for robot in fleet.robots)
         motors = max(len(robot.drive.motors) for robot in fleet.robots)
         steering = max(len(robot.drive.steering) for robot in fleet.robots)
         self.poses = zeros(count, 3)
@@ -78,7 +77,7 @@ class StateBuffers:
         }
         self.reports: dict[str, Tensor] = {}
         self.rovers = self.struct()
-        self._nominal = self._parameters_of(torch.arange(len(models), device=device))
+        self._nominal = self._parameters_of(torch.arange(len(fleet.robots), device=device))
         self.enter_robots(torch.ones(count, dtype=torch.bool, device=device))
 
     def struct(self, **scan: Tensor) -> RoverArrays:

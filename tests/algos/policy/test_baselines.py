@@ -15,7 +15,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, drive_towards, steer
 from rover_rl.envs.config import EnvConfig
-from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.robots.built_in import ROVER_ZERO
 
 CLEAR = torch.full((1, 32), 12.0)
 
@@ -85,7 +85,7 @@ def test_it_backs_off_from_a_close_obstacle_unless_one_is_behind_and_drives_to_a
 def test_the_lidar_offset_is_that_of_the_robot() -> None:
     lidar, goal = wall_ahead(0.9), target(5.0, 0.0)
     x, y, z = ROVER_ZERO.lidar_position
-    rear = replace(ROVER_ZERO, lidar=(x - 0.2, y, z))
+    rear = replace(ROVER_ZERO, lidar_position=(x - 0.2, y, z))
     for policy, offset in ((ScriptedPolicy(), x), (ScriptedPolicy("rover_zero"), x), (ScriptedPolicy(rear), x - 0.2)):
         action = pickle.loads(pickle.dumps(policy))(TensorDict({"lidar": lidar, "target": goal}, [1]))["action"]
         assert torch.equal(action, steer(lidar, goal, offset))

@@ -18,8 +18,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.dwa import LIDAR, YAW_GAIN, DynamicWindowPolicy
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig
-from rover_rl.robots.footprint import footprint
-from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.robots.built_in import ROVER_ZERO
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
 
 POLICY = DynamicWindowPolicy()
@@ -105,7 +104,7 @@ def test_trajectories_are_those_of_the_simulated_rover() -> None:
 
 def is_hit(points: Tensor, policy: DynamicWindowPolicy, motion: Tensor, margin: float) -> Tensor:
     """Whether the footprint, grown by ``margin`` (m), contains a point on each trajectory, bool ``[S]``."""
-    back, front, right, left = footprint(ROVER_ZERO)
+    back, front, right, left = ROVER_ZERO.footprint
     sampled = policy.trajectories(motion)
     x, y, heading = (value[0, ..., None] for value in (sampled.x, sampled.y, sampled.heading))
     dx, dy = points[0, :, 0] - x, points[0, :, 1] - y
@@ -169,7 +168,7 @@ def test_results_stay_on_the_device_of_the_observation() -> None:
 
 def test_robot_lidar_and_slip_are_settings() -> None:
     x, y, z = ROVER_ZERO.lidar_position
-    rear = replace(ROVER_ZERO, lidar=(x - 0.2, y, z))
+    rear = replace(ROVER_ZERO, lidar_position=(x - 0.2, y, z))
     assert DynamicWindowPolicy(rear).made_for.robot == rear
     assert POLICY.made_for == EnvConfig(robot="rover_zero", lidar=LIDAR)
     # The same reading is closer to the center of a rover whose lidar is farther back.

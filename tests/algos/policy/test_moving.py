@@ -17,7 +17,7 @@ from rover_rl.algos.policy.runner import sensors_for
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
 from rover_rl.envs.seen_map.scans import reading_directions
-from rover_rl.robots.rover_zero import ROVER_ZERO
+from rover_rl.robots.built_in import ROVER_ZERO
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 from tests.algos.policy.crossings import crossing, drive

@@ -23,8 +23,7 @@ from rover_rl.envs.config import Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.robots import Robot
-from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import read_inertial_model
+from rover_rl.robots.fleet import Fleet, MassTable
 from rover_rl.sims import RoverState, Simulator
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.rover_state import Dynamics
@@ -69,7 +68,7 @@ class SlidingSimulator(Simulator):
         self._drive = SimulatedDrives(Fleet.of(robot, count, device), 0.05)
         self._pose = torch.zeros(count, 3, device=device)
         self._height = torch.zeros(count, 1, device=device)
-        self._robot, self._model = robot, read_inertial_model(robot)
+        self._robot, self._masses = robot, MassTable([robot], device)
         self._worlds = WorldTable.of(worlds, device)
         self._entered = self._worlds.follow()
         self._terrains = TerrainTable(device)
@@ -90,7 +89,8 @@ class SlidingSimulator(Simulator):
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        mass, _, _ = self._model.total(self._model.chassis_mass * dynamics.chassis_mass.double())
+        index = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        mass, _, _ = self._masses.total(self._masses.chassis_mass * dynamics.chassis_mass.double(), index)
         self._height = torch.where(mask[:, None], mass[:, None].float(), self._height)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:

@@ -23,7 +23,7 @@ from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.fleet import Fleet
 
 LIDAR = LidarConfig(points=128, beams=128)
-CENTERED = replace(get_robot("rover_zero"), lidar=(0.0, 0.0, 0.3))
+CENTERED = replace(get_robot("rover_zero"), lidar_position=(0.0, 0.0, 0.3))
 CELL = 0.15
 Wall = tuple[float, float, float, float]
 """Ends x, y, x, y of a wall, m."""
@@ -307,7 +307,7 @@ def test_the_ends_of_beams_are_occupied() -> None:
 
 
 def test_the_lidar_is_where_the_robot_carries_it() -> None:
-    seen = one_map(replace(CENTERED, lidar=(0.3, -0.2, 0.3), radius=0.4))
+    seen = one_map(replace(CENTERED, lidar_position=(0.3, -0.2, 0.3), radius=0.4))
     # Facing +y, the lidar is at (0.2, 0.3).
     observation = observed((0.2, 0.3), (4.0, 0.0), ((-1.0, 2.02, 1.0, 2.02),), yaw=math.pi / 2)
     observation["pose"] = torch.zeros(1, 3)
@@ -411,7 +411,7 @@ def test_rows_that_are_not_added_keep_their_maps() -> None:
 
 def test_a_lidar_far_from_the_center_is_refused() -> None:
     with pytest.raises(ValueError, match=r"at most 0\.45 m"):
-        one_map(replace(CENTERED, lidar=(0.6, 0.0, 0.3), radius=1.0))
+        one_map(replace(CENTERED, lidar_position=(0.6, 0.0, 0.3), radius=1.0))
 
 
 def cheapest(levels: np.ndarray, goal: tuple[int, int]) -> float:

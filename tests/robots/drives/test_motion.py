@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from rover_rl.robots import Robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.rotations import quaternion_to_euler
 from tests.robots.drives.vehicles import WHEELBASE, make_car, make_omni, make_pair
 from tests.sims import driven
@@ -101,7 +100,7 @@ def test_a_rover_with_spheres_for_wheels_drives_and_turns(backend, tmp_path):
     urdf.write_text(text.replace(cylinder, '<sphere radius="0.122"/></geometry>\n    </collision>'))
     spheres = Robot.from_urdf(urdf, drive=ROVER.drive)
     # The spheres reach 0.122 m to the sides of their hubs.
-    assert footprint(spheres).half_width == pytest.approx(0.18 + 0.122)
+    assert spheres.footprint.half_width == pytest.approx(0.18 + 0.122)
     poses, _ = drive(backend, spheres, [[0.5, 0.0], [0.0, 1.0]])
     forward, rate, _ = twist(poses)
     within(forward[:1], [0.5])

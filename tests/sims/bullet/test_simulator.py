@@ -5,14 +5,13 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
-from dataclasses import replace
 
 import pytest
 import torch
 
 from rover_rl.native.bullet import pybullet
 from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
-from tests.sims.driven import FLAT, ROVER, drive, placed
+from tests.sims.driven import FLAT, drive, placed
 
 
 def test_rovers_of_a_batch_with_several_clients_move_as_a_single_rover():
@@ -76,11 +75,3 @@ def test_a_closed_or_deleted_simulator_leaves_only_the_clients_of_others_connect
         del sim
     assert connected() == before
     drive(other, (0.0, 0.0), 1)
-
-
-def test_a_link_with_several_collision_shapes_raises(tmp_path):
-    shape = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
-    urdf = tmp_path / "rover.urdf"
-    urdf.write_text(ROVER.urdf.read_text().replace("</link>", f"{shape}</link>", 1))
-    with pytest.raises(ValueError, match=r"rover\.urdf: a link may have one collision shape, link -1 has 2"):
-        placed("bullet", FLAT, torch.zeros(1, 3), replace(ROVER, urdf=urdf))

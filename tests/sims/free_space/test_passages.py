@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from rover_rl.robots import get_robot
-from rover_rl.robots.footprint import footprint
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.cells import cells_of
 from rover_rl.sims.free_space.paths import PathGrid, shortest_paths
@@ -68,7 +67,7 @@ def test_the_footprint_is_free_in_all_orientations_of_narrow_cells():
     world = get_world("forest:3")
     poses = narrow_poses(world)
     assert len(poses) > 5000
-    outline = footprint(ROVER)
+    outline = ROVER.footprint
     half = np.array((outline.half_length, outline.half_width))
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     nearest = np.full(len(poses), np.inf)

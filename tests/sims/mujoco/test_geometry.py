@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.free_space import free_space
 from rover_rl.worlds import Terrain, World, get_world
 from tests.sims.driven import ROVER, drive, in_world, placed
@@ -19,8 +18,6 @@ from rover_rl.native.mujoco import mujoco
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
-
-MODEL = read_inertial_model(ROVER)
 
 
 def hills() -> World:
@@ -34,7 +31,7 @@ def test_the_ground_of_the_wheels_and_of_the_lidar_has_the_triangles_of_the_terr
     points = torch.rand(200, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 7.6 - 3.8
     points[:, 1] = 0.9 * points[:, 1] + 1
     expected = world.height_at(points).numpy()
-    for model in (make_model(world, ROVER, MODEL, MujocoSettings()), Scene(world, ROVER.lidar_range).model):
+    for model in (make_model(world, ROVER, MujocoSettings()), Scene(world, ROVER.lidar_range).model):
         data = mujoco.MjData(model)
         # Away from the rays, which would see the rover.
         data.qpos[:3] = (0, 0, -100)[: len(data.qpos)]

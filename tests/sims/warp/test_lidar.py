@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from rover_rl.native.warp import wp
 from rover_rl.robots import get_robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.robots.inertial_model import read_inertial_model
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.scenes.table import SceneTable
@@ -64,9 +63,9 @@ def warp_scan(
 ) -> np.ndarray:
     """Launches the scan kernel for any poses; a simulator scans only from poses that a rover can have."""
     count = len(position)
-    fleet, inertial_models = Fleet.of(ROVER, count), [read_inertial_model(ROVER)]
-    models = ModelTable(fleet, inertial_models, "cpu")
-    buffers = StateBuffers(fleet, inertial_models)
+    fleet = Fleet.of(ROVER, count)
+    models = ModelTable(fleet, "cpu")
+    buffers = StateBuffers(fleet)
     buffers.base_state[:, :3] = torch.from_numpy(position)
     buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
     rows = torch.ones(count, dtype=torch.bool) if scanned is None else scanned

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-
-import trimesh
-from trimesh.resolvers import FilePathResolver
+from typing import TYPE_CHECKING
 
 from rover_rl.native.output import logged
-from rover_rl.robots.expressions import FOUND_PACKAGE
+from rover_rl.robots.urdf.expressions import FOUND_PACKAGE
+
+if TYPE_CHECKING:
+    import trimesh
 
 _PACKAGE = "package://"
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
@@ -37,6 +38,16 @@ def find_mesh(file: str, urdf: Path) -> Path:
     raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
 
 
+def readable_mesh(file: str, urdf: Path) -> Path:
+    """Returns the path of a mesh file that :func:`load_mesh` may read. Raises ``ValueError`` for others."""
+    import trimesh
+
+    path = find_mesh(file, urdf)
+    if path.suffix.lower().lstrip(".") not in trimesh.available_formats():
+        raise ValueError(f"the mesh {file!r} has a format that cannot be read")
+    return path
+
+
 def _package_name(folder: Path) -> str:
     """Returns the name of a ROS package in a folder; of another folder, nothing."""
     try:
@@ -57,37 +68,34 @@ def load_mesh(
     Raises:
         ValueError: if the file cannot be read, or has no triangles.
     """
-    files = _Files(str(path.parent))
+    # Importing it takes a quarter of a second, and robots without meshes do without.
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
+    missing: dict[str, None] = {}
+
+    class Files(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            try:
+                return bytes(super().get(name))
+            except OSError:
+                missing[name.strip()] = None
+                raise
+
     try:
         with logged("trimesh") as messages:
-            meshes = trimesh.load_scene(path, resolver=files).dump()
+            meshes = trimesh.load_scene(path, resolver=Files(str(path.parent))).dump()
     # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
     except Exception as error:
         raise ValueError(f"cannot read the mesh {path}: {error}") from error
-    if lost is not None and (files.missing or messages):
-        reason = "they are missing" if files.missing else messages[0]
-        lost.append(f"the mesh {path.name} is read without {', '.join(files.missing) or 'its materials'}: {reason}")
+    if lost is not None and (missing or messages):
+        reason = "they are missing" if missing else messages[0]
+        lost.append(f"the mesh {path.name} is read without {', '.join(missing) or 'its materials'}: {reason}")
     meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise ValueError(f"the mesh {path} has no triangles")
     unit = _collada_unit(path) if path.suffix.lower() == ".dae" else 1.0
     return [mesh.apply_scale([unit * factor for factor in scale]) for mesh in meshes]
-
-
-class _Files(FilePathResolver):
-    """Files beside a mesh. Those of materials and pictures that are missing are empty."""
-
-    def __init__(self, folder: str) -> None:
-        super().__init__(folder)
-        self.missing: dict[str, None] = {}
-
-    def get(self, name: str) -> bytes:
-        """Returns the content of a file."""
-        try:
-            return bytes(super().get(name))
-        except OSError:
-            self.missing[name.strip()] = None
-            raise
 
 
 def _collada_unit(path: Path) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from xml.etree.ElementTree import Element
 
 LIGHT = 0.1
@@ -29,7 +30,7 @@ def leave_out_expressions(root: Element) -> list[str]:
     sentences = []
 
     def leave_out(parent: Element, part: Element, name: str) -> None:
-        if found := _found_in(part):
+        if found := next(filter(None, map(expression_in, part.iter())), ""):
             parent.remove(part)
             sentences.append(f"{name} is left out, as it has the expression {found} of xacro")
 
@@ -39,20 +40,17 @@ def leave_out_expressions(root: Element) -> list[str]:
             if part.tag not in _NEEDED:
                 leave_out(joint, part, f"the {part.tag} of joint {name}")
             elif part.tag == "limit":
-                for effort in ("effort", "velocity"):
-                    if "$" in part.get(effort, ""):
-                        sentences.append(
-                            f"the {effort} of joint {name} is left out: {part.attrib.pop(effort)} of xacro"
-                        )
+                for key in ("effort", "velocity"):
+                    if "$" in part.get(key, ""):
+                        sentences.append(f"the {key} of joint {name} is left out: {part.attrib.pop(key)} of xacro")
         origin = joint.find("origin")
         # What hangs on another link that is left out is gone already.
         if origin is not None and (found := expression_in(origin)) and joint in root.findall("joint"):
             below = _below(root, joint)
             ends = {_end(each, "child") for each in below}
             links = [link for link in root.findall("link") if link.get("name") in ends]
-            if all(each.get("type") == "fixed" for each in below) and _mass(links) <= LIGHT * _mass(
-                root.findall("link")
-            ):
+            is_light = _mass(links) <= LIGHT * _mass(root.findall("link"))
+            if is_light and all(each.get("type") == "fixed" for each in below):
                 names = ", ".join(sorted(ends))
                 sentences.append(f"link {names} is left out, as its pose has the expression {found} of xacro")
                 for part in (*below, *links):
@@ -66,11 +64,6 @@ def leave_out_expressions(root: Element) -> list[str]:
     for material in root.findall("material"):
         leave_out(root, material, f"the material {material.get('name')}")
     return sentences
-
-
-def _found_in(element: Element) -> str:
-    """Returns the first value with an expression in an element and all in it, or nothing."""
-    return next(filter(None, map(expression_in, element.iter())), "")
 
 
 def _below(root: Element, joint: Element) -> list[Element]:
@@ -89,10 +82,7 @@ def _end(joint: Element, tag: str) -> str:
 def _mass(links: list[Element]) -> float:
     """Returns the mass of links, as far as it is stated in numbers."""
     total = 0.0
-    for link in links:
-        mass = link.find("inertial/mass")
-        try:
+    for mass in (link.find("inertial/mass") for link in links):
+        with suppress(ValueError):
             total += 0.0 if mass is None else float(mass.get("value", "0"))
-        except ValueError:
-            continue
     return total

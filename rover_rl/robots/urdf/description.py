@@ -1,0 +1,300 @@
+"""URDF parser: links, joints, masses and shapes of a robot, with all joints held, in the frame of its base link."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rover_rl.robots.shapes import HERE, Frame, Mass, Shape, combined_mass
+from rover_rl.robots.urdf.expressions import expression_in, leave_out_expressions
+from rover_rl.robots.urdf.meshes import find_mesh, load_mesh
+from rover_rl.tiny_xml import parse_xml
+
+_SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
+"""URDF attributes with the dimensions of a shape, and how many numbers each has, by kind of shape."""
+_ROUND = 32
+"""Number of points on a circle. A multiple of 4, so that the bounds along the axes are exact."""
+EXPAND = "expand it first: xacro FILE > robot.urdf"
+"""What to do with a xacro file."""
+_ROOTS = {"sdf": "an SDF model", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
+"""Other files that describe robots, by their root element."""
+
+
+class Link(NamedTuple):
+    """Rigid part of a robot: its mass about the center of mass, which is at a frame, and its shapes."""
+
+    name: str
+    inertial: tuple[Mass, Frame] | None
+    collisions: tuple[Shape, ...]
+    visuals: tuple[Shape, ...]
+
+
+class Joint(NamedTuple):
+    """Connection of two links: ``frame`` is that of the child in the parent, and ``axis [3]`` is in this frame.
+
+    ``limits`` are the lowest and highest position, rad or m; ``None`` if the file states none.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    frame: Frame
+    axis: np.ndarray
+    limits: tuple[float, float] | None = None
+
+
+class Piece(NamedTuple):
+    """A shape in the base frame, and the points ``[P, 3]`` that it is the hull of, m."""
+
+    link: str
+    shape: Shape
+    points: np.ndarray
+
+
+class Description:
+    """Contents of a URDF file. Each joint is at zero, or at the limit that is nearest to zero.
+
+    Args:
+        path: path of the file.
+        turn: rotation of all links about +z, rad.
+
+    Attributes:
+        name: name of the robot. Empty if the file states none.
+        links, joints: by name.
+        base: name of the link that is the child of no joint.
+        frames: poses of the links, by name.
+        mounts: joint that holds each link, by the name of the link; the base has none.
+        lost: what was left out of the file and of its meshes, a sentence each.
+
+    Raises:
+        ValueError: if the file is not XML, or not the URDF of one robot.
+    """
+
+    def __init__(self, path: Path, turn: float = 0.0) -> None:
+        self.path, root = path, _parsed(path)
+        self.lost = leave_out_expressions(root)
+        _check_expanded(root)
+        self.name = root.get("name", "")
+        materials = {each.get("name"): color for each in root.iter("material") if (color := _color(each))}
+        self.links: dict[str, Link] = _read(root, "link", partial(_link, materials=materials))
+        self.joints: dict[str, Joint] = _read(root, "joint", _joint)
+        if not self.links:
+            raise ValueError("it has no links")
+        self.mounts: dict[str, Joint] = {}
+        for joint in self.joints.values():
+            if joint.child in self.mounts:
+                both = f"joints {self.mounts[joint.child].name!r} and {joint.name!r}"
+                raise ValueError(f"link {joint.child!r} is the child of {both}: a URDF has no loops")
+            self.mounts[joint.child] = joint
+        ends = self.mounts.keys() | {joint.parent for joint in self.joints.values()}
+        if unknown := sorted(ends - self.links.keys()):
+            raise ValueError(f"a joint names link {unknown[0]!r}, its links are {sorted(self.links)}")
+        bases = sorted(self.links.keys() - self.mounts.keys())
+        if len(bases) != 1:
+            raise ValueError(f"one link must be the child of no joint, it has {bases}")
+        self.base = bases[0]
+        self.frames = {self.base: Frame(np.zeros(3), Rotation.from_rotvec((0, 0, turn)).as_matrix())}
+        for name in self.below(self.base):
+            if name in self.mounts:
+                joint = self.mounts[name]
+                self.frames[name] = self.frames[joint.parent] @ joint.frame @ _held(joint)
+        if loop := sorted(self.links.keys() - self.frames.keys()):
+            raise ValueError(f"links {loop} hang on one another and not on {self.base!r}: a URDF has no loops")
+
+    def below(self, link: str) -> Iterator[str]:
+        """Names a link and all that hangs on it, each after what it hangs on."""
+        yield link
+        for joint in self.joints.values():
+            if joint.parent == link:
+                yield from self.below(joint.child)
+
+    def chain(self, link: str) -> list[Joint]:
+        """Returns the joints between the base and a link, the base's first."""
+        if link not in self.mounts:
+            return []
+        joint = self.mounts[link]
+        return [*self.chain(joint.parent), joint]
+
+    def axis(self, joint: Joint) -> np.ndarray:
+        """Returns the direction of the axis of a joint, ``[3]``; zeros if the file states none."""
+        length = float(np.linalg.norm(joint.axis))
+        return self.frames[joint.child].rotation @ joint.axis / length if length > 0 else np.zeros(3)
+
+    def mass(self, links: Iterable[str]) -> Mass:
+        """Returns the mass of links together. 0 if they have none."""
+        stated = [(self.links[name].inertial, self.frames[name]) for name in links]
+        return combined_mass([(each[0], frame @ each[1]) for each, frame in stated if each is not None])
+
+    def pieces(self, links: Iterable[str], visual: bool, problems: list[str]) -> list[Piece]:
+        """Returns the collision or visual shapes of links. Adds what cannot be read to ``problems``."""
+        found = []
+        for name in links:
+            for shape in self.links[name].visuals if visual else self.links[name].collisions:
+                frame = self.frames[name] @ shape.frame
+                try:
+                    points, lost = _points(shape, self.path)
+                except ValueError as error:
+                    problems.append(str(error))
+                    continue
+                self.lost += [sentence for sentence in lost if sentence not in self.lost]
+                found.append(Piece(name, shape._replace(frame=frame), frame.position + points @ frame.rotation.T))
+        return found
+
+
+def _parsed(path: Path) -> ET.Element:
+    data = path.read_bytes()
+    try:
+        root = parse_xml(data)
+    except ValueError as error:
+        raise ValueError(
+            f"it is a xacro file; {EXPAND}" if b"<xacro:" in data else f"it is not XML ({error})"
+        ) from error
+    if root.tag != "robot":
+        other = _ROOTS.get(root.tag, f"XML with the root element {root.tag!r}")
+        raise ValueError(f"it is {other}; a URDF is needed, whose root element is 'robot'")
+    return root
+
+
+def _check_expanded(root: ET.Element) -> None:
+    parts = [root, *(part for tag in ("link", "joint") for each in root.findall(tag) for part in each.iter())]
+    macros = (element.tag for element in [*root, *parts] if element.tag.startswith("xacro:"))
+    if found := next(macros, "") or next(filter(None, map(expression_in, parts)), ""):
+        raise ValueError(f"it is a xacro file, with {found}; {EXPAND}")
+
+
+def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:
+    """Reads all links or joints, by name."""
+    parts: dict[str, Any] = {}
+    for element in root.findall(tag):
+        name = _attribute(element, "name")
+        if name in parts:
+            raise ValueError(f"two {tag}s are named {name!r}")
+        try:
+            parts[name] = read(name, element)
+        except ValueError as error:
+            raise ValueError(f"{tag} {name!r}: {error}") from error
+    return parts
+
+
+def _link(name: str, element: ET.Element, materials: Mapping[str | None, tuple[float, ...]]) -> Link:
+    inertial = element.find("inertial")
+    shapes = (_shape(each, {}) for each in element.findall("collision"))
+    visuals = (_shape(each, materials) for each in element.findall("visual"))
+    return Link(name, None if inertial is None else _inertial(inertial), tuple(shapes), tuple(visuals))
+
+
+def _joint(name: str, element: ET.Element) -> Joint:
+    parent, below = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
+    axis, limit, limits = element.find("axis"), element.find("limit"), None
+    # The default axis of URDF is x.
+    direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3, "1 0 0"))
+    if limit is not None and {"lower", "upper"} & set(limit.keys()):
+        limits = _numbers(limit, "lower", 1, "0")[0], _numbers(limit, "upper", 1, "0")[0]
+    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction, limits)
+
+
+def _inertial(element: ET.Element) -> tuple[Mass, Frame]:
+    (mass,), moments = _numbers(_child(element, "mass"), "value", 1), _child(element, "inertia")
+    xx, xy, xz, yy, yz, zz = (_numbers(moments, f"i{axes}", 1, "0")[0] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    return Mass(mass, (0.0, 0.0, 0.0), ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))), _frame(element)
+
+
+def _shape(element: ET.Element, materials: Mapping[str | None, tuple[float, ...]]) -> Shape:
+    geometry = next(iter(_child(element, "geometry")), None)
+    if geometry is None:
+        raise ValueError(f"a {element.tag} shape has an empty geometry")
+    material = element.find("material")
+    color = None if material is None else _color(material) or materials.get(material.get("name"))
+    if geometry.tag == "mesh":
+        sizes, file = _numbers(geometry, "scale", 3, "1 1 1"), _attribute(geometry, "filename")
+    else:
+        counts, file = _SIZES.get(geometry.tag, {}), ""
+        sizes = [size for name, count in counts.items() for size in _numbers(geometry, name, count)]
+    return Shape(geometry.tag, _frame(element), tuple(sizes), file, color)
+
+
+def _color(material: ET.Element) -> tuple[float, ...] | None:
+    """Returns the color of a material without its opacity. ``None`` if it only refers to another by name."""
+    color = material.find("color")
+    return None if color is None else tuple(_numbers(color, "rgba", 4)[:3])
+
+
+def _frame(element: ET.Element) -> Frame:
+    origin = element.find("origin")
+    if origin is None:
+        return HERE
+    # Successive rotations about the fixed axes x, y and z.
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in _numbers(origin, "rpy", 3, "0 0 0"))
+    about_x = np.array(((1, 0, 0), (0, cr, -sr), (0, sr, cr)))
+    about_y = np.array(((cp, 0, sp), (0, 1, 0), (-sp, 0, cp)))
+    about_z = np.array(((cy, -sy, 0), (sy, cy, 0), (0, 0, 1)))
+    return Frame(np.array(_numbers(origin, "xyz", 3, "0 0 0")), about_z @ about_y @ about_x)
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    if (part := element.find(tag)) is None:
+        raise ValueError(f"{element.tag} has no {tag}")
+    return part
+
+
+def _attribute(element: ET.Element, name: str, default: str | None = None) -> str:
+    if (value := element.get(name, default)) is None:
+        raise ValueError(f"{element.tag} has no {name}")
+    return value
+
+
+def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> list[float]:
+    """Returns the ``count`` finite numbers of an attribute."""
+    text = _attribute(element, name, default)
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        allowed = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise ValueError(f"{name} of {element.tag} must be {allowed}, got {text!r}")
+    return numbers
+
+
+def _held(joint: Joint) -> Frame:
+    """Returns the motion of a joint that is held at the position nearest to zero."""
+    low, high = joint.limits or (0.0, 0.0)
+    if joint.kind not in ("revolute", "prismatic") or not low <= high:
+        return HERE
+    step = min(max(0.0, low), high) * joint.axis / max(float(np.linalg.norm(joint.axis)), 1e-12)
+    if joint.kind == "prismatic":
+        return Frame(step, np.eye(3))
+    return Frame(np.zeros(3), Rotation.from_rotvec(step).as_matrix())
+
+
+def _points(shape: Shape, urdf: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Returns points in the frame of a shape, whose hull is that of the shape, and what its mesh file lacks."""
+    if shape.kind == "box":
+        corners = np.stack(np.meshgrid((-0.5, 0.5), (-0.5, 0.5), (-0.5, 0.5)), -1).reshape(-1, 3)
+        return corners * shape.sizes, ()
+    if shape.kind == "mesh":
+        path = find_mesh(shape.file, urdf)
+        return _mesh_points(path, shape.sizes, path.stat().st_mtime_ns)
+    angles = np.arange(_ROUND) * 2 * math.pi / _ROUND
+    circle = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(_ROUND)))
+    if shape.kind == "cylinder":
+        radius, length = shape.sizes
+        return np.concatenate([radius * circle + (0, 0, side * length / 2) for side in (-1, 1)]), ()
+    if shape.kind == "sphere":
+        return shape.sizes[0] * np.concatenate([np.roll(circle, turn, 1) for turn in range(3)]), ()
+    raise ValueError(f"a shape is a {shape.kind}; use a box, cylinder, sphere or mesh")
+
+
+@lru_cache(maxsize=256)
+def _mesh_points(path: Path, scale: tuple[float, ...], modified: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """``modified`` is the time of the file's last change."""
+    lost: list[str] = []
+    return np.concatenate([np.asarray(mesh.vertices) for mesh in load_mesh(path, scale, lost)]), tuple(lost)
