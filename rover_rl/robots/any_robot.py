@@ -82,11 +82,12 @@ def any_robot(seed: int = 0) -> Robot:
         "imu_position": (0.0, 0.0, float(boxes[0].center[2])),
     }
     numbers = {name: nine_digits(values) for name, values in numbers.items()}
-    wheels = Wheels(*nine_digits((tuple(hubs[corner] for corner in order), radius, width)), steering)
+    hub_places, radius, width = nine_digits((tuple(hubs[corner] for corner in order), radius, width))
+    wheels = Wheels(hub_places, radius, width, steering)
     visuals = [Shape("box", Frame(np.array(box.center), np.eye(3)), box.size, "", BODY) for box in boxes]
     axle = Rotation.from_rotvec((math.pi / 2, 0, 0)).as_matrix()
     visuals += [Shape("cylinder", Frame(np.array(hub), axle), (radius, width), "", TIRE) for hub in hubs]
-    looks = {"visuals": tuple(visuals), "order": tuple(f"{corner}_wheel" for corner in CORNERS)}
+    looks: dict[str, Any] = {"visuals": tuple(visuals), "order": tuple(f"{corner}_wheel" for corner in CORNERS)}
     return Robot(name=f"any:{seed}", drive=drive, wheels=wheels, **numbers, **ranges, **looks)
 
 

@@ -111,7 +111,7 @@ def _draw_turn(ax: Axes, robot: Robot) -> None:
 def _add_boxes(ax: Axes, robot: Robot, plane: tuple[int, int]) -> None:
     for center, sides, _ in robot.boxes:
         corner, size = [center[k] - sides[k] / 2 for k in plane], [sides[k] for k in plane]
-        ax.add_patch(Rectangle(tuple(corner), *size, facecolor=BODY, edgecolor=EDGE, linewidth=0.6, alpha=0.7))
+        ax.add_patch(Rectangle((corner[0], corner[1]), *size, facecolor=BODY, edgecolor=EDGE, linewidth=0.6, alpha=0.7))
 
 
 def _add_wheels(ax: Axes, robot: Robot) -> None:

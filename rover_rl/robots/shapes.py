@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -53,7 +53,11 @@ class Mass(NamedTuple):
 
     @classmethod
     def of(cls, mass: float, center: np.ndarray, inertia: np.ndarray) -> Mass:
-        return cls(float(mass), tuple(center.tolist()), tuple(map(tuple, inertia.tolist())))
+        return cls(
+            float(mass),
+            tuple(center.tolist()),
+            (tuple(inertia[0].tolist()), tuple(inertia[1].tolist()), tuple(inertia[2].tolist())),
+        )
 
     @property
     def is_rigid(self) -> bool:
@@ -112,7 +116,7 @@ def box_mass(mass: float, center: np.ndarray, size: np.ndarray) -> Mass:
     return Mass.of(mass, np.asarray(center), np.diag(mass / 12 * (squares.sum() - squares)))
 
 
-def nine_digits(numbers: object) -> object:
+def nine_digits(numbers: Any) -> Any:
     """Returns nested tuples with their numbers rounded to nine digits."""
     if isinstance(numbers, tuple):
         rounded = [nine_digits(each) for each in numbers]

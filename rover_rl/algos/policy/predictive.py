@@ -93,7 +93,7 @@ class PredictivePolicy(TensorDictModuleBase):
         plans.origins = _pairs(pose[:, :2] - cells // 2 * float(kernels.CELL))
         plans.goals = _pairs(goal_positions(pose, imu, target))
         plans.goal_radius, plans.dt, plans.speed = PLANNED * GOAL_RADIUS, self._dt, self._speed
-        plans.blocked = max(BLOCKED, footprint(self._robot).half_width + MARGIN)
+        plans.blocked = max(BLOCKED, self._robot.footprint.half_width + MARGIN)
         plans.costs = wp.from_torch(pose.new_zeros(count, int(kernels.LAYERS) + 1, cells**2))
         instants = [layer * self._dt for layer in range(int(kernels.LAYERS))]
         around = self._around(tensordict, instants)

@@ -56,7 +56,8 @@ def read_urdf(
     if not path.is_file():
         raise FileNotFoundError(f"no robot at {path}: the file does not exist")
     try:
-        urdf, notes = Description(path), []
+        urdf = Description(path)
+        notes: list[str] = []
         if drive is None:
             options = options or RobotOptions()
             robot = _found(urdf, options, options.lidar if lidar is None else lidar, imu, notes)
@@ -115,8 +116,6 @@ def _stated(
     notes += urdf.lost
     hubs = tuple(tuple(wheel.hub.tolist()) for wheel in wheels)
     width = next((wheel.width for wheel in wheels if wheel.width), 0.0)
-    own = {"lidar": "lidar_link", "imu": "imu_link"}
-    lidar, imu = lidar or own["lidar"], imu or own["imu"]
     return {
         "drive": drive,
         "body": urdf.mass(others),
@@ -126,8 +125,8 @@ def _stated(
         "knuckle": knuckle,
         "steering_limits": carriers[0].limits if carriers and carriers[0].kind == "revolute" else None,
         "order": tuple(name for name in urdf.joints if name in drive.wheels),
-        "lidar_position": _mount(urdf, "lidar", lidar, np.zeros(3)),
-        "imu_position": _mount(urdf, "imu", imu, np.zeros(3)),
+        "lidar_position": _mount(urdf, "lidar", lidar or "lidar_link", np.zeros(3)),
+        "imu_position": _mount(urdf, "imu", imu or "imu_link", np.zeros(3)),
         "visuals": _visuals(urdf, np.zeros(3), notes),
     }
 
@@ -222,7 +221,8 @@ def _found(
         "lidar_position": lidar_position,
         "imu_position": _mount(urdf, "imu", imu, origin),
     }
-    wheel = Wheels(*nine_digits((tuple(place[name] for name in drive.wheels), radius, width)), steering)
+    hubs, radius, width = nine_digits((tuple(place[name] for name in drive.wheels), radius, width))
+    wheel = Wheels(hubs, radius, width, steering)
     visuals = _visuals(urdf, origin, notes)
     robot = {key: nine_digits(value) for key, value in numbers.items()}
     return {**robot, "name": urdf.name, "drive": drive, "wheels": wheel, "order": tuple(names), "visuals": visuals}

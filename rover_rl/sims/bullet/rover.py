@@ -87,8 +87,7 @@ def rover_urdf(robot: Robot) -> str:
             ]
         elif roller is not None:
             axis = (math.cos(roller), math.sin(roller), 0)
-            inertia = tuple(tuple(_LINK_SHARE * each for each in row) for row in robot.wheel.inertia)
-            light = Mass(_LINK_SHARE * robot.wheel.mass, (0.0, 0.0, 0.0), inertia)
+            light = Mass.of(_LINK_SHARE * robot.wheel.mass, np.zeros(3), _LINK_SHARE * np.array(robot.wheel.inertia))
             links += [_link(small, light), _joint(roller_joint(name), "continuous", "base", hub, axis, small)]
         if carrier >= 0 or roller is not None:
             parent, hub = small, (0.0, 0.0, 0.0)

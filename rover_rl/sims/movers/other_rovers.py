@@ -152,6 +152,9 @@ def solids_of(robot: Robot) -> tuple[Part, ...]:
     # The axis of a cylinder is its z axis, and that of a wheel is y. A sphere is a capsule without a cylinder.
     turn = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))) if width else np.eye(3)
     x, y, z, w = matrix_to_quaternion(torch.from_numpy(turn)).tolist()
-    kind, size = ("cylinder" if width else "capsule"), (2 * radius, 2 * radius, width or 2 * radius)
-    wheels = [Part(kind, size, center=hub, orientation=(x, y, z, w)) for hub in robot.wheels.hubs]
+    size = (2 * radius, 2 * radius, width or 2 * radius)
+    wheels = [
+        Part("cylinder" if width else "capsule", size, center=hub, orientation=(x, y, z, w))
+        for hub in robot.wheels.hubs
+    ]
     return (*wheels, *(Part("box", box.size, center=box.center) for box in robot.boxes))

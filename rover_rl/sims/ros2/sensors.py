@@ -167,7 +167,7 @@ class Sensors:
         """Returns the latest image on a topic, or on that of the connection; ``None`` before the first one."""
         topic = topic or self._connection.image_topics[of]
         message, read, _ = image_format(of, topic)
-        return self.latest_on(topic, of, message, read)  # type: ignore[no-any-return]
+        return self.latest_on(topic, of, message, read)
 
     def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
         """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.

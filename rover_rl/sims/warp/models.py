@@ -15,6 +15,7 @@ from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel
 POINT_SPACING = 0.3
 """Maximum spacing of the sample points of the chassis that are tested against the ground, m."""
 
+
 def make_robot_model(robot: Robot, device: wp.Device) -> RobotModel:
     """Copies the geometry of a robot to a device. Raises ``ValueError`` for more than :data:`MAX_WHEELS` wheels."""
     wheels = len(robot.wheels.hubs)
