@@ -232,12 +232,7 @@ class RoverEnv(EnvBase):
 
     @torch_defaults.with_torch_defaults
     def step_commands(self, command: Tensor) -> TensorDictBase:
-        """Takes a step with commands in place of actions, as those that a simulated robot receives over ROS 2.
-
-        Args:
-            command: forward speed (m/s), yaw rate (rad/s) and, with ``max_sideways``, speed to the left (m/s),
-                ``[N, A]``.
-        """
+        """Takes a step with commands ``[N, A]`` in place of actions, as a simulated robot receives them over ROS 2."""
         self._require_started("step_commands")
         return self._follow(command, ~self._every[:, None], None)
 
@@ -347,14 +342,7 @@ class RoverEnv(EnvBase):
 
     @torch_defaults.with_torch_defaults
     def set_world_weights(self, weights: Tensor) -> None:
-        """Sets how often episodes draw each world of ``pool``, for the episodes after the next one of each row.
-
-        Args:
-            weights: weight of each world, ``[len(pool)]``.
-
-        Raises:
-            ValueError: if episodes do not draw worlds here, or a weight is negative or not finite, or all are 0.
-        """
+        """Sets the weights ``[len(pool)]`` of the worlds in draws, for the episodes after the next one of each row."""
         if "worlds" not in self.simulator.features:
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)

@@ -107,10 +107,7 @@ WITHOUT_ROBOT = (
 @pytest.mark.parametrize(
     ("backend", "error", "message"),
     [
-        *(
-            (each, ValueError, f"^{WANTED}, got {re.escape(repr(each))}$")
-            for each in (object(), 4, None, BulletSettings)
-        ),
+        *((each, ValueError, f"^{WANTED}, got {re.escape(repr(each))}$") for each in (object(), 4, BulletSettings)),
         (WithoutRobot(), ValueError, WITHOUT_ROBOT),
         (PlainBackend, ValueError, r"PlainBackend'> must have .*: it is a class; pass an object of it$"),
         (Broken(), TypeError, "^inside$"),
