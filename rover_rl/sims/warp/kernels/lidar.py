@@ -380,6 +380,34 @@ def slice_obstacles(
     return inside
 
 
+@wp.func
+def scan_share(
+    scenes: wp.array[Scene],
+    models: wp.array[RobotModel],
+    rovers: RoverArrays,
+    beams: wp.array[wp.vec2],
+    row: int,
+    lane: int,
+    lanes: int,
+):
+    """Shortens the beams of one rover by the share of the world that belongs to one of its lanes."""
+    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
+    orientation = wp.quat(
+        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
+    )
+    scene = scenes[rovers.scene[row]]
+    robot = rovers.robot[row]
+    plane = scan_plane(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
+    plane.lane = lane
+    plane.lanes = lanes
+    plane.tie = wp.where(lanes == 1, 1.0, TIE)
+    inside = slice_obstacles(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    slice_ground(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    if inside or plane.origin[2] < ground_at(scene, plane.origin[0], plane.origin[1])[3]:
+        for beam in range(beams.shape[0]):
+            wp.atomic_min(rovers.ranges, row, beam, 0.0)
+
+
 @wp.kernel
 def scan(
     scenes: wp.array[Scene],
@@ -405,18 +433,4 @@ def scan(
     if lanes == 1:
         for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
-    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
-    orientation = wp.quat(
-        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
-    )
-    scene = scenes[rovers.scene[row]]
-    robot = rovers.robot[row]
-    plane = scan_plane(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
-    plane.lane = lane
-    plane.lanes = lanes
-    plane.tie = wp.where(lanes == 1, 1.0, TIE)
-    inside = slice_obstacles(scene, beams, rovers.ranges, rovers.visible, row, plane)
-    slice_ground(scene, beams, rovers.ranges, rovers.visible, row, plane)
-    if inside or plane.origin[2] < ground_at(scene, plane.origin[0], plane.origin[1])[3]:
-        for beam in range(beams.shape[0]):
-            wp.atomic_min(rovers.ranges, row, beam, 0.0)
+    scan_share(scenes, models, rovers, beams, row, lane, lanes)
