@@ -122,7 +122,7 @@ def test_networks_read_small_numbers_and_mirror_images() -> None:
         (lambda: WheelEffort(max_torque=-1.0), "max_torque must be positive"),
         (lambda: WheelEffort(wheels=3).mirror(torch.zeros(3)), "no mirror image with wheels=3"),
         (lambda: RoverEnv(backend="warp", sensors=[WheelEffort(wheels=2)]), "wheels=2, a robot has 4: set wheels=4"),
-        (lambda: RoverEnv(backend=ScriptedBackend(), sensors=["contact"]), "not state the feature 'contact_force'"),
+        (lambda: RoverEnv(backend=ScriptedBackend(), sensors=["contact"]), "not have the feature 'contact_force'"),
         (
             lambda: RoverEnv(backend=LiveBackend(), sensors=["effort"]),
             "^sensor 'effort' needs a backend .*: Live.* 'wheel_torque'$",
