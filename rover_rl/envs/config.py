@@ -391,7 +391,9 @@ class Randomization:
         _check_range(self, "lidar_min_range", "distances, m", 0)
         check_at_least(0, MAX_NUMBER, **_some(self, "range_noise", "odometry_noise", "imu_noise"))
         check_at_least(0, 16, dead_sectors=self.dead_sectors)
-        check_at_least(0, math.nextafter(1, 0), **_some(self, "dropout", "lost_scans"))
+        for name, share in _some(self, "dropout", "lost_scans").items():
+            if not 0 <= share < 1:
+                raise ValueError(f"{name} must be at least 0 and less than 1, got {share}")
 
     @classmethod
     def typical(cls) -> Randomization:

@@ -116,7 +116,7 @@ def test_the_target_is_that_of_the_sensed_pose_and_events_are_of_the_true_one():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"source": "gps"}, "source of the pose must be one of .*'odometry'.*, got 'gps'"),
+        ({"source": "gps"}, "source must be one of .*'odometry'.*, got 'gps'"),
         ({"drift": -1.0}, "drift must be at least 0"),
         ({"drift_time": 0.0}, "drift_time must be positive"),
         ({"jump_rate": math.nan}, "jump_rate must be at least 0"),

@@ -150,7 +150,7 @@ def test_robots_for_evaluation_are_not_trained_with():
         ("any:0-3", {"backend": "bullet"}, "several robots in one batch need a backend that simulates them: Bullet"),
         ("any:3-0", {}, "the ends of 'any:3-0' must be in order"),
         ("any:0-1024", {}, "robot must give 1 to 1024 robots, as 'any:0-255' does, got 1025"),
-        ((), {}, "robot must give 1 to 1024 robots"),
+        ((), {}, "robot must be a name or a Robot, got tuple"),
         (("leo", "tank"), {}, "unknown robot 'tank'"),
         ("husky:3", {}, "robot 'husky:3' has a seed, and 'husky' is one robot"),
         (("leo", 3), {}, "robot must be a name or a Robot, got int 3"),

@@ -210,7 +210,7 @@ def test_drive_without_a_robot_reports_an_error(log, domain):
     ],
 )
 def test_invalid_options_are_rejected_before_connecting(arguments, message, capsys, tmp_path, monkeypatch):
-    for part in ("sims.ros2.commands.Watchdog", "envs.RoverEnv", "sims.ros2.transport.make_transport"):
+    for part in ("sims.ros2.commands.Watchdog", "envs.rover.RoverEnv", "sims.ros2.transport.make_transport"):
         monkeypatch.setattr(f"rover_rl.{part}", None)
     monkeypatch.chdir(tmp_path)
     Path("goals.csv").write_text("1.0, 2.0\nx, y\n")
