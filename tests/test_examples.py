@@ -29,7 +29,8 @@ from tests.pages import NEEDS, ROOT, blocks, name_of, pages
 MODULES = """
 rover_rl rover_rl.algos.config rover_rl.algos.evaluation.episodes rover_rl.algos.evaluation.evaluate
 rover_rl.algos.evaluation.report rover_rl.algos.experiments.runs
-rover_rl.algos.policy.checkpoint rover_rl.algos.policy.networks rover_rl.algos.policy.runner rover_rl.algos.pretrained
+rover_rl.algos.policy.checkpoint rover_rl.algos.policy.names rover_rl.algos.policy.networks
+rover_rl.algos.policy.runner rover_rl.algos.pretrained
 rover_rl.algos.train.ppo rover_rl.envs rover_rl.sims.bullet rover_rl.sims.free_space rover_rl.robots
 rover_rl.worlds rover_rl.worlds.pool rover_rl.worlds.table
 """
