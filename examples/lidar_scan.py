@@ -30,7 +30,7 @@ def draw_scan(axes: Axes, config: EnvConfig) -> None:
     env = make_env(config)
     observation = env.reset(start=start, goal=goal)
     rover = env.base_env
-    ranges = rover.sensed_scan[0].clamp(max=config.lidar.max_range).numpy()
+    ranges = rover.state.sensed.ranges[0].clamp(max=config.lidar.max_range).numpy()
     x, y, yaw = start[0].tolist()
     angles = rover.scanner.angles.numpy() + yaw
     origin = np.array([x + MOUNT * np.cos(yaw), y + MOUNT * np.sin(yaw)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from typing import Any
@@ -65,7 +66,9 @@ def check_positive(most: float, **numbers: float) -> None:
     """Raises ``ValueError`` for the first number that is NaN, not positive or above ``most``, with its name."""
     for name, number in numbers.items():
         if not 0 < number <= most:
-            raise ValueError(f"{name} must be positive and at most {most:g}, got {number}")
+            raise ValueError(
+                f"{name} must be positive{'' if most == math.inf else f' and at most {most:g}'}, got {number}"
+            )
 
 
 def check_topics(**topics: Any) -> None:

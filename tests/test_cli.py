@@ -143,7 +143,7 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(
 def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
     """The kernels that a film and an evaluation need are on disk: compiling them writes files."""
     film = tmp_path_factory.mktemp("films") / "film.gif"
-    line = f"film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {film}"
+    line = f"film scripted --world maze --backend warp --seconds 0.5 --width 64 --height 48 --out {film}"
     assert main(line.split()) == 0
 
 
@@ -151,7 +151,10 @@ def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
     ("line", "name"),
     [
         ("export pretrained:moon-ppo --format torch --out {}/moon.pt2", "moon.pt2"),
-        ("film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {}/film.gif", "film.gif"),
+        (
+            "film scripted --world maze --backend warp --seconds 0.5 --width 64 --height 48 --out {}/film.gif",
+            "film.gif",
+        ),
         ("train --runs {} --name run", "run/config.yaml"),
     ],
 )
@@ -166,7 +169,9 @@ def test_without_space_the_file_is_named_and_nothing_is_left(
 
 @pytest.mark.usefixtures("compiled_kernels")
 def test_results_are_shown_where_they_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = ["evaluate", "scripted", "--world", "maze", "--count", "1", "--seconds", "0.5", "--out"]
+    given = [
+        *["evaluate", "scripted", "--world", "maze", "--backend", "warp", "--count", "1", "--seconds", "0.5", "--out"]
+    ]
     with largest_file(100):
         assert main([*given, str(tmp_path)]) == 2
     captured = capsys.readouterr()
@@ -245,7 +250,7 @@ def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixt
 def test_a_reward_without_goals_is_told(tmp_path: Path) -> None:
     given, tilt = (
         ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"],
-        "tests.test_own_parts:Tilt",
+        "tests.envs.test_specs:Tilt",
     )
     with pytest.warns(UserWarning, match=rf"no component of reward='{tilt}' pays for a goal"):
         assert main([*given, tilt]) == 0

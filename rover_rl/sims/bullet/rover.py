@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rover_rl.files import errors_name
 from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
 from rover_rl.robots.shapes import WEIGHTLESS, Mass
@@ -36,7 +37,8 @@ def load_rovers(client: int, robot: Robot, settings: BulletSettings, count: int)
     bodies = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rover.urdf"
-        path.write_text(rover_urdf(robot), encoding="utf-8")
+        with errors_name(path):
+            path.write_text(rover_urdf(robot), encoding="utf-8")
         for _ in range(count):
             body = pybullet.loadURDF(str(path), flags=flags, physicsClientId=client)
             for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
