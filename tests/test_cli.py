@@ -250,7 +250,7 @@ def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixt
 def test_a_reward_without_goals_is_told(tmp_path: Path) -> None:
     given, tilt = (
         ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"],
-        "tests.envs.test_specs:Tilt",
+        "tests.envs.test_specs:CollisionHeat",
     )
     with pytest.warns(UserWarning, match=rf"no component of reward='{tilt}' pays for a goal"):
         assert main([*given, tilt]) == 0

@@ -120,7 +120,7 @@ PARTS = [
     *("--reward", "my_package.parts:gentle", "--backend", "my_package.parts:Slow"),
 ]
 SENSOR = "my_package.sensors:RangeFinder"
-"""The sensor of the page "Your own sensor"."""
+"""The sensor of docs/extending.md."""
 OBSERVATION = ["lidar", "imu", "target", "velocities", "drop", "range"]
 
 
@@ -133,8 +133,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     for name, text in {"parts": PACKAGE, "drive": DRIVE, "drop": DROP_FINDER, "robot": ROBOT}.items():
         (folder / "my_package" / f"{name}.py").write_text(text)
     (folder / "my_package" / "scout.urdf").write_bytes(get_robot("rover_zero").urdf.read_bytes())
-    page = (ROOT / "docs" / "own_sensor.md").read_text(encoding="utf-8")
-    (folder / "my_package" / "sensors.py").write_text(blocks(page, "python")[0].code)
+    page = blocks((ROOT / "docs" / "extending.md").read_text(encoding="utf-8"), "python")
+    (folder / "my_package" / "sensors.py").write_text(next(b.code for b in page if "my_package/sensors.py" in b.code))
     size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
     size += ["--lidar.points", "16", "--sensors", SENSOR, "--observation", *OBSERVATION, "--name", "own"]
     with pytest.MonkeyPatch.context() as patch, quick_workers():

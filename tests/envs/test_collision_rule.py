@@ -64,6 +64,6 @@ def test_a_range_that_the_robot_or_the_task_states_holds_in_every_direction():
 
 def test_a_lidar_beside_the_footprint_has_the_margin_where_its_beams_miss_it():
     with pytest.warns(UserWarning, match="outside of its body"):
-        robot = replace(husky(), lidar=(0.55, 0.0, 0.4))
+        robot = replace(husky(), lidar_position=(0.55, 0.0, 0.4))
     ranges = collision_ranges(robot, 4)
     assert np.allclose(ranges, [COLLISION_MARGIN, COLLISION_MARGIN, 0.55 + 0.495 + COLLISION_MARGIN, COLLISION_MARGIN])
