@@ -34,14 +34,12 @@ class Name(Sequence["Name"]):
 
     Some settings have short forms, which stand between the part and the parentheses, in this order:
 
-    | short form | setting |
-    |---|---|
-    | ``maze+walkers`` | ``walkers=True`` |
-    | ``maze:7`` | ``seed=7`` |
-    | ``maze:0-99``, ``maze:*`` | ``seed=(0, 99)``, ``seed=(0, 9999)``: a range |
-    | ``maze:7@0.8`` | ``difficulty=0.8``, from 0 to 1 |
-    | ``maze:0-99@0.2-0.8`` | ``difficulty=(0.2, 0.8)``: each seed has its own, spread evenly |
-    | ``maze:7*1.6`` | ``scale=1.6``, from 0.5 to 10 |
+    - ``maze+walkers`` is ``walkers=True``
+    - ``maze:7`` is ``seed=7``
+    - ``maze:0-99`` and ``maze:*`` are the ranges ``seed=(0, 99)`` and ``seed=(0, 9999)``
+    - ``maze:7@0.8`` is ``difficulty=0.8``, from 0 to 1
+    - ``maze:0-99@0.2-0.8`` is ``difficulty=(0.2, 0.8)``: each seed has its own, spread evenly
+    - ``maze:7*1.6`` is ``scale=1.6``, from 0.5 to 10
 
     A name is the sequence of the names of its seeds, which are one without a range.
 

@@ -20,6 +20,7 @@ ORDER = (
     "deploy_policy.py",
     "torchrl_ppo.py",
     "sb3_sac.py",
+    "sweep.py",
 )
 """Examples from the simplest to the longest."""
 

@@ -694,7 +694,7 @@ def describe_settings() -> str:
     def lines(kind: str, prefix: str = "") -> Iterator[str]:
         for item, text in pairwise(classes[kind]):
             if isinstance(item, ast.AnnAssign) and isinstance(text, ast.Expr):
-                yield f"{prefix}{ast.unparse(item.target)}: {ast.literal_eval(text.value)}"
+                yield f"- ``{prefix}{ast.unparse(item.target)}``: {' '.join(ast.literal_eval(text.value).split())}"
                 if (part := ast.unparse(item.annotation)) in classes:
                     yield from lines(part, f"{ast.unparse(item.target)}.")
 

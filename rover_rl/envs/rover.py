@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import warnings
 from dataclasses import replace
+from inspect import cleandoc
 from typing import Any, NoReturn
 
 import torch
@@ -390,6 +391,6 @@ class RoverEnv(EnvBase):
             raise RuntimeError(f"{what} needs a running episode; call reset() first")
 
 
-RoverEnv.__doc__ = f"{RoverEnv.__doc__}\nSettings of :class:`EnvConfig`:\n\n{describe_settings()}\n"
+RoverEnv.__doc__ = f"{cleandoc(RoverEnv.__doc__ or '')}\n\nSettings of :class:`EnvConfig`:\n\n{describe_settings()}\n"
 # The metaclass of EnvBase hides the arguments from help() and editors.
 RoverEnv.__signature__ = env_signature()

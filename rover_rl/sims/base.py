@@ -58,7 +58,7 @@ class LiveRover(Protocol):
         ...
 
     def state_age(self) -> Tensor:
-        """Age of the state, ``[N, 1]``, s, after :meth:`follow_clock`; at most :data:`MAX_AGE`."""
+        """Age of the state, ``[N, 1]``, s, after :meth:`follow_clock`; at most ``MAX_AGE``."""
         ...
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:

@@ -38,7 +38,7 @@ class Shape:
 class Solids(Sequence["Solids"]):
     """Convex solids, one after the other in tables. Its items are the solids, each a table with one of them.
 
-    :func:`hull`, :func:`box`, :func:`boxes`, :func:`cylinder`, :func:`cylinders` and :func:`boulder` make them.
+    ``hull``, ``box``, ``boxes``, ``cylinder``, ``cylinders`` and ``boulder`` make them.
 
     Args:
         vertices: vertices of all solids, all of them on the hull of theirs, float64 ``[V, 3]``, m.

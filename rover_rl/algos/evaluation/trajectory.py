@@ -69,7 +69,7 @@ class Trajectory:
         angles: roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
         collision: whether each step ends in a collision, as the task defines it, bool ``[T]``.
         goal: whether each step reaches a goal, bool ``[T]``.
-        ending: ``"goal"``, or another one of :mod:`rover_rl.algos.driving`.
+        ending: ``"goal"``, or another one of ``rover_rl.algos.driving``.
         reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
         dt: duration of a step, s.
         encounters: what happens between the rover and movers; ``None`` if the world has none.
@@ -181,7 +181,7 @@ def find_body_contacts(
 def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
     """Returns whether the rover's body touches an obstacle in each of several poses, bool ``[P]``.
 
-    The body touches an obstacle if its footprint (:func:`rover_rl.robots.footprint.footprint`), at the height of
+    The body touches an obstacle if its footprint (``Robot.footprint``), at the height of
     the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
 
     Args:

@@ -88,7 +88,7 @@ class MoverField:
         return self._tables.forms
 
     def parts_of(self, world: World) -> list[Part]:
-        """Returns the parts of rows in a world, by their index in :attr:`parts`: other rovers, then its movers."""
+        """Returns the parts of rows in a world, by their index in ``parts``: other rovers, then its movers."""
         rovers = [] if self._others is None else [*self._others.parts] * (self._others.agents - 1)
         return rovers + [part for mover in world.movers for part in mover.shape.parts()]
 
@@ -131,7 +131,7 @@ class MoverField:
             getattr(self._own, name).copy_(self._local[name])
 
     def _reserve(self, rows: int, own: int) -> Parts:
-        """Makes new :attr:`parts`, and returns those of the movers of the worlds, ``own`` in each row."""
+        """Makes new ``parts``, and returns those of the movers of the worlds, ``own`` in each row."""
         others, device = self._others, self._worlds.slots.device
         if others is None:
             self.parts = Parts.zeros((rows, own), device)
