@@ -120,7 +120,7 @@ class Follower(NamedTuple):
     """What :func:`follow` needs to know of robots, numbers or ``[..., 1]``.
 
     Attributes:
-        front, back: x of both ends of the footprint, m.
+        back, front: x of both ends of the footprint, m.
         half_width: half of its width, m.
         lidar_x: x of the lidar, m.
         turn_gain: heading offset for each radian to turn.
