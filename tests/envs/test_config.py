@@ -109,8 +109,8 @@ def test_names_of_the_contract_and_of_the_description_are_the_same() -> None:
 
 def test_help_has_the_description_of_every_setting() -> None:
     text = RoverEnv.__doc__ or ""
-    assert all(f"\n{item.name}: " in text for item in fields(EnvConfig))
-    assert "\nlidar.points: Number of readings in an observation" in text
+    assert all(f"\n- ``{item.name}``: " in text for item in fields(EnvConfig))
+    assert "\n- ``lidar.points``: Number of readings in an observation" in text
     shown = inspect.signature(make_env).parameters
     assert {item.name for item in fields(EnvConfig)} <= shown.keys()
     assert (shown["lidar_points"].default, shown["length"].default) == (32, 2000)
