@@ -52,7 +52,7 @@ def test_a_urdf_is_shown_as_it_was_understood(capsys: pytest.CaptureFixture[str]
 
 def test_options_of_a_robot_are_part_of_its_name_in_all_commands() -> None:
     options = EnvOptions(robot="scout.urdf", robot_options=RobotOptions(drive="skid_steer", lidar="0 0 0.5"))
-    assert options.given_robot == "scout.urdf,drive=skid_steer,lidar=0:0:0.5"
+    assert options.given_robot == "scout.urdf(drive=skid_steer, lidar='0 0 0.5')"
     assert EnvOptions(robot_options=RobotOptions(max_speed=1.0)).given_robot is None
     assert train_defaults([]).config.env.robot_options == RobotOptions()
 

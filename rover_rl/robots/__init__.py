@@ -5,15 +5,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from rover_rl.names import TRAINING_SEEDS, Name
 from rover_rl.registry import Registry
-from rover_rl.robots.options import LIDAR_OPTIONS, RobotOptions, is_robot_file, split_options
+from rover_rl.robots.options import LIDAR_OPTIONS, RobotOptions, split_options
 
 if TYPE_CHECKING:
     from rover_rl.robots.robot import Robot
@@ -21,23 +21,15 @@ if TYPE_CHECKING:
     RobotSource: TypeAlias = str | Robot | Sequence[str | Robot]
 
 ROBOTS = {
-    "rover_zero": "rover_rl.robots.built_in:ROVER_ZERO",
-    "leo": "rover_rl.robots.built_in:LEO",
-    "jackal": "rover_rl.robots.built_in:JACKAL",
-    "husky": "rover_rl.robots.built_in:HUSKY",
-    "racer": "rover_rl.robots.built_in:RACER",
-    "hunter": "rover_rl.robots.built_in:HUNTER",
+    name: f"rover_rl.robots.built_in:{name.upper()}"
+    for name in ("rover_zero", "leo", "jackal", "husky", "racer", "hunter")
 }
 """Built-in robots, by name."""
 FAMILIES = {"any": "rover_rl.robots.any_robot:any_robot"}
 """Built-in families of robots, functions of a seed, by name."""
+FILES = (".urdf", ".xacro", ".sdf", ".xml")
+"""Endings of the files that are taken for a robot. Only a URDF can be read; the others are refused with advice."""
 
-
-TRAINING_SEEDS = 10_000
-"""Number of seeds of a family for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
-
-_MEMBER = re.compile(r"(.+):([0-9]+)", re.ASCII)
-_RANGE = re.compile(r"([^,]+):([0-9]+)-([0-9]+)(,.*)?", re.ASCII)
 _REGISTRY = Registry("robot", ROBOTS | FAMILIES, also=", a URDF file, a Robot, or 'module:attribute' of your own")
 
 
@@ -62,7 +54,7 @@ def robot_names() -> list[str]:
 def names_several(robots: RobotSource) -> bool:
     """Whether robots are given by a range of seeds, or a list of more than one."""
     if isinstance(robots, str):
-        return _RANGE.fullmatch(robots) is not None
+        return Name.parse(robots).is_range
     return isinstance(robots, Sequence) and (len(robots) > 1 or any(map(names_several, robots)))
 
 
@@ -71,9 +63,8 @@ def get_robot(robot: RobotSource) -> Robot:
 
     Args:
         robot: name in :func:`robot_names`, path of a URDF (``"scout.urdf"``), ``"module:attribute"`` of a robot or of a
-            function that returns one, or a robot. A suffix ``:seed`` selects a robot of a family, a function of a seed:
-            ``"any:17"``. A name may have options, as in ``"scout.urdf,drive=skid_steer,max_speed=1.5"``: the fields of
-            :class:`RobotOptions`.
+            function that returns one, or a robot. ``"any:17"`` is a robot of a family, a function of a seed. A name may
+            have the fields of :class:`RobotOptions` as settings: ``"scout.urdf(drive=skid_steer, max_speed=1.5)"``.
 
     Raises:
         ValueError: if the name is unknown, that of a range, or refers to something else than a robot; if a URDF holds
@@ -91,16 +82,23 @@ def get_robot(robot: RobotSource) -> Robot:
         return robot
     if not isinstance(robot, str):
         raise ValueError(f"robot must be a name or a Robot, got {type(robot).__name__} {robot!r}"[:200])
-    own, options = split_options(robot)
-    if is_robot_file(own):
-        path = Path(own)
+    part, seed, options = split_options(robot)
+    if part.lower().endswith(FILES) and seed is None:
+        path = Path(part)
         return _read(path, options, path.stat().st_mtime_ns if path.is_file() else 0)
-    return _with_limits(_named(own), options)
+    found = _REGISTRY.find(part)
+    if seed is not None and not callable(found):
+        raise ValueError(f"robot {robot!r} has a seed, and {part!r} is one robot, not a family")
+    if callable(found):
+        found = _REGISTRY.call(robot, found, *([] if seed is None else [seed]))
+    if not isinstance(found, Robot):
+        raise ValueError(f"robot {robot!r} must be a Robot or a function that returns one, got {type(found).__name__}")
+    return _with_limits(found, options)
 
 
 @lru_cache(maxsize=16)
 def _read(path: Path, options: RobotOptions, modified: int) -> Robot:
-    """Returns the robot in a URDF. ``modified`` is the time of the last change of the file."""
+    """``modified`` is the time of the last change of the file."""
     from rover_rl.robots.robot import Robot
 
     return Robot.from_urdf(path, options=options)
@@ -108,45 +106,26 @@ def _read(path: Path, options: RobotOptions, modified: int) -> Robot:
 
 def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
     """Returns a robot of another name than a file with options, of which it takes those on its drive and lidar."""
-    if options == RobotOptions():
-        return robot
     drive: dict[str, Any] = {}
-    for option in options.given:
-        field = _FIELDS.get(option, option)
+    for option, value in options.given.items():
+        field = {"max_acceleration": "max_linear_acceleration"}.get(option, option)
         if option in LIDAR_OPTIONS:
             continue
-        if not hasattr(robot.drive, field) or option in ("drive", "missing"):
+        if not hasattr(robot.drive, field) or option == "drive":
             raise ValueError(
                 f"option {option} does not fit robot {robot.name!r}, whose drive is a {type(robot.drive).__name__}"
             )
-        drive[field] = getattr(options, option)
-    changes: dict[str, Any] = {"drive": replace(robot.drive, **drive), **options.lidar_settings}
+        drive[field] = value
+    changes: dict[str, Any] = dict(options.lidar_settings)
+    if drive:
+        changes["drive"] = replace(robot.drive, **drive)
     if options.lidar is not None:
-        place = options.lidar.split()
-        if len(place) != 3:
-            raise ValueError(f'lidar of robot {robot.name!r} must be "x y z", got {options.lidar!r}')
-        changes["lidar_position"] = tuple(map(float, place))
-    return replace(robot, **changes)
-
-
-_FIELDS = {"max_acceleration": "max_linear_acceleration"}
-"""Fields of a drive that options set, where the names differ."""
-
-
-def _named(robot: str) -> Robot:
-    """Returns a robot by its name, without options."""
-    from rover_rl.robots.robot import Robot
-
-    name, seed = robot, ""
-    if _MEMBER.fullmatch(robot):
-        name, _, seed = robot.rpartition(":")
-    part = _REGISTRY.find(name)
-    if seed and not callable(part):
-        raise ValueError(f"robot {robot!r} has a seed, and {name!r} is one robot, not a family")
-    part = _REGISTRY.call(robot, part, *map(int, filter(None, [seed]))) if callable(part) else part
-    if not isinstance(part, Robot):
-        raise ValueError(f"robot {robot!r} must be a Robot or a function that returns one, got {type(part).__name__}")
-    return part
+        try:
+            x, y, z = map(float, options.lidar.split())
+        except ValueError:
+            raise ValueError(f'lidar of robot {robot.name!r} must be "x y z", got {options.lidar!r}') from None
+        changes["lidar_position"] = x, y, z
+    return replace(robot, **changes) if changes else robot
 
 
 def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
@@ -161,32 +140,23 @@ def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
     from rover_rl.robots.fleet import MAX_ROBOTS
 
     entries = [robots] if isinstance(robots, str) or not isinstance(robots, Sequence) else robots
-    names = [name for entry in entries for name in _members(entry)]
-    if not 1 <= len(names) <= MAX_ROBOTS:
-        raise ValueError(f"robot must give 1 to {MAX_ROBOTS} robots, as 'any:0-255' does, got {len(names)}")
+    parts = [Name.parse(entry) if isinstance(entry, str) else [entry] for entry in entries]
+    count = sum(map(len, parts))
+    if not 1 <= count <= MAX_ROBOTS:
+        raise ValueError(f"robot must give 1 to {MAX_ROBOTS} robots, as 'any:0-255' does, got {count}")
+    names = [str(one) if isinstance(one, Name) else one for part in parts for one in part]
     return tuple(dict.fromkeys(map(get_robot, names)))
 
 
 def check_training_robots(robots: RobotSource) -> None:
     """Raises a ``ValueError`` if robots are unknown, or one is for evaluation: has a seed of 10,000 or more."""
     for robot in get_robots(robots):
-        match = _MEMBER.fullmatch(robot.name)
-        if match is not None and int(match[2]) >= TRAINING_SEEDS:
+        family, _, seed = robot.name.rpartition(":")
+        if family and seed.isdecimal() and int(seed) >= TRAINING_SEEDS:
             raise ValueError(
                 f"robots with seeds from {TRAINING_SEEDS} up are for evaluation; train with lower ones, as in "
-                f"'{match[1]}:0-255', got {robot.name!r}"
+                f"'{family}:0-255', got {robot.name!r}"
             )
-
-
-def _members(entry: str | Robot) -> Sequence[str | Robot]:
-    """Returns the names of the robots of a range, or the only entry."""
-    match = _RANGE.fullmatch(entry) if isinstance(entry, str) else None
-    if match is None:
-        return [entry]
-    family, first, last = match[1], int(match[2]), int(match[3])
-    if last < first:
-        raise ValueError(f"the ends of {entry!r} must be in order, as in '{family}:0-255'")
-    return [f"{family}:{seed}{match[4] or ''}" for seed in range(first, min(last, first + 10_000) + 1)]
 
 
 def __getattr__(name: str) -> Any:

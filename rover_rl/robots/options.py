@@ -1,34 +1,18 @@
-"""What a URDF does not tell of a robot: its drive, limits and mounts, as options beside its name."""
+"""What a URDF does not tell of a robot: its drive, limits and mounts, as settings of its name."""
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
+from rover_rl.names import Name
 from rover_rl.plain import take_numbers
 
 DriveKind = Literal["skid_steer", "differential", "ackermann", "mecanum"]
 """Kinds of drives that are found in a URDF."""
-
-SUFFIXES = (".urdf", ".xacro", ".sdf", ".xml")
-"""Endings of the files that are taken for a robot. Only a URDF can be read; the others are refused with advice."""
-
 LIDAR_OPTIONS = ("lidar", "lidar_range", "lidar_view")
 """Options on the lidar. The others, but for ``missing``, are on the drive."""
-
-_OPTION = re.compile(r",(\w+)=([^,]*)")
-_NUMBERS = (
-    "lidar_range",
-    "lidar_view",
-    "max_speed",
-    "max_yaw_rate",
-    "max_acceleration",
-    "max_steering",
-    "torque",
-    "separation",
-)
 
 
 @dataclass(frozen=True)
@@ -65,66 +49,43 @@ class RobotOptions:
 
     def __post_init__(self) -> None:
         take_numbers(self)
-        for name in _NUMBERS:
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
+        for name, value in self.given.items():
+            if isinstance(value, (int, float)) and not 0 < value < math.inf:
                 raise ValueError(f"{name} of a robot must be a positive number, got {value}")
         if self.drive is not None and self.drive not in get_args(DriveKind):
             raise ValueError(f"drive of a robot must be one of {[*get_args(DriveKind)]}, got {self.drive!r}")
         if self.missing not in ("error", "skip"):
             raise ValueError(f"missing of a robot must be error or skip, got {self.missing!r}")
-        if self.lidar is not None and ("," in self.lidar or not self.lidar.strip()):
+        if self.lidar is not None and not (isinstance(self.lidar, str) and self.lidar.strip()):
             raise ValueError(f'lidar of a robot must be a link or "x y z", got {self.lidar!r}')
 
     @property
-    def given(self) -> dict[str, str]:
-        """The options that are set, as text."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        changed = {name: value for name, value in values.items() if value != getattr(_UNSET, name)}
-        return {n: f"{v!r}" if isinstance(v, float) else ":".join(str(v).split()) for n, v in changed.items()}
+    def given(self) -> dict[str, Any]:
+        """The options that are set."""
+        values = {item.name: (getattr(self, item.name), item.default) for item in fields(self)}
+        return {name: value for name, (value, default) in values.items() if value != default}
 
     @property
     def lidar_settings(self) -> dict[str, float]:
         """Range and view of the lidar, if they are set: arguments of ``Robot``."""
-        return {name: getattr(self, name) for name in ("lidar_range", "lidar_view") if getattr(self, name) is not None}
-
-
-_UNSET = RobotOptions()
+        return {name: value for name, value in self.given.items() if name in LIDAR_OPTIONS[1:]}
 
 
 def with_options(name: str, options: RobotOptions) -> str:
-    """Returns the name of a robot with options, ``"scout.urdf,drive=skid_steer"``. They replace those in ``name``."""
-    own, before = split_options(name)
-    given = {**before.given, **options.given}
-    return own + "".join(f",{option}={value}" for option, value in given.items())
+    """Returns the name of a robot with options, ``"scout.urdf(drive=skid_steer)"``. They replace those in ``name``."""
+    return str(Name.parse(name).replace(**options.given))
 
 
-def split_options(name: str) -> tuple[str, RobotOptions]:
-    """Splits the name of a robot from its options: the inverse of :func:`with_options`.
+def split_options(name: str) -> tuple[str, int | None, RobotOptions]:
+    """Returns the part, the seed and the options of the name of a robot.
 
     Raises:
         ValueError: if an option is unknown or has a value of another kind.
     """
-    found = [*_OPTION.finditer(name)]
-    start = found[0].start() if found else len(name)
-    own, values = name[:start], {each[1]: each[2] for each in found}
-    if "".join(each[0] for each in found) != name[start:]:
-        raise ValueError(f"options of robot {own!r} must be written as ,name=value, got {name[start:]!r}")
+    parsed = Name.parse(name)
+    settings = dict(parsed.settings)
+    seed = settings.pop("seed", None)
     known = [item.name for item in fields(RobotOptions)]
-    if unknown := [option for option in values if option not in known]:
-        raise ValueError(f"robot {own!r} has no option {unknown[0]!r}; use some of {known}")
-    options: dict[str, object] = {**values}
-    for option in _NUMBERS:
-        if option in values:
-            try:
-                options[option] = float(values[option])
-            except ValueError:
-                raise ValueError(f"{option} of robot {own!r} must be a number, got {values[option]!r}") from None
-    if "lidar" in values:
-        options["lidar"] = values["lidar"].replace(":", " ")
-    return own, RobotOptions(**options)  # type: ignore[arg-type]
-
-
-def is_robot_file(name: str) -> bool:
-    """Returns whether the name of a robot, without options, is that of a file."""
-    return name.lower().endswith(SUFFIXES)
+    if unknown := [setting for setting in settings if setting not in known]:
+        raise ValueError(f"robot {parsed.part!r} has no option {unknown[0]!r}; use some of {known}")
+    return parsed.part, seed, RobotOptions(**settings)

@@ -321,8 +321,8 @@ def test_what_was_assumed_is_said_once(tmp_path):
 def test_a_robot_by_its_file_is_the_same_robot(tmp_path):
     path = Machine().body().wheels((0.2, -0.2)).write(tmp_path)
     with pytest.warns(UserWarning, match="skid-steer"):
-        robot = get_robot(f"{path},max_speed=2.0,lidar=0.1:0:0.5")
-    assert get_robot(f"{path},max_speed=2.0,lidar=0.1:0:0.5") == robot
+        robot = get_robot(f"{path}(max_speed=2.0, lidar='0.1 0 0.5')")
+    assert get_robot(f"{path}(max_speed=2.0, lidar='0.1 0 0.5')") == robot
     assert robot == read(path, max_speed=2.0, lidar="0.1 0 0.5")
     assert robot.drive.max_speed == 2.0
 
@@ -347,22 +347,22 @@ def test_a_file_that_changes_is_read_again(tmp_path):
 
 
 def test_named_robots_take_limits_and_mounts(tmp_path):
-    robot = get_robot("rover_zero,max_speed=0.5,lidar=0.1:0:0.4,lidar_range=6.0")
+    robot = get_robot("rover_zero(max_speed=0.5, lidar='0.1 0 0.4', lidar_range=6.0)")
     assert (robot.drive.max_speed, robot.lidar_position, robot.lidar_range) == (0.5, (0.1, 0.0, 0.4), 6.0)
     with pytest.raises(ValueError, match="option max_steering does not fit robot 'rover_zero'"):
-        get_robot("rover_zero,max_steering=0.5")
+        get_robot("rover_zero(max_steering=0.5)")
     with pytest.raises(ValueError, match="option drive does not fit"):
-        get_robot("rover_zero,drive=ackermann")
+        get_robot("rover_zero(drive=ackermann)")
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("rover_zero,speed=1", "robot 'rover_zero' has no option 'speed'; use some of"),
-        ("rover_zero,max_speed=fast", "max_speed of robot 'rover_zero' must be a number, got 'fast'"),
-        ("rover_zero,max_speed=-1", "max_speed of a robot must be a positive number"),
-        ("rover_zero,", "options of robot 'rover_zero,' must be written as ,name=value|unknown robot"),
-        ("a.urdf,drive=tracks", r"drive of a robot must be one of \['skid_steer', .*got 'tracks'"),
+        ("rover_zero(speed=1)", r"robot 'rover_zero' has no option 'speed'; use some of \['drive', "),
+        ("rover_zero(max_speed=fast)", "max_speed must be a number or None, got 'fast'"),
+        ("rover_zero(max_speed=-1)", "max_speed of a robot must be a positive number"),
+        ("rover_zero(max_speed)", r"settings are NAME\(setting=value, ...\)"),
+        ("a.urdf(drive=tracks)", r"drive of a robot must be one of \['skid_steer', .*got 'tracks'"),
     ],
 )
 def test_options_that_are_wrong_are_refused(name, message):

@@ -18,11 +18,12 @@ try:
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 except ImportError as error:
-    raise ImportError(
+    raise ModuleNotFoundError(
         "transport='rclpy' requires ROS 2's Python library: on Linux on x86-64, pip install ros-jazzy-rclpy "
         "ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-rosgraph-msgs; or source an "
         "installed ROS (/opt/ros/.../setup.bash), and use the Python that it was built for. transport='dds' requires "
-        "neither"
+        "neither",
+        name="rclpy",
     ) from error
 
 from rover_rl.sims.ros2.transport import HISTORY_DEPTH, ActiveSenders, Publisher
