@@ -10,63 +10,47 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import pickle
 import select
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from rover_rl.sims.ros2.messages import Header, Time, Twist, TwistStamped, Vector3
-from rover_rl.sims.ros2.settings import Command, Ros2Settings, TransportName
-from rover_rl.sims.ros2.transport import Transport, make_transport, other_types
+from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.transport import Transport, make_transport, other_types, short
 
-OTHER_TIME = 0.5
-"""Time since its last command for which another driver counts as one, s."""
-STOP_REPEATS = 3
-"""Number of times that a stop command is sent, as a message may be lost."""
-READY = b"ready\n"
-"""Output of the watchdog process once it is ready."""
+OTHER_TIME = 0.5  # time since its last command for which another driver counts as one, s
+STOP_REPEATS = 3  # number of times that a stop command is sent, as a message may be lost
+READY = b"ready\n"  # output of the watchdog process once it is ready
 HEARTBEAT, REST, HALT, QUIT = b".", b"r", b"h", b"q"
 """Input of the watchdog process: the driving process is alive, and the rover moves; the rover was stopped, so that
 there is nothing to watch until the next heartbeat; send stop commands for good; end."""
-TIMEOUT = 0.3
-"""Time without a heartbeat after which the rover is stopped, s."""
-STOP_INTERVAL = 0.05
-"""Time between two stop commands of the watchdog, s."""
-STOP_DURATION = 2.0
-"""Time for which stop commands are sent if the driving process is gone or hangs, s."""
-STOP_DELAY = 0.5
-"""Time after a missing heartbeat within which stop commands may still arrive, s."""
-DISCOVERY_TIMEOUT = 3.0
-"""Time to wait for a subscriber of the commands before the watchdog reports that it is ready, s."""
-START_TIMEOUT, EXIT_TIMEOUT = 60.0, 5.0
-"""Time limits for the watchdog process to start and to exit, s."""
+TIMEOUT = 0.3  # time without a heartbeat after which the rover is stopped, s
+STOP_INTERVAL = 0.05  # time between two stop commands of the watchdog, s
+STOP_DURATION = 2.0  # time for which stop commands are sent if the driving process is gone or hangs, s
+STOP_DELAY = 0.5  # time after a missing heartbeat within which stop commands may still arrive, s
+DISCOVERY_TIMEOUT = 3.0  # time to wait for a subscriber of the commands before the watchdog reports that it is ready, s
+START_TIMEOUT, EXIT_TIMEOUT = 60.0, 5.0  # time limits for the watchdog process to start and to exit, s
+STOP = (0.0, 0.0)
 
 
-class CommandPublisher:
-    """Publishes a rover's velocity commands; with ``kind="none"``, it sends nothing.
+def command_sender(transport: Transport, topic: str, settings: Ros2Settings) -> Callable[[float, float], None]:
+    """Returns a function that sends a forward speed (m/s) and a yaw rate (rad/s)."""
+    if settings.command == "none":
+        return lambda speed, yaw_rate: None
+    stamped = settings.command == "twist_stamped"
+    publish = transport.publisher(topic, TwistStamped if stamped else Twist, reliable=True)
 
-    ``last`` is the last command: forward speed (m/s) and yaw rate (rad/s). ``message`` is the class of the messages,
-    and ``frame_id`` the frame of stamped ones.
-    """
+    def send(speed: float, yaw_rate: float) -> None:
+        twist = Twist(Vector3(x=speed), Vector3(z=yaw_rate))
+        header = Header(Time.from_seconds(time.time()), settings.frame_id)
+        publish(TwistStamped(header, twist) if stamped else twist)
 
-    def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:
-        self.last = (0.0, 0.0)
-        self._frame_id, self._stamped = frame_id, kind == "twist_stamped"
-        self.message = TwistStamped if self._stamped else Twist
-        self._publish = None if kind == "none" else transport.publisher(topic, self.message, reliable=True)
-
-    def send(self, speed: float, yaw_rate: float) -> None:
-        self.last = (speed, yaw_rate)
-        if self._publish is not None:
-            twist = Twist(Vector3(x=speed), Vector3(z=yaw_rate))
-            stamp = Time.from_seconds(time.time())
-            self._publish(TwistStamped(Header(stamp, self._frame_id), twist) if self._stamped else twist)
-
-    def stop(self) -> None:
-        for _ in range(STOP_REPEATS):
-            self.send(0.0, 0.0)
+    return send
 
 
 class _Heard(NamedTuple):
@@ -83,21 +67,21 @@ class Commands:
     A watchdog process stops the rover if this process dies or hangs. Once another driver is heard, whether it sends
     from a joystick or is a second program, the commands of both would mix: :meth:`other` names it. With
     ``settings.give_way``, nothing is sent while it sends.
+
+    Attributes:
+        last: forward speed (m/s) and yaw rate (rad/s) of the command in force.
     """
 
     def __init__(self, transport: Transport, topic: str, settings: Ros2Settings) -> None:
+        self.last = STOP
         self._transport, self._topic, self._gives_way = transport, topic, settings.give_way
-        self._publisher = CommandPublisher(transport, topic, settings.command, settings.frame_id)
+        self._message = TwistStamped if settings.command == "twist_stamped" else Twist
+        self._send = command_sender(transport, topic, settings)
         self._watchdog: Watchdog | None = None
         self._heard: _Heard | None = None
         if settings.command != "none":
             self._watchdog = Watchdog(topic, settings, listeners=1)
-            transport.overhear(topic, self._publisher.message, self._hear)
-
-    @property
-    def last(self) -> tuple[float, float]:
-        """Forward speed (m/s) and yaw rate (rad/s) of the command in force."""
-        return self._publisher.last
+            transport.overhear(topic, self._message, self._hear)
 
     @property
     def gives_way(self) -> bool:
@@ -107,36 +91,35 @@ class Commands:
     def send(self, speed: float, yaw_rate: float) -> None:
         """Sends a forward speed (m/s) and a yaw rate (rad/s), unless it gives way to another driver."""
         other = self._other() if self._gives_way else None
-        if other is not None:
-            self._publisher.last = other.command
+        moves = other is None and (speed, yaw_rate) != STOP
+        if moves and self._watchdog is not None:
+            self._watchdog.alive()
+        if other is None:
+            self._send(speed, yaw_rate)
+        self.last = (speed, yaw_rate) if other is None else other.command
+        if not moves:
             self._rest()
-        elif (speed, yaw_rate) == (0.0, 0.0):
-            self._publisher.send(speed, yaw_rate)
-            self._rest()
-        else:
-            if self._watchdog is not None:
-                self._watchdog.alive()
-            self._publisher.send(speed, yaw_rate)
 
     def stop(self) -> None:
         """Sends a stop command, several times."""
-        self._publisher.stop()
+        self.last = STOP
+        for _ in range(STOP_REPEATS):
+            self._send(*STOP)
         self._rest()
 
     def keep_alive(self) -> None:
         """Tells the watchdog that the command in force still holds."""
-        if self._watchdog is not None and self.last != (0.0, 0.0) and not self.gives_way:
+        if self._watchdog is not None and self.last != STOP and not self.gives_way:
             self._watchdog.alive()
 
     def require_receiver(self) -> None:
         """Raises ``ValueError`` if the only receivers of the commands expect messages of another type."""
-        message = self._publisher.message
         if self._watchdog is None or self._transport.subscribers(self._topic):
             return
-        if others := other_types(self._transport, self._topic, message, receivers=True):
+        if others := other_types(self._transport, self._topic, self._message, receivers=True):
             choices = {"TwistStamped": "command='twist_stamped', --command", "Twist": "command='twist', --command"}
             choice = choices.get(others.removeprefix("geometry_msgs/"), "another topic, --cmd-vel-topic")
-            own = message.ros_type.replace("/msg/", "/")
+            own = short(self._message.ros_type)
             raise ValueError(
                 f"the receiver of {self._topic} expects {others}, and {own} would be sent: choose {choice}"
             )
@@ -149,14 +132,12 @@ class Commands:
     def other(self, since: float) -> str:
         """Returns which node has sent commands recently, but after ``since`` (s); empty if none has."""
         other = self._other()
-        if other is None or other.time < since:
-            return ""
-        return self._transport.name_of(other.sender, self._topic)
+        return "" if other is None or other.time < since else self._transport.name_of(other.sender, self._topic)
 
     def close(self) -> None:
         """Stops the rover if it moves, and ends the watchdog. Idempotent."""
-        if self.last != (0.0, 0.0):
-            self._publisher.stop()
+        if self.last != STOP:
+            self.stop()
         if self._watchdog is not None:
             self._watchdog.close()
 
@@ -172,21 +153,22 @@ class Commands:
         twist = getattr(message, "twist", message)
         command = twist.linear.x, twist.angular.z
         assert self._watchdog is not None
-        if command != (0.0, 0.0) or not self._watchdog.may_be_stopping:
+        if command != STOP or not self._watchdog.may_be_stopping:
             self._heard = _Heard(command, time.monotonic(), sender)
 
 
 class Watchdog:
-    """Starts and supervises the watchdog process. As a context manager, it is entered before the rover moves.
+    """Process that sends stop commands on ``topic`` after ``timeout`` (s) without a heartbeat.
 
-    The process sends stop commands on ``topic`` after ``timeout`` (s) without a heartbeat. The first heartbeat, or
-    entering, waits until it is ready, and raises ``ChildProcessError`` if it does not start. ``listeners`` is the
-    number of subscribers of the topic besides the rover.
+    The first heartbeat waits until the process is ready. ``listeners`` is the number of subscribers of the topic
+    besides the rover. :meth:`alive` and :meth:`halt` raise ``ChildProcessError`` if the process does not start, is
+    gone, or hangs.
     """
 
     def __init__(self, topic: str, settings: Ros2Settings, timeout: float = TIMEOUT, listeners: int = 0) -> None:
-        arguments = topic, settings.command, settings.transport, settings.node, settings.frame_id, timeout, listeners
-        program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import watch; watch(*{arguments!r})"
+        arguments = pickle.dumps((topic, settings, timeout, listeners))
+        program = f"import pickle, sys; sys.path[:] = {sys.path!r}; from {__name__} import watch; "
+        program += f"watch(*pickle.loads({arguments!r}))"
         # A new session, so that Ctrl-C does not end the watchdog before the driving process.
         self._process = subprocess.Popen(
             [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
@@ -199,33 +181,26 @@ class Watchdog:
         self._timeout, self._is_ready, self._is_halted = timeout, False, False
         self._last, self._missed = math.inf, -math.inf  # times of the last heartbeat, and of one that came late
 
-    def __enter__(self) -> Watchdog:
-        ready, _, _ = select.select([self._output], [], [], START_TIMEOUT)
-        if not ready or self._output.readline() != READY:
-            self.close()
-            raise ChildProcessError("the watchdog did not start, so the rover is not driven")
-        self._is_ready = True
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     @property
     def may_be_stopping(self) -> bool:
         """Whether stop commands of the process may arrive."""
         now = time.monotonic()
         return self._is_halted or now - self._missed < STOP_DELAY or now - self._last > 0.8 * self._timeout
 
-    def alive(self) -> None:
-        """Sends a heartbeat. Call it with every command that moves the rover, and while it is in force.
+    def wait_until_ready(self) -> None:
+        ready, _, _ = select.select([self._output], [], [], START_TIMEOUT)
+        if not ready or self._output.readline() != READY:
+            self.close()
+            raise ChildProcessError("the watchdog did not start, so the rover is not driven")
+        self._is_ready = True
 
-        Raises ``ChildProcessError`` if the process is gone or hangs.
-        """
+    def alive(self) -> None:
+        """Sends a heartbeat. Call it with every command that moves the rover, and while it is in force."""
         if not self._is_ready:
-            self.__enter__()
+            self.wait_until_ready()
         if self.may_be_stopping:
             self._missed = time.monotonic()
-        self._send(HEARTBEAT)
+        self._write(HEARTBEAT)
         self._last = time.monotonic()
 
     def rest(self) -> None:
@@ -233,18 +208,18 @@ class Watchdog:
         self._last = math.inf
         with contextlib.suppress(ChildProcessError):  # the next heartbeat reports it
             if self._is_ready:
-                self._send(REST)
+                self._write(REST)
 
     def halt(self) -> None:
         """Stops the rover for good: the process sends stop commands until :meth:`close`. Any thread may call it."""
         self._is_halted = True
-        self._send(HALT)
+        self._write(HALT)
 
     def close(self) -> None:
         """Ends the watchdog process. Idempotent."""
         if self._process.poll() is None:
             with contextlib.suppress(ChildProcessError):
-                self._send(QUIT)
+                self._write(QUIT)
             try:
                 # A process that is not ready yet has nothing to stop.
                 self._process.wait(EXIT_TIMEOUT if self._is_ready else 0.0)
@@ -254,24 +229,27 @@ class Watchdog:
         self._input.close()
         self._output.close()
 
-    def _send(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
         try:
             os.write(self._input.fileno(), data)
         except (OSError, ValueError) as error:
             raise ChildProcessError("the watchdog is gone, so the rover is no longer driven") from error
 
 
-def watch(
-    topic: str, command: Command, name: TransportName, node: str, frame_id: str, timeout: float, listeners: int
-) -> None:
+def watch(topic: str, settings: Ros2Settings, timeout: float, listeners: int) -> None:
     """Reads heartbeats from standard input, and stops the rover ``timeout`` (s) after the last one.
 
     Runs until the driving process ends.
     """
     for number in (signal.SIGINT, signal.SIGTERM):  # as a service manager sends them to all processes at once
         signal.signal(number, signal.SIG_IGN)
-    transport = make_transport(name, f"{node}_watchdog")
-    commands = CommandPublisher(transport, topic, command, frame_id)
+    transport = make_transport(settings.transport, f"{settings.node}_watchdog")
+    send = command_sender(transport, topic, settings)
+
+    def stop() -> None:
+        for _ in range(STOP_REPEATS):
+            send(*STOP)
+
     deadline, received = time.monotonic() + DISCOVERY_TIMEOUT, False
     while transport.subscribers(topic) <= listeners and time.monotonic() < deadline and not received:
         received = bool(select.select([sys.stdin], [], [], STOP_INTERVAL)[0])
@@ -282,19 +260,19 @@ def watch(
     while True:
         ready, _, _ = select.select([sys.stdin], [], [], patience)
         if not ready:
-            commands.stop()
+            stop()
             stops += 1
             patience = STOP_INTERVAL if halted or stops * STOP_INTERVAL < STOP_DURATION else None
             continue
         data = os.read(sys.stdin.fileno(), 4096)
         if not data:  # the driving process is gone
             for _ in range(round(STOP_DURATION / STOP_INTERVAL)):
-                commands.stop()
+                stop()
                 time.sleep(STOP_INTERVAL)
         if not data or QUIT in data:
             break
         if halted := halted or HALT in data:
-            commands.stop()
+            stop()
         stops = 0
         patience = STOP_INTERVAL if halted else timeout if data.endswith(HEARTBEAT) else None
     transport.close()

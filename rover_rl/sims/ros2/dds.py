@@ -11,7 +11,8 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 from weakref import WeakValueDictionary
@@ -37,18 +38,12 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, ActiveSenders, Publisher, ThrottledLogger
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, ThrottledLogger
 
-MAX_ENDPOINTS = 10_000
-"""Largest number of publishers or subscribers in a domain among which those of a topic are looked up."""
-MAX_PASSES = 8
-"""Largest number of looks for messages that have arrived before those that were found are passed on."""
-MAX_DOMAIN_ID = 232
-"""Highest domain ID. Higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)."""
-NAMING_TIME = 0.3
-"""Time to wait for the name of the node of a publisher, s."""
-NODE_LIST = "ros_discovery_info"
-"""DDS name of the topic that announces nodes. Unlike the names of ROS topics, it has no prefix."""
+MAX_ENDPOINTS = 10_000  # publishers or subscribers in a domain among which those of a topic are looked up
+MAX_PASSES = 8  # looks for messages that have arrived before those that were found are passed on
+MAX_DOMAIN_ID = 232  # higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)
+NODE_LIST = "ros_discovery_info"  # topic that announces nodes, without the prefix of ROS topics
 LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
 """Distributions with identifiers of 24 bytes; later ones have 16. Only their names distinguish them."""
 DISCOVERY_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
@@ -58,25 +53,31 @@ _log = logging.getLogger(__name__)
 
 
 class DdsTransport:
-    """:class:`Transport` through Cyclone DDS.
+    """:class:`Transport` through Cyclone DDS: a DDS participant, which announces its node for ``ros2 node list``.
 
-    Messages are read in a thread of its own, which :meth:`close` stops. All connections of a process share one DDS
-    participant for each domain. ``environment`` has the variables that select it, by default those of the process.
+    Messages are read in a thread of its own, which :meth:`close` stops. ``environment`` has the variables that select
+    the domain, by default those of the process.
 
     Raises:
         ValueError: if ``ROS_DOMAIN_ID`` is invalid.
         RuntimeError: if the process was forked from a process with connections. Use the start method ``spawn``.
     """
 
-    def __init__(self, node: str, environment: Mapping[str, str] | None = None) -> None:
-        self.node = node
-        self._participant: _Participant | None = _participant(os.environ if environment is None else environment)
-        self._topics: dict[str, tuple[str, Topic[Any]]] = {}
+    def __init__(self, node: str, environment: Mapping[str, str] = os.environ) -> None:
+        distribution = environment.get("ROS_DISTRO", "")
+        self.node, self._domain = node, _domain(environment)
+        # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
+        self._participant: Any = DomainParticipant(domain_id(environment), Qos(Policy.Userdata(b"enclave=/;")))
+        self._topics: dict[str, Topic[Any]] = {}
         self._readers: list[_Reader] = []
         self._writers: dict[str, DataWriter[Any]] = {}
+        self._identifier_size = 24 if distribution in LONG_IDENTIFIERS else 16
+        self._gid, self._node, self._announcement = announcement_messages(distribution)
+        self._nodes = Topic(self._participant, NODE_LIST, _sample_type(self._announcement))
+        # Late subscribers receive the last announcement.
+        self._announcer = DataWriter(self._participant, self._nodes, _qos(True, 1, Policy.Durability.TransientLocal))
         self._announce()
-        self._stop = GuardCondition(self._participant.entity)
-        self._wait_set = WaitSet(self._participant.entity)
+        self._stop, self._wait_set = GuardCondition(self._participant), WaitSet(self._participant)
         self._wait_set.attach(self._stop)
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._read, name=f"{node} DDS reader", daemon=True)
@@ -86,27 +87,21 @@ class DdsTransport:
         self._listen(topic, kind, reliable, lambda message, _: receive(message))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
-        participant, node = self._require_open(), self.node
-
-        def hear(message: Any, sender: str) -> None:
-            if not participant.sends(node, sender):
-                receive(message, sender)
-
-        self._listen(topic, kind, False, hear)
+        own = _writers_of_node[self.node]
+        self._listen(topic, kind, False, lambda message, sender: sender in own or receive(message, sender))
 
     def _listen(self, topic: str, kind: Any, reliable: bool, receive: Callable[[Any, str], object]) -> None:
         # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
-        qos = _qos(reliable, HISTORY_DEPTH)
-        reader = _Reader(topic, DataReader(self._require_open().entity, self._topic(topic, kind), qos), receive)
+        reader = _Reader(topic, DataReader(*self._on(topic, kind), _qos(reliable, HISTORY_DEPTH)), receive)
         with self._lock:
             self._readers.append(reader)
             self._wait_set.attach(reader.condition)
         self._announce()
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        qos = _qos(reliable, 1 if reliable else HISTORY_DEPTH)
-        writer = DataWriter(self._require_open().entity, self._topic(topic, kind), qos)
+        writer = DataWriter(*self._on(topic, kind), _qos(reliable, 1 if reliable else HISTORY_DEPTH))
         self._writers[topic] = writer
+        _writers_of_node[self.node].add(writer.guid.hex)
         self._announce()
 
         def publish(message: Any) -> None:
@@ -116,23 +111,35 @@ class DdsTransport:
         return publish
 
     def subscribers(self, topic: str) -> int:
-        with self._lock:
-            own = sum(reader.topic == topic for reader in self._readers)
+        own = len(self._readers_of(topic))
         return max(0, self._writers[topic].get_publication_matched_status().current_count - own)
 
     def publishers(self, topic: str) -> int:
+        return max((len(reader.senders.active()) for reader in self._readers_of(topic)), default=0)
+
+    def _readers_of(self, topic: str) -> list[_Reader]:
         with self._lock:
-            readers = [reader for reader in self._readers if reader.topic == topic]
-        return max((len(reader.senders.active()) for reader in readers), default=0)
+            return [reader for reader in self._readers if reader.topic == topic]
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
         builtin = BuiltinTopicDcpsSubscription if receivers else BuiltinTopicDcpsPublication
-        reader = BuiltinDataReader(self._require_open().entity, builtin)
+        reader = BuiltinDataReader(self._require_open(), builtin)
         found = (sample for sample in reader.read(MAX_ENDPOINTS) if sample.topic_name == _dds_name(topic))
         return {sample.type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for sample in found}
 
     def name_of(self, sender: str, topic: str) -> str:
-        return self._require_open().node_of(sender) or "a publisher of no known node"
+        qos = _qos(True, 1, Policy.Durability.TransientLocal) + Qos(Policy.History.KeepAll)
+        reader: DataReader[Any] = DataReader(self._require_open(), self._nodes, qos)
+        deadline = time.monotonic() + NAMING_TIME
+        while sender and time.monotonic() < deadline:
+            for sample in reader.take(MAX_ENDPOINTS):
+                if not sample.sample_info.valid_data or isinstance(sample, ValueError):
+                    continue
+                for node in sample.node_entities_info_seq:
+                    if any(gid.data.tobytes().hex().startswith(sender) for gid in node.writer_gid_seq):
+                        return f"{node.node_namespace.rstrip('/')}/{node.node_name}"
+            time.sleep(0.01)
+        return "a publisher of no known node"
 
     def close(self) -> None:
         if self._participant is None:
@@ -140,30 +147,36 @@ class DdsTransport:
         self._stop.set(True)
         if threading.current_thread() is not self._thread:
             self._thread.join()
-        self._participant.announce(id(self), None)
-        # Cyclone deletes entities without references: the participant when the last connection is closed.
-        del self._wait_set, self._stop
+        _write(self._announcer, self._announcement(self._identifier(self._participant)))
+        _writers_of_node[self.node] -= {writer.guid.hex for writer in self._writers.values()}
+        # Cyclone deletes entities without references.
+        del self._wait_set, self._stop, self._announcer, self._nodes, self._domain
         for entities in (self._readers, self._writers, self._topics):
             entities.clear()
         self._participant = None
 
-    def _require_open(self) -> _Participant:
+    def _require_open(self) -> DomainParticipant:
         if self._participant is None:
             raise RuntimeError(f"the connection of {self.node} is closed")
         return self._participant
 
-    def _topic(self, name: str, kind: Any) -> Topic[Any]:
+    def _on(self, name: str, kind: Any) -> tuple[DomainParticipant, Topic[Any]]:
+        """Returns the participant and a topic, to which a reader or writer is added."""
+        participant, sample_type = self._require_open(), _sample_type(kind)
         if name not in self._topics:
-            topic = Topic(self._require_open().entity, _dds_name(name), _sample_type(kind))
-            self._topics[name] = (kind.ros_type, topic)
-        known, topic = self._topics[name]
-        if known != kind.ros_type:
-            raise ValueError(f"topic {name} has type {known}, and cannot also have type {kind.ros_type}")
-        return topic
+            self._topics[name] = Topic(participant, _dds_name(name), sample_type)
+        if (known := self._topics[name].data_type) is not sample_type:
+            types = known._kind.ros_type, kind.ros_type
+            raise ValueError(f"topic {name} has type {types[0]}, and cannot also have type {types[1]}")
+        return participant, self._topics[name]
 
     def _announce(self) -> None:
-        readers = [reader.reader for reader in self._readers]
-        self._require_open().announce(id(self), self.node, readers, self._writers.values())
+        entities = [reader.reader for reader in self._readers], self._writers.values()
+        node = self._node("/", self.node, *([self._identifier(one) for one in group] for group in entities))
+        _write(self._announcer, self._announcement(self._identifier(self._require_open()), [node]))
+
+    def _identifier(self, entity: Any) -> Any:
+        return self._gid(np.frombuffer(entity.guid.bytes.ljust(self._identifier_size, b"\0"), np.uint8))
 
     def _read(self) -> None:
         stop, wait_set = self._stop, self._wait_set
@@ -183,6 +196,10 @@ class DdsTransport:
                 found += new
             for reader, sample in sorted(found, key=lambda pair: pair[1].sample_info.source_timestamp):
                 reader.deliver(sample)
+
+
+_writers_of_node: defaultdict[str, set[str]] = defaultdict(set)
+"""Identifiers of the publishers of this process, in hexadecimal digits, by the name of their node."""
 
 
 def _dds_name(topic: str) -> str:
@@ -223,79 +240,29 @@ class _Reader:
         return self._identifiers[handle]
 
 
-class _Participant:
-    """A process's DDS participant in a domain. It announces its nodes for ``ros2 node list``, at each change."""
-
-    def __init__(self, number: int, settings: str, distribution: str) -> None:
-        self.pid = os.getpid()
-        self._domain = Domain(number, settings)
-        # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
-        self.entity = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
-        self._nodes: dict[int, Any] = {}
-        self._size = 24 if distribution in LONG_IDENTIFIERS else 16
-        self._gid, self._node, self._message = announcement_messages(distribution)
-        self._list = Topic(self.entity, NODE_LIST, _sample_type(self._message))
-        # Late subscribers receive the last announcement.
-        self._writer = DataWriter(self.entity, self._list, _qos(True, 1, Policy.Durability.TransientLocal))
-
-    def announce(self, owner: int, name: str | None, readers: Iterable[Any] = (), writers: Iterable[Any] = ()) -> None:
-        """Announces the node of a transport with its DDS entities, or the end of the node if ``name`` is ``None``."""
-        if name is None:
-            del self._nodes[owner]
-        else:
-            gids = ([self._identifier(entity) for entity in entities] for entities in (readers, writers))
-            self._nodes[owner] = self._node("/", name, *gids)
-        _write(self._writer, self._message(self._identifier(self.entity), [*self._nodes.values()]))
-
-    def sends(self, name: str, publisher: str) -> bool:
-        """Whether a node of this name in this process has a publisher, of hexadecimal digits."""
-        own = (gid for node in [*self._nodes.values()] if node.node_name == name for gid in node.writer_gid_seq)
-        return any(gid.data.tobytes().hex().startswith(publisher) for gid in own)
-
-    def node_of(self, publisher: str) -> str:
-        """Returns the full name of the node of a publisher, of hexadecimal digits; empty if none announces it."""
-        qos = _qos(True, 1, Policy.Durability.TransientLocal) + Qos(Policy.History.KeepAll)
-        reader: DataReader[Any] = DataReader(self.entity, self._list, qos)
-        deadline = time.monotonic() + NAMING_TIME
-        while publisher and time.monotonic() < deadline:
-            for sample in reader.take(MAX_ENDPOINTS):
-                if not sample.sample_info.valid_data or isinstance(sample, ValueError):
-                    continue
-                for node in sample.node_entities_info_seq:
-                    if any(gid.data.tobytes().hex().startswith(publisher) for gid in node.writer_gid_seq):
-                        return f"{node.node_namespace.rstrip('/')}/{node.node_name}"
-            time.sleep(0.01)
-        return ""
-
-    def _identifier(self, entity: Any) -> Any:
-        return self._gid(np.frombuffer(entity.guid.bytes.ljust(self._size, b"\0"), np.uint8))
-
-
 @cache
 def announcement_messages(distribution: str) -> tuple[Any, Any, Any]:
     """Returns the classes of an identifier, a node and a participant in a ROS distribution, such as ``"jazzy"``."""
     types = get_typestore(Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY)
-    gid, node, participant = (
-        message_class(f"rmw_dds_common/msg/{name}", types)
-        for name in ("Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo")
-    )
+    names = ("Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo")
+    gid, node, participant = (message_class(f"rmw_dds_common/msg/{name}", types) for name in names)
     return gid, node, participant
 
 
-_participants: WeakValueDictionary[int, _Participant] = WeakValueDictionary()
-_participants_lock = threading.Lock()
+_domains: WeakValueDictionary[int, Domain] = WeakValueDictionary()
+_domains_lock = threading.Lock()
 
 
-def _participant(environment: Mapping[str, str]) -> _Participant:
+def _domain(environment: Mapping[str, str]) -> Domain:
     number = domain_id(environment)
-    with _participants_lock:
-        participant = _participants.get(number)
-        if participant is None:
-            participant = _Participant(number, domain_settings(environment), environment.get("ROS_DISTRO", ""))
-            _participants[number] = participant
-        if participant.pid != os.getpid():
+    with _domains_lock:
+        domain: Any = _domains.get(number)
+        if domain is None:
+            domain = _domains[number] = Domain(number, domain_settings(environment))
+            domain.process = os.getpid()
+        if domain.process != os.getpid():
             raise RuntimeError("DDS does not survive a fork: start processes with the method 'spawn' or 'forkserver'")
-        return participant
+        return domain
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
@@ -310,11 +277,11 @@ def domain_settings(environment: Mapping[str, str]) -> str:
     """Returns Cyclone DDS's settings: XML fragments and file URIs, of which later ones take precedence."""
     # Fast DDS peers that offer type objects do not match without it.
     own = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-    own += _discovery_settings(*discovery(environment))
+    own += _discovery_settings(*_discovery(environment))
     return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
 
 
-def discovery(environment: Mapping[str, str]) -> tuple[str, list[str]]:
+def _discovery(environment: Mapping[str, str]) -> tuple[str, list[str]]:
     """Returns the range of the automatic discovery, one of ``DISCOVERY_RANGES``, and addresses of other machines."""
     if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
         return "LOCALHOST", []

@@ -23,22 +23,17 @@ from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.poses import read_finite
 from rover_rl.sims.ros2.sensors import Sensors, read_frame, read_stamp
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import Transport
 from rover_rl.sims.sensor_report import ElevationMap
 from rover_rl.sims.settings import Connection
 
 COLUMN_MAJOR, ROW_MAJOR = ["column_index", "row_index"], ["row_index", "column_index"]
 """Labels of the dimensions of a layer. grid_map itself writes the first ones."""
-KINDS = {7: "f4", 8: "f8"}
-"""Type of a coordinate, by its number in ``sensor_msgs/PointField``."""
-GROUND_TYPES = {kind.ros_type: kind for kind in (ros.GridMap, ros.PointCloud2)}
-"""Messages that the ground is read from, by type."""
-LOWER_PART = 4
-"""The height of a cell of a point cloud is that above which three quarters of its points lie."""
+KINDS = {7: "f4", 8: "f8"}  # type of a coordinate, by its number in sensor_msgs/PointField
+GROUND_TYPES = {kind.ros_type: kind for kind in (ros.GridMap, ros.PointCloud2)}  # that the ground is read from
+LOWER_PART = 4  # the height of a cell of a point cloud is that above which three quarters of its points lie
 ITERATIONS = 4
 """Number of iterations along the vertical in a tilted map. Each leaves an error of tilt times slope of the last one."""
-POLL = 0.02
-"""Time between two looks for the publisher of a topic, s."""
+POLL = 0.02  # time between two looks for the publisher of a topic, s
 
 
 class _Framed(NamedTuple):
@@ -57,31 +52,35 @@ class LivePoints:
     robot.
     """
 
-    def __init__(self, sensors: Sensors, transport: Transport, settings: Ros2Settings, connection: Connection) -> None:
-        self._sensors, self._transport = sensors, transport
+    def __init__(self, sensors: Sensors, settings: Ros2Settings, connection: Connection) -> None:
+        self._sensors, self._connection = sensors, connection
         self._base, self._timeout = settings.frame_id.strip("/"), settings.step_timeout
-        self._elevation_topic, self._points_topic = connection.elevation_topic, connection.points_topic
         self._kinds: dict[str, Any] = {}
 
     def cloud(self, topic: str | None) -> Tensor | None:
-        found = self._latest(topic or self._points_topic, "lidar3d", ros.PointCloud2, self._read_own)
+        found = self._latest(topic or self._connection.points_topic, "lidar3d", ros.PointCloud2, self._read_own)
         return None if found is None else found.value
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
     ) -> Tensor:
-        topic = topic or self._elevation_topic
-        kind = self._kind_of(topic)
-        if kind is ros.GridMap:
+        topic = topic or self._connection.elevation_topic
+        if (kind := self._kind_of(topic)) is ros.GridMap:
             found = self._latest(topic, f"layer {layer}", kind, partial(self._read_map, layer))
         else:
             found = self._latest(topic, "ground", kind, read_points)
         if found is None:
             return torch.full(grid.shape[:2], torch.nan)
-        position, orientation = self._place(found, mount)
+        (value, frame, stamp), pose_frame = found, self._sensors.pose_frame
+        if frame != self._base and (kind is ros.GridMap or (frame and frame == pose_frame)):
+            position, orientation = self._sensors.pose_estimator.frame
+        else:
+            position, orientation = self._sensors.pose_at(stamp)
+            if frame != self._base:
+                position = position + rotate(orientation, torch.tensor(mount))
         if kind is ros.GridMap:
-            return sample(found.value, position, orientation, grid)
-        return lowest_quarter(position + rotate(orientation, found.value), grid, yaw, cell)
+            return sample(value, position, orientation, grid)
+        return lowest_quarter(position + rotate(orientation, value), grid, yaw, cell)
 
     def _latest(self, topic: str, what: str, kind: Any, read: Callable[[Any], Any]) -> _Framed | None:
         latest: _Framed | None = self._sensors.latest_on(
@@ -93,7 +92,7 @@ class LivePoints:
         """Returns the class of the messages on a topic: elevation maps, if no publisher appears in time."""
         if topic not in self._kinds:
             deadline = time.monotonic() + self._timeout
-            while not (types := self._transport.types(topic)) and time.monotonic() < deadline:
+            while not (types := self._sensors.transport.types(topic)) and time.monotonic() < deadline:
                 time.sleep(POLL)
             kinds = [kind for name, kind in GROUND_TYPES.items() if name in types or not types]
             if not kinds:
@@ -113,14 +112,6 @@ class LivePoints:
             raise ValueError(f"the points of a 3D lidar must be in the frame of the lidar, got {frame!r}")
         return read_points(msg)
 
-    def _place(self, found: _Framed, mount: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
-        is_map = isinstance(found.value, ElevationMap)
-        in_base = found.frame == self._base
-        if not in_base and (is_map or (found.frame and found.frame == self._sensors.pose_frame)):
-            return self._sensors.pose_frame_in_world()
-        position, orientation = self._sensors.pose_at(found.stamp)
-        return (position if in_base else position + rotate(orientation, torch.tensor(mount))), orientation
-
 
 def sample(ground: ElevationMap, position: Tensor, orientation: Tensor, grid: Tensor) -> Tensor:
     """Returns the heights of a map at points ``grid [..., 2]`` of the world, ``[...]``, m; NaN where none is known.
@@ -139,27 +130,19 @@ def sample(ground: ElevationMap, position: Tensor, orientation: Tensor, grid: Te
 
 
 def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Tensor:
-    """Returns the height of the ground in the cell around each point of a grid, m, from points of the world ``[P, 3]``.
+    """Returns the height of the ground around each point of a grid, ``[rows, columns]``, m; NaN without a point there.
 
-    It is the first quartile of the heights of the points in the cell: most of those above an overhang or on the side of
-    an obstacle are higher, and a single one below the ground does not count where there are five and more. On a slope,
-    it lies below the middle of the cell by a quarter of the rise from one cell to the next.
-
-    Args:
-        points: points ``[P, 3]``, m.
-        grid: middles of the cells, ``[rows, columns, 2]``, m. Rows follow one another backward, columns to the right.
-        yaw: direction that is ahead, ``[]``, rad.
-        cell: side of a cell, m.
-
-    Returns:
-        Heights ``[rows, columns]``, m; NaN in cells without a point.
+    It is the first quartile of the heights of the points ``[P, 3]`` (m, world frame) in the cell of side ``cell`` (m)
+    around it: most of those above an overhang or on the side of an obstacle are higher, and a single one below the
+    ground does not count where there are five and more. On a slope, it lies below the middle of the cell by a quarter
+    of the rise from one cell to the next. ``grid`` has the middles of the cells, ``[rows, columns, 2]``, m: rows follow
+    one another backward, columns to the right, and ahead is ``yaw`` (rad).
     """
     rows, columns = grid.shape[:2]
     back, right = (grid[0, 0] - points[:, :2]).unbind(-1)
     cosine, sine = yaw.cos(), yaw.sin()
-    row, column = (
-        (distance / cell).round().long() for distance in (cosine * back + sine * right, cosine * right - sine * back)
-    )
+    row = ((cosine * back + sine * right) / cell).round().long()
+    column = ((cosine * right - sine * back) / cell).round().long()
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     heights, order = points[inside, 2].sort()
     cells, by_cell = (row * columns + column)[inside][order].sort(stable=True)
@@ -209,16 +192,11 @@ def _read_layer(array: Any) -> np.ndarray:
 def elevation_map_message(ground: ElevationMap, stamp: Any, frame: str) -> Any:
     """Builds the message of an elevation map with one layer."""
     rows, columns = ground.heights.shape
-    layout = ros.MultiArrayLayout(
-        [
-            ros.MultiArrayDimension("column_index", columns, rows * columns),
-            ros.MultiArrayDimension("row_index", rows, rows),
-        ]
-    )
-    data = ground.heights.float().T.contiguous().flatten().numpy()
+    sizes = [("column_index", columns, rows * columns), ("row_index", rows, rows)]
+    layout = ros.MultiArrayLayout([ros.MultiArrayDimension(*size) for size in sizes])
+    array = ros.Float32MultiArray(layout, ground.heights.float().T.contiguous().flatten().numpy())
     pose = ros.Pose(ros.Point(*ground.center))
     info = ros.GridMapInfo(ground.cell, rows * ground.cell, columns * ground.cell, pose)
-    array = ros.Float32MultiArray(layout, data)
     return ros.GridMap(ros.Header(stamp, frame), info, [ground.layer], [ground.layer], [array])
 
 
@@ -241,8 +219,7 @@ def read_points(msg: Any) -> Tensor:
             f"a point cloud of {columns} x {rows} points of {step} bytes, whose coordinates end at {end}, has "
             f"{len(data)} bytes, in rows of {row_step}"
         )
-    order = ">" if msg.is_bigendian else "<"
-    formats = [order + kind for kind in kinds]
+    formats = [(">" if msg.is_bigendian else "<") + kind for kind in kinds]
     point = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": step})
     cloud = np.ndarray((rows, columns), point, data, strides=(row_step, step)).reshape(-1)
     points = torch.from_numpy(np.stack([cloud[name].astype(np.float32) for name in "xyz"], -1))
@@ -252,15 +229,7 @@ def read_points(msg: Any) -> Tensor:
 def point_cloud_message(points: Tensor, stamp: Any, frame: str) -> Any:
     """Builds the message of an organized cloud ``[rows, columns, 3]``, m, with NaN for no return."""
     rows, columns, _ = points.shape
-    data = points.float().contiguous().numpy().astype("<f4").tobytes()
-    return ros.PointCloud2(
-        ros.Header(stamp, frame),
-        height=rows,
-        width=columns,
-        fields=[ros.PointField(name, 4 * number, 7, 1) for number, name in enumerate("xyz")],
-        is_bigendian=False,
-        point_step=12,
-        row_step=12 * columns,
-        data=np.frombuffer(data, dtype=np.uint8),
-        is_dense=False,
-    )
+    data = np.frombuffer(points.float().contiguous().numpy().astype("<f4").tobytes(), dtype=np.uint8)
+    fields = [ros.PointField(name, 4 * number, 7, 1) for number, name in enumerate("xyz")]
+    layout = {"height": rows, "width": columns, "fields": fields, "point_step": 12, "row_step": 12 * columns}
+    return ros.PointCloud2(ros.Header(stamp, frame), **layout, data=data)

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.sensor_report import ImageKind
@@ -27,8 +26,7 @@ try:
 except ImportError:  # pragma: no cover
     Image = None  # type: ignore[assignment]
 
-MILLIMETERS = 0.001
-"""Unit of depths that are whole numbers, m."""
+MILLIMETERS = 0.001  # unit of depths that are whole numbers, m
 ENCODINGS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", MILLIMETERS), "mono16": ("u2", MILLIMETERS)}
 """Type of a depth, and its unit in m, by the name of the encoding."""
 COLOR_ENCODINGS = {
@@ -39,12 +37,9 @@ COLOR_ENCODINGS = {
     "mono8": (1, [0, 0, 0]),
 }
 """Number of bytes of a pixel, and those of red, green and blue, by the name of the encoding."""
-HEADER = struct.Struct("<iff")
-"""Header of ``compressedDepth``: number of the format, a and b."""
-PNG = b"\x89PNG"
-"""First bytes of a PNG file."""
-QUALITY = 95
-"""Quality of JPEG files, at most 100."""
+HEADER = struct.Struct("<iff")  # of compressedDepth: number of the format, a and b
+PNG = b"\x89PNG"  # first bytes of a PNG file
+QUALITY = 95  # of JPEG files, at most 100
 
 
 class ImageFormat(NamedTuple):
@@ -69,22 +64,27 @@ def image_format(kind: ImageKind, topic: str) -> ImageFormat:
     """
     transport = topic.rpartition("/")[2]
     if transport not in ("compressed", "compressedDepth"):
-        raw = {"depth": (_read_depth, _depth_message), "colors": (_read_colors, _color_message)}
+        raw = {"depth": (_read_depth, _write_depth), "colors": (_read_colors, _write_colors)}
         return ImageFormat(ros.Image, *raw[kind])
     if Image is None:
         raise ImportError('compressed images require the package Pillow: pip install "rover_rl[ros2]"')
     if kind == "depth":
-        write = _header_depth_message if transport == "compressedDepth" else _compressed_depth_message
+        form, header = "16UC1; png compressed", b""
+        if transport == "compressedDepth":
+            form, header = "16UC1; compressedDepth png", HEADER.pack(0, 0.0, 0.0)
+
+        def write(depth: Tensor, stamp: Any, frame: str) -> Any:
+            millimeters = (depth / MILLIMETERS).round().clamp(0, 65535).numpy().astype(np.uint16)
+            return _compressed(form, header + _file(millimeters, "PNG"), stamp, frame)
+
         return ImageFormat(ros.CompressedImage, _read_compressed_depth, write)
     if transport != "compressed":
         raise ValueError(f"topics of colors end in /compressed if they are compressed, got {topic!r}")
-    return ImageFormat(ros.CompressedImage, _read_compressed_colors, _compressed_color_message)
-
-
-def resized(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Returns the nearest pixels of an image ``[..., rows, columns]`` in another size. Pixels are not mixed."""
-    flat = image.reshape(1, -1, *image.shape[-2:])
-    return interpolate(flat, size, mode="nearest-exact").reshape(*image.shape[:-2], *size)
+    return ImageFormat(
+        ros.CompressedImage,
+        _read_compressed_colors,
+        lambda colors, *at: _compressed("rgb8; jpeg compressed bgr8", _file(_pixels(colors), "JPEG"), *at),
+    )
 
 
 def _read_depth(msg: Any) -> Tensor:
@@ -156,16 +156,14 @@ def _opened(data: bytes) -> Any:
         image.load()
     except (OSError, EOFError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError) as error:
         raise ValueError(f"a compressed image must be a whole JPEG or PNG, got {len(data)} bytes") from error
-    if not min(image.size):
-        raise ValueError(f"a compressed image has {image.width} x {image.height} pixels")
     return image
 
 
-def _depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
+def _write_depth(depth: Tensor, stamp: Any, frame: str) -> Any:
     return _raw(depth.float().contiguous().numpy().astype("<f4")[..., None], "32FC1", stamp, frame)
 
 
-def _color_message(colors: Tensor, stamp: Any, frame: str) -> Any:
+def _write_colors(colors: Tensor, stamp: Any, frame: str) -> Any:
     return _raw(_pixels(colors), "rgb8", stamp, frame)
 
 
@@ -176,28 +174,13 @@ def _pixels(colors: Tensor) -> np.ndarray:
 def _raw(pixels: np.ndarray, encoding: str, stamp: Any, frame: str) -> Any:
     rows, columns, _ = pixels.shape
     data, header = np.frombuffer(pixels.tobytes(), dtype=np.uint8), ros.Header(stamp, frame)
-    return ros.Image(
-        header, height=rows, width=columns, encoding=encoding, is_bigendian=0, step=len(data) // rows, data=data
-    )
+    layout = {"height": rows, "width": columns, "encoding": encoding, "is_bigendian": 0, "step": len(data) // rows}
+    return ros.Image(header, **layout, data=data)
 
 
-def _compressed_color_message(colors: Tensor, stamp: Any, frame: str) -> Any:
+def _file(pixels: np.ndarray, kind: str) -> bytes:
     file = BytesIO()
-    Image.fromarray(_pixels(colors)).save(file, "JPEG", quality=QUALITY)
-    return _compressed("rgb8; jpeg compressed bgr8", file.getvalue(), stamp, frame)
-
-
-def _compressed_depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
-    return _compressed("16UC1; png compressed", _depth_png(depth), stamp, frame)
-
-
-def _header_depth_message(depth: Tensor, stamp: Any, frame: str) -> Any:
-    return _compressed("16UC1; compressedDepth png", HEADER.pack(0, 0.0, 0.0) + _depth_png(depth), stamp, frame)
-
-
-def _depth_png(depth: Tensor) -> bytes:
-    millimeters, file = (depth / MILLIMETERS).round().clamp(0, 65535).numpy().astype(np.uint16), BytesIO()
-    Image.fromarray(millimeters).save(file, "PNG")
+    Image.fromarray(pixels).save(file, kind, quality=QUALITY)
     return file.getvalue()
 
 

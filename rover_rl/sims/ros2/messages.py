@@ -118,3 +118,7 @@ def decode(kind: type[Message], data: bytes) -> Any:
         return kind.types.deserialize_cdr(data, kind.ros_type)
     except SerdeError as error:
         raise ValueError(f"{kind.ros_type}: {error}") from error
+
+
+def seconds_of(time: Any) -> float:
+    return float(time.sec + 1e-9 * time.nanosec)

@@ -1,4 +1,4 @@
-"""Pose of a live rover in the world, from pose messages and the IMU.
+"""Pose of a live rover in the world, from pose messages and the IMU, and ways to move it to the start of an episode.
 
 The functions that read messages accept any object with a message's attributes, such as ROS's own classes. They raise
 ``ValueError`` for numbers that are not finite.
@@ -6,22 +6,33 @@ The functions that read messages accept any object with a message's attributes, 
 
 from __future__ import annotations
 
+import logging
 import math
+import shutil
+import subprocess
+import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
-from rover_rl.rotations import quaternion_product, quaternion_to_euler
-from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped, PoseWithCovarianceStamped
-from rover_rl.sims.ros2.pose_reset import TargetPose
-from rover_rl.sims.ros2.settings import PoseSource
+from rover_rl import rotations
+from rover_rl.sims.ros2 import PoseResetError
+from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.settings import PoseReset, PoseSource, Ros2Settings
+from rover_rl.sims.ros2.transport import Transport
 
 IDENTITY_ORIENTATION = torch.tensor([0.0, 0.0, 0.0, 1.0])
-"""Level orientation with yaw 0, as (x, y, z, w)."""
-YAW_TOLERANCE = 0.3
-"""Maximum yaw error of a rover that has reached its target pose, rad."""
+YAW_TOLERANCE = 0.3  # maximum yaw error of a rover that has reached its target pose, rad
+GAZEBO_MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}
+"""Gazebo's commands, of Fortress and Harmonic, with the message package of each."""
+FAILURES = ("ERROR", "Unable", "timed out", "failed")  # in the output of a failed service call, whose exit code is 0
+SUBSCRIBER_TIMEOUT = 5.0  # time to wait for a subscriber of the reset topic, s
+DISCOVERY_TIMEOUT = 1.0  # the same in automatic selection, after the rover's sensors have been received, s
+SERVICE_TIMEOUT_MS = 2000  # timeout of a Gazebo service call, ms
+
+_log = logging.getLogger(__name__)
 
 
 class MeasuredPose(NamedTuple):
@@ -36,7 +47,15 @@ class MeasuredPose(NamedTuple):
 
 
 ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
-"""Pose before the first pose message."""
+
+
+class TargetPose(NamedTuple):
+    """Pose to move the rover to: x, y and height z in the world, m, and yaw, counter-clockwise from the x axis, rad."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float
 
 
 def read_finite(name: str, *numbers: float) -> Tensor:
@@ -63,7 +82,7 @@ def read_pose(pose: Any) -> MeasuredPose:
 
 
 def read_pose_array(msg: Any) -> MeasuredPose:
-    """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid."""
+    """Reads the first pose of a ``geometry_msgs/PoseArray``, whose orientation is not used and may be invalid."""
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
     point = msg.poses[0].position
@@ -75,13 +94,23 @@ def read_pose_array(msg: Any) -> MeasuredPose:
 
 
 POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
-    "pose_array": (PoseArray, read_pose_array),
-    "pose_stamped": (PoseStamped, lambda msg: read_pose(msg.pose)),
-    "odometry": (Odometry, lambda msg: read_pose(msg.pose.pose)),
-    "pose_with_covariance": (PoseWithCovarianceStamped, lambda msg: read_pose(msg.pose.pose)),
-    "wheels": (Odometry, lambda msg: read_pose(msg.pose.pose)),
+    "pose_array": (ros.PoseArray, read_pose_array),
+    "pose_stamped": (ros.PoseStamped, lambda msg: read_pose(msg.pose)),
+    "odometry": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
+    "pose_with_covariance": (ros.PoseWithCovarianceStamped, lambda msg: read_pose(msg.pose.pose)),
+    "wheels": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
 }
 """Type of the pose message of each source, and the function that reads it."""
+
+
+def yaw_of(orientation: Tensor | None) -> float:
+    """Returns the yaw of an orientation ``[4]``, rad; 0 for ``None``."""
+    return 0.0 if orientation is None else rotations.quaternion_to_euler(orientation)[2].item()
+
+
+def heading(yaw: float) -> tuple[float, float, float, float]:
+    """Returns a level orientation as (x, y, z, w)."""
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
 class PoseEstimator:
@@ -90,11 +119,15 @@ class PoseEstimator:
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
     aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
+
+    Attributes:
+        frame: position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses.
     """
 
     def __init__(self, source: PoseSource) -> None:
         self._source = source
-        self._frame = _OdometryFrame()
+        self.frame = torch.zeros(3), IDENTITY_ORIENTATION
+        self._imu_yaw_offset = 0.0
 
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
         """Adds the yaw offset of the IMU to a localizer's pose that has just arrived; returns other poses unchanged."""
@@ -104,16 +137,9 @@ class PoseEstimator:
 
     def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world for a pose from :meth:`align_imu`."""
-        if self._source == "wheels":
-            return self._frame.to_world(pose.position), _rotate_yaw(imu_orientation, self._frame.imu_yaw_offset)
-        offset = pose.imu_yaw_offset
-        return pose.position, _rotate_yaw(imu_orientation, offset) if offset else imu_orientation
-
-    def frame_in_world(self) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses."""
-        if self._source != "wheels":
-            return torch.zeros(3), IDENTITY_ORIENTATION
-        return self._frame.to_world(torch.zeros(3)), _rotate_yaw(IDENTITY_ORIENTATION, self._frame.yaw)
+        (position, orientation), turn = self.frame, torch.tensor(heading(pose.imu_yaw_offset + self._imu_yaw_offset))
+        in_world = position + rotations.rotate(orientation, pose.position)
+        return in_world, rotations.quaternion_product(turn, imu_orientation)
 
     def start_episode(
         self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float
@@ -123,12 +149,15 @@ class PoseEstimator:
         The rover is at ``target``, where the ground is at height ``ground`` (m). If it was not moved, ``target`` is
         ``None``, and the odometry's frame is the world's.
         """
-        odometry_yaw, imu_yaw = yaw_of(pose.orientation), yaw_of(imu_orientation)
-        if target is None:
-            self._frame = _OdometryFrame(imu_yaw_offset=odometry_yaw - imu_yaw)
-        else:
-            world_origin = torch.tensor([target.x, target.y, ground])
-            self._frame = _OdometryFrame(target.yaw - odometry_yaw, pose.position, world_origin, target.yaw - imu_yaw)
+        if self._source != "wheels":
+            return
+        turn = 0.0 if target is None else target.yaw - yaw_of(pose.orientation)
+        orientation, position = torch.tensor(heading(turn)), torch.zeros(3)
+        if target is not None:
+            start = torch.tensor([target.x, target.y, ground])
+            position = start - rotations.rotate(orientation, pose.position)
+        self.frame = position, orientation
+        self._imu_yaw_offset = yaw_of(pose.orientation) + turn - yaw_of(imu_orientation)
 
     def matches_target(self, pose: MeasuredPose, target: TargetPose, tolerance: float) -> bool:
         """Whether a pose is within ``tolerance`` (m) of a target; always true for wheel odometry, which cannot tell."""
@@ -140,27 +169,101 @@ class PoseEstimator:
         return near and abs(math.remainder(yaw_error, 2 * math.pi)) <= YAW_TOLERANCE
 
 
-class _OdometryFrame(NamedTuple):
-    """Frame of the wheel odometry in the world: its yaw, and the origin of the episode in either frame, ``[3]``, m.
+class Placer:
+    """Moves the rover to the start of an episode in the way that the settings select.
 
-    ``imu_yaw_offset`` is the yaw of the IMU's frame in the world, rad.
+    With ``reset="auto"``, the first reset selects the way: the reset topic if a node subscribes to it, Gazebo's command
+    if it is installed, none. ``world`` is the name of the world in Gazebo.
+
+    Raises:
+        FileNotFoundError: if Gazebo's command is selected and not installed.
     """
 
-    yaw: float = 0.0
-    origin: Tensor = torch.zeros(3)
-    world_origin: Tensor = torch.zeros(3)
-    imu_yaw_offset: float = 0.0
+    def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
+        self._model, self._topic, self._way = settings.model, settings.reset_topic, settings.reset
+        self._world, self._transport = world, transport
+        if self._way in GAZEBO_MESSAGES and not shutil.which(self._way):
+            others = [choice for choice in get_args(PoseReset) if choice != self._way]
+            raise FileNotFoundError(
+                f"reset={self._way!r} needs Gazebo's command {self._way!r}, which is not on the PATH; install it, or "
+                f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
+            )
+        if self._way in ("auto", "topic"):
+            self._publish = transport.publisher(self._topic, ros.PoseStamped, reliable=True)
 
-    def to_world(self, position: Tensor) -> Tensor:
-        dx, dy, dz = (position - self.origin).tolist()
-        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        return self.world_origin + torch.tensor([cosine * dx - sine * dy, sine * dx + cosine * dy, dz])
+    @property
+    def moves(self) -> bool:
+        """Whether the rover is moved at all; false before an automatic selection."""
+        return self._way not in ("auto", "none")
+
+    def place(self, target: TargetPose) -> None:
+        """Requests the move, whose completion the pose shows. Raises ``PoseResetError`` if the request fails."""
+        if self._way == "auto":
+            self._way = self._select()
+        if self._way in GAZEBO_MESSAGES:
+            place_in_gazebo(self._way, self._world, self._model, target)
+        elif self._way == "topic":
+            if not self._has_subscriber(SUBSCRIBER_TIMEOUT):
+                raise PoseResetError(f"no node subscribes to {self._topic}, so the rover cannot be moved to the start")
+            pose = ros.Pose(ros.Point(target.x, target.y, target.z), ros.Quaternion(*heading(target.yaw)))
+            self._publish(ros.PoseStamped(ros.Header(frame_id="world"), pose))
+        elif self._way == "manual":
+            _ask_for(target)
+
+    def _select(self) -> PoseReset:
+        if self._has_subscriber(DISCOVERY_TIMEOUT):
+            return "topic"
+        if shutil.which("ign"):
+            return "ign"
+        if shutil.which("gz"):
+            return "gz"
+        _log.warning(
+            "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
+            "choose another way to move it with Ros2Settings(reset=...)",
+            self._topic,
+        )
+        return "none"
+
+    def _has_subscriber(self, timeout: float) -> bool:
+        deadline = time.monotonic() + timeout
+        while not (found := self._transport.subscribers(self._topic)) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return bool(found)
 
 
-def yaw_of(orientation: Tensor | None) -> float:
-    """Returns the yaw of an orientation ``[4]``, rad; 0 for ``None``."""
-    return 0.0 if orientation is None else quaternion_to_euler(orientation)[2].item()
+def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) -> None:
+    """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through the command ``"ign"`` or ``"gz"``.
+
+    The exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure.
+
+    Raises:
+        PoseResetError: if the pose is not finite, or the call fails.
+    """
+    if not all(map(math.isfinite, target)):
+        raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
+    _, _, z, w = heading(target.yaw)
+    request = (
+        f'name: "{model}", position: {{x: {target.x!r}, y: {target.y!r}, z: {target.z!r}}}, '
+        f"orientation: {{x: 0.0, y: 0.0, z: {z!r}, w: {w!r}}}"
+    )
+    package = GAZEBO_MESSAGES[command]
+    arguments = [command, "service", "-s", f"/world/{world}/set_pose"]
+    arguments += ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
+    arguments += ["--timeout", str(SERVICE_TIMEOUT_MS), "--req", request]
+    limit = 2 * SERVICE_TIMEOUT_MS / 1000
+    try:
+        answer = subprocess.run(arguments, capture_output=True, text=True, errors="replace", timeout=limit, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise PoseResetError(f"{command} did not finish within {error.timeout:g} s") from error
+    printed = answer.stdout + "\n" + answer.stderr
+    if "data: true" not in map(str.strip, answer.stdout.splitlines()) or any(word in printed for word in FAILURES):
+        output = printed.strip() or "nothing"
+        raise PoseResetError(f"{' '.join(arguments[:4])} did not move {model!r}; its output: {output}")
 
 
-def _rotate_yaw(orientation: Tensor, yaw: float) -> Tensor:
-    return quaternion_product(torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]), orientation)
+def _ask_for(target: TargetPose) -> None:
+    where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
+    try:
+        input(f"Put the rover at {where}, and press Enter: ")
+    except EOFError as error:
+        raise PoseResetError(f"nobody answers the prompt to put the rover at {where}: no standard input") from error

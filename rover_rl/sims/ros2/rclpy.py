@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,12 +27,11 @@ except ImportError as error:
         name="rclpy",
     ) from error
 
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, ActiveSenders, Publisher
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher
 
-MAX_LOST = 100
-"""Largest number of messages of a publisher that may be lost one after the other."""
-REMEMBERED = 64
-"""Number of messages of this process that are remembered, to tell them from those of others."""
+MAX_LOST = 100  # messages of a publisher that may be lost one after the other
+UNNAMED = "_NODE_NAME_UNKNOWN_"  # name of a node that has not been announced yet
+REMEMBERED = 64  # messages of this process that are remembered, to tell them from those of others
 
 _sent: defaultdict[tuple[str, str], deque[tuple[int, Any]]] = defaultdict(lambda: deque(maxlen=REMEMBERED))
 """Latest messages of this process with their sequence numbers, by node and topic."""
@@ -46,7 +46,7 @@ class RclpyTransport:
     def __init__(self, node: str) -> None:
         self._context = Context()
         rclpy.init(context=self._context)
-        self._node = rclpy.create_node(node, context=self._context)
+        self._name, self._node = node, rclpy.create_node(node, context=self._context)
         self._publishers: dict[str, Any] = {}
         self._subscriptions: Counter[str] = Counter()
         self._streams: defaultdict[str, _Streams] = defaultdict(_Streams)
@@ -60,34 +60,33 @@ class RclpyTransport:
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         streams = self._streams[topic]
 
-        def take(message: Any, info: Any) -> None:
+        def take(message: Any, number: int | None) -> None:
             if receive(message) is not False:
-                streams.heard(info["publication_sequence_number"])
+                streams.heard(number)
 
-        self._subscribe(topic, kind, take, _qos_profile(reliable))
+        self._subscribe(topic, kind, take, reliable)
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
         # rclpy does not tell the publisher of a message, but its sequence number.
-        sent = _sent[self._node.get_name(), topic]
+        sent = _sent[self._name, topic]
 
-        def take(message: Any, info: Any) -> None:
-            number = info["publication_sequence_number"]
+        def take(message: Any, number: int | None) -> None:
             if not any(number in (None, own) and message == content for own, content in [*sent]):
                 receive(message, "")
 
-        self._subscribe(topic, kind, take, _qos_profile(False))
+        self._subscribe(topic, kind, take, False)
 
-    def _subscribe(self, topic: str, kind: Any, take: Callable[[Any, Any], object], qos: QoSProfile) -> None:
+    def _subscribe(self, topic: str, kind: Any, take: Callable[[Any, Any], object], reliable: bool) -> None:
         def collect(message: Any, info: Any) -> None:
-            self._arrived.append((info["source_timestamp"], take, message, info))
+            self._arrived.append((info["source_timestamp"], take, message, info["publication_sequence_number"]))
 
         self._subscriptions[topic] += 1
-        self._node.create_subscription(_ros_class(kind), topic, collect, qos)
+        self._node.create_subscription(_ros_class(kind), topic, collect, _qos_profile(reliable))
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
         publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable))
         self._publishers[topic] = publisher
-        sent, numbers = _sent[self._node.get_name(), topic], count(1)
+        sent, numbers = _sent[self._name, topic], count(1)
 
         def publish(message: Any) -> None:
             converted = _to_ros(message)
@@ -109,10 +108,14 @@ class RclpyTransport:
 
     def name_of(self, sender: str, topic: str) -> str:
         """Returns the names of all other nodes that publish on ``topic``, of which one has sent the message."""
-        own = Counter([self._node.get_name(), f"{self._node.get_name()}_watchdog"])
-        others = [info for info in self._node.get_publishers_info_by_topic(topic) if not _counted(own, info.node_name)]
-        names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in others})
-        return " or ".join(names) or "a publisher of no known node"
+        own, deadline = {self._name, f"{self._name}_watchdog"}, time.monotonic() + NAMING_TIME
+        others: list[str] = []
+        while not others and time.monotonic() < deadline:
+            time.sleep(0.01)
+            infos = self._node.get_publishers_info_by_topic(topic)
+            names = Counter((f"{info.node_namespace.rstrip('/')}/{info.node_name}", info.node_name) for info in infos)
+            others = sorted(full for (full, name), n in names.items() if n > (name in own) and name != UNNAMED)
+        return " or ".join(others) or "a publisher of no known node"
 
     def close(self) -> None:
         if self._closed:
@@ -134,8 +137,8 @@ class RclpyTransport:
                     found = len(self._arrived)
                     self._executor.spin_once(timeout_sec=0)
                 arrived, self._arrived = sorted(self._arrived, key=itemgetter(0)), []
-                for _, take, message, info in arrived:
-                    take(message, info)
+                for _, take, message, number in arrived:
+                    take(message, number)
 
 
 class _Streams(ActiveSenders):
@@ -147,12 +150,6 @@ class _Streams(ActiveSenders):
         if before:
             self._last_heard.pop(max(before))
         super().heard(key)
-
-
-def _counted(names: Counter[str], name: str) -> bool:
-    """Whether a name is still counted, which is no more after the call."""
-    names[name] -= 1
-    return names[name] >= 0
 
 
 def _qos_profile(reliable: bool) -> QoSProfile:

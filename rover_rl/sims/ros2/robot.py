@@ -18,23 +18,18 @@ from torch import Tensor
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.ground import elevation_map_message, point_cloud_message
 from rover_rl.sims.ros2.images import image_format
-from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
+from rover_rl.sims.ros2.poses import heading, read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.sensor_report import SensorReport, SimulatedRover
 from rover_rl.sims.settings import Connection
 
-FRAME = "world"
-"""Frame of the poses."""
-TYPES_PERIOD = 1.0
-"""Time between two looks at the types of the messages that others send, s."""
-COMMAND_LIFETIME = 0.5
-"""Simulation time without a command after which the rover stops, as real rovers do, s."""
-RANGE_MIN = 0.15
-"""Minimum range of the original's lidar, m."""
-NOT_MEASURED = -1.0
-"""First entry of a covariance that marks a quantity as not measured (``sensor_msgs/Imu``)."""
+FRAME = "world"  # frame of the poses
+TYPES_PERIOD = 1.0  # time between two looks at the types of the messages that others send, s
+COMMAND_LIFETIME = 0.5  # simulation time without a command after which the rover stops, as real rovers do, s
+RANGE_MIN = 0.15  # minimum range of the original's lidar, m
+NOT_MEASURED = -1.0  # first entry of a covariance that marks a quantity as not measured (sensor_msgs/Imu)
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +38,6 @@ class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
 
     Args:
-        rover, transport: the rover, and what it is connected to.
         lidar_range: maximum range of the lidar, m.
         settings, connection: topics, and the direction of the lidar.
         start: initial pose: x, y (m) and yaw (rad).
@@ -60,40 +54,23 @@ class RobotNode:
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
     ) -> None:
-        self._rover = rover
-        self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
+        self._rover, self._transport, self._settings, self._connection = rover, transport, settings, connection
+        self._lidar_range, self._view = lidar_range, view
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
         self._command, self._command_age = (0.0, 0.0), 0.0
         self._reset_pose: tuple[float, float, float] | None = None
         self._yaw = start[2]
-        # Pose relative to the start by wheel odometry, the integral of the wheels' velocities.
-        self._odometry = (0.0, 0.0, 0.0)
-        # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
-        self._publish = {
-            kind: transport.publisher(topic, kind, reliable=True)
-            for topic, kind in (
-                (connection.scan_topic, ros.LaserScan),
-                (connection.imu_topic, ros.Imu),
-                (settings.odometry_topic, ros.Odometry),
-                (settings.pose_topic, ros.PoseArray),
-                ("/clock", ros.Clock),
-            )
-        }
-        self._transport, self._connection = transport, connection
-        self._publish_on: dict[str, Callable[[Any], None]] = {}
-        self._reset_topic = settings.reset_topic
+        self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
+        self._publishers: dict[str, Callable[[Any], None]] = {}
         self._types_checked = -math.inf
         self._log = ThrottledLogger(_log)
         rover.reset(start)
-        self._receives = {
-            connection.cmd_vel_topic: ros.TwistStamped if settings.command == "twist_stamped" else ros.Twist,
-            settings.reset_topic: ros.PoseStamped,
-        }
-        command, reset = self._receives.items()
-        transport.subscribe(*command, self._receive_command)
+        command = ros.TwistStamped if settings.command == "twist_stamped" else ros.Twist
+        self._receives = {connection.cmd_vel_topic: command, settings.reset_topic: ros.PoseStamped}
+        transport.subscribe(connection.cmd_vel_topic, command, self._receive_command)
         # Reliable, as a reset pose is sent only once.
-        transport.subscribe(*reset, self._receive_reset_pose, reliable=True)
+        transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
 
     def run(self, rate: float, stop: threading.Event) -> None:
         """Steps the simulator until ``stop`` is set, at ``rate`` times real time."""
@@ -122,11 +99,8 @@ class RobotNode:
         speed, *others, yaw_rate = numbers = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
         read_finite("command", *numbers)
         if any(others):
-            self._log.warning(
-                "others",
-                "%s: only linear.x and angular.z move the robot, and the rest of a command is ignored",
-                self._connection.cmd_vel_topic,
-            )
+            text = "%s: only linear.x and angular.z move the robot, and the rest of a command is ignored"
+            self._log.warning("others", text, self._connection.cmd_vel_topic)
         with self._lock:
             self._command, self._command_age = (speed, yaw_rate), 0.0
 
@@ -153,8 +127,8 @@ class RobotNode:
             self._command = (0.0, 0.0)  # a reset discards earlier commands
 
     def _refuse(self, error: ValueError) -> None:
-        reason = str(error)
-        self._log.warning(reason, "%s: ignored a pose, and the rover stays where it is: %s", self._reset_topic, reason)
+        text = "%s: ignored a pose, and the rover stays where it is: %s"
+        self._log.warning(str(error), text, self._settings.reset_topic, error)
 
     def _check_types(self) -> None:
         if time.monotonic() < self._types_checked + TYPES_PERIOD:
@@ -163,37 +137,34 @@ class RobotNode:
         for topic, kind in self._receives.items():
             if others := other_types(self._transport, topic, kind):
                 hint = "; with --command twist_stamped, it receives TwistStamped" if kind is ros.Twist else ""
-                own = kind.ros_type.replace("/msg/", "/")
-                self._log.warning(topic, "%s: ignored %s: the robot receives %s%s", topic, others, own, hint)
+                text = "%s: ignored %s: the robot receives %s%s"
+                self._log.warning(topic, text, topic, others, short(kind.ros_type), hint)
 
     def _publish_report(self, report: SensorReport) -> None:
-        # The scan comes last, as subscribers wait for it.
-        state, scan_time = report.state, ros.Time.from_seconds(report.scan_stamp)
-        stamp = ros.Time.from_seconds(state.stamp.item())
+        state, settings, connection = report.state, self._settings, self._connection
+        stamp, scan_time = (ros.Time.from_seconds(time) for time in (state.stamp.item(), report.scan_stamp))
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
-        connection = self._connection
         for kind, images in report.images.items():
             for topic, image in images.items():
                 topic = topic or connection.image_topics[kind]
-                self._send(topic, image_format(kind, topic).write(image, scan_time, "camera_link"))
+                self._publish(topic, image_format(kind, topic).write(image, scan_time, "camera_link"))
         for topic, points in report.points.items():
-            self._send(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
+            self._publish(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
         for topic, ground in report.ground.items():
-            self._send(topic or connection.elevation_topic, elevation_map_message(ground, stamp, FRAME))
-        for message in (
-            ros.Clock(ros.Time.from_seconds(report.time)),
-            ros.PoseArray(ros.Header(stamp, FRAME), [pose]),
-            self._imu(state, stamp, orientation),
-            self._wheel_odometry(state, stamp),
-            *([] if report.ranges is None else [self._scan(report.ranges, scan_time)]),
-        ):
-            self._publish[type(message)](message)
+            self._publish(topic or connection.elevation_topic, elevation_map_message(ground, stamp, FRAME))
+        self._publish("/clock", ros.Clock(ros.Time.from_seconds(report.time)))
+        self._publish(settings.pose_topic, ros.PoseArray(ros.Header(stamp, FRAME), [pose]))
+        self._publish(connection.imu_topic, self._imu(state, stamp, orientation))
+        self._publish(settings.odometry_topic, self._wheel_odometry(state, stamp))
+        if report.ranges is not None:  # last, as subscribers wait for it
+            self._publish(connection.scan_topic, self._scan(report.ranges, scan_time))
 
-    def _send(self, topic: str, message: Any) -> None:
-        if topic not in self._publish_on:
-            self._publish_on[topic] = self._transport.publisher(topic, type(message), reliable=True)
-        self._publish_on[topic](message)
+    def _publish(self, topic: str, message: Any) -> None:
+        if topic not in self._publishers:
+            # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
+            self._publishers[topic] = self._transport.publisher(topic, type(message), reliable=True)
+        self._publishers[topic](message)
 
     def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
         speed, yaw_rate, dt = state.linear_velocity.item(), state.angular_velocity.item(), state.dt.item()
@@ -201,8 +172,7 @@ class RobotNode:
         middle = yaw + yaw_rate * dt / 2
         x, y, yaw = x + speed * dt * math.cos(middle), y + speed * dt * math.sin(middle), yaw + yaw_rate * dt
         self._odometry = (x, y, yaw)
-        heading = ros.Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), heading))
+        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), ros.Quaternion(*heading(yaw))))
         twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
         return ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist)
 
@@ -227,7 +197,7 @@ class RobotNode:
         readings = ranges.roll(-first)[:count].numpy().astype(np.float32)
         readings[readings > self._lidar_range] = np.inf
         readings[readings < RANGE_MIN] = -np.inf
-        angle_min = first * increment - self._lidar_yaw
+        angle_min = first * increment - self._settings.lidar_yaw
         return ros.LaserScan(
             ros.Header(stamp, "lidar_link"),
             angle_min=angle_min,

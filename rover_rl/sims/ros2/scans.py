@@ -10,13 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims.ros2.messages import seconds_of
 from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.rover_state import beam_angles
 
 SECTOR = math.radians(45)
 """Half-angle of the sector around the direction of travel in which every beam must be seen, rad.
 
 A rover with a footprint radius of 0.35 m and a stopping distance of 0.35 m sweeps no area outside of this sector that
 it has not already seen from farther away."""
+TURN = 2 * math.pi
 
 
 class Scan(NamedTuple):
@@ -35,7 +38,7 @@ class Scan(NamedTuple):
     @property
     def field_of_view(self) -> float:
         """Angle that the scan covers, at most a full turn, rad."""
-        return min(2 * math.pi, len(self.ranges) * self.angle_increment)
+        return min(TURN, len(self.ranges) * self.angle_increment)
 
     def mounted(self, yaw: float, inverted: bool = False) -> Scan:
         """Returns the scan counter-clockwise from straight ahead of a robot on which the lidar is mounted.
@@ -92,33 +95,25 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     if increment < 0:
         ranges, valid = ranges.flip(0), valid.flip(0)
         angle_min, increment = angle_min + increment * (len(ranges) - 1), -increment
-    return Scan(ranges, valid, angle_min, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
+    return Scan(ranges, valid, angle_min, increment, seconds_of(msg.header.stamp))
 
 
-class ScanAlignment:
-    """Converts scans to the environment's layout: a full turn of beams, counter-clockwise from straight ahead.
+def aligned(scan: Scan, beams: int) -> AlignedScan:
+    """Converts a mounted scan to a full turn of beams, counter-clockwise from straight ahead.
 
     Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
     without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
-    increment away. Otherwise the beam is unseen, never free. ``yaw`` and ``inverted`` are the mount of the lidar: see
-    :meth:`Scan.mounted`.
+    increment away. Otherwise the beam is unseen, never free.
     """
-
-    def __init__(self, beams: int, yaw: float, inverted: bool = False) -> None:
-        self._beams, self._mount = beams, (yaw, inverted)
-
-    def __call__(self, scan: Scan) -> AlignedScan:
-        scan = scan.mounted(*self._mount)
-        layout = self._beams, len(scan.ranges), scan.angle_min, scan.angle_increment
-        beam_of_reading, nearest = _beams_and_readings(*layout)
-        ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
-        closest = torch.full((self._beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
-        covered = torch.zeros(self._beams, dtype=torch.bool)
-        covered[beam_of_reading[scan.valid]] = True
-        # The padded entry stands for beams without a reading nearby.
-        near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
-        near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
-        return AlignedScan(torch.where(covered, closest, near), covered | near_is_valid)
+    beam_of_reading, nearest = _beams_and_readings(beams, len(scan.ranges), scan.angle_min, scan.angle_increment)
+    ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
+    closest = torch.full((beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
+    covered = torch.zeros(beams, dtype=torch.bool)
+    covered[beam_of_reading[scan.valid]] = True
+    # The padded entry stands for beams without a reading nearby.
+    near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
+    near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
+    return AlignedScan(torch.where(covered, closest, near), covered | near_is_valid)
 
 
 @lru_cache(maxsize=1)  # the layout of a lidar's scans seldom changes
@@ -127,11 +122,10 @@ def _beams_and_readings(beam_count: int, count: int, first: float, increment: fl
 
     The first reading is in direction ``first`` (rad). Where none is near enough, the nearest reading is ``count``.
     """
-    turn = 2 * math.pi
     angles = first + increment * torch.arange(count, dtype=torch.float64)
-    beams = turn / beam_count * torch.arange(beam_count, dtype=torch.float64)
-    beam_of_reading = (angles * beam_count / turn).round().long() % beam_count
-    distances = turn / 2 - (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs()
+    beams = TURN / beam_count * torch.arange(beam_count, dtype=torch.float64)
+    beam_of_reading = (angles * beam_count / TURN).round().long() % beam_count
+    distances = TURN / 2 - (TURN / 2 - (beams[:, None] - angles).remainder(TURN)).abs()
     distance, nearest = distances.min(-1)
     return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
 
@@ -151,7 +145,7 @@ def cut(scan: Scan, points: int) -> Tensor | None:
 
 @lru_cache(maxsize=1)
 def _segment_of_reading(points: int, count: int, first: float, increment: float) -> Tensor | None:
-    turn = max(1, round(2 * math.pi / increment))
+    turn = max(1, round(TURN / increment))
     if turn < points:
         return None
     # The first reading at or after straight ahead begins the first segment. A quarter of an increment allows for a
@@ -161,17 +155,10 @@ def _segment_of_reading(points: int, count: int, first: float, increment: float)
     return torch.arange(points).repeat_interleave(sizes)[place]
 
 
-class UnseenGuard:
-    """Blocks forward speeds towards unseen directions. Turning on the spot stays allowed, to look around.
+def is_blocked(speed: float, seen: Tensor) -> bool:
+    """Whether a forward speed (m/s), backward if negative, leads towards a beam that is not ``seen [beams]``.
 
-    The beams have the directions ``angles [beams]``, counter-clockwise from straight ahead, rad.
+    Turning on the spot stays allowed, to look around.
     """
-
-    def __init__(self, angles: Tensor) -> None:
-        self._ahead = angles.cos() >= math.cos(SECTOR) - 1e-6
-        self._behind = angles.cos() <= -math.cos(SECTOR) + 1e-6
-
-    def blocks(self, speed: float, seen: Tensor) -> bool:
-        """Whether a forward speed (m/s), backward if negative, leads towards a beam that is not ``seen [beams]``."""
-        sector = self._ahead if speed > 0 else self._behind
-        return speed != 0.0 and bool((sector & ~seen).any())
+    along = math.copysign(1.0, speed) * beam_angles(len(seen)).float().cos()
+    return speed != 0.0 and bool((~seen & (along >= math.cos(SECTOR) - 1e-6)).any())

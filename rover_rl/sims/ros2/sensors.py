@@ -12,36 +12,24 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from rover_rl.sims.base import MAX_AGE
+from rover_rl.sims.ros2 import poses
 from rover_rl.sims.ros2.images import image_format
-from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
-from rover_rl.sims.ros2.poses import (
-    IDENTITY_ORIENTATION,
-    ORIGIN_POSE,
-    POSE_MESSAGES,
-    MeasuredPose,
-    PoseEstimator,
-    read_finite,
-    read_orientation,
-)
+from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, seconds_of
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.sensor_report import ImageKind
 from rover_rl.sims.settings import Connection
 
-RATE_WINDOW = 20
-"""Number of scan periods in a measurement of the scan rate."""
-POSES = 64
-"""Number of poses that are kept, in which the one of the time of a scan is looked up."""
-COMPANY_TIME = 0.03
-"""Longest time to wait for messages that were measured with a scan, and arrive after it, s."""
+RATE_WINDOW = 20  # number of scan periods in a measurement of the scan rate
+POSES = 64  # number of poses that are kept, in which the one of the time of a scan is looked up
+COMPANY_TIME = 0.03  # longest time to wait for messages that were measured with a scan, and arrive after it, s
 SUPPORTED_RATES = (0.75, 1.5)
 """Scan rates that policies support, in control rates of their training: 15 to 30 Hz for 20 Hz."""
-
-STAMP_TOLERANCE = 0.005
-"""Difference of stamps that count as the same, s."""
+STAMP_TOLERANCE = 0.005  # difference of stamps that count as the same, s
 
 _log = logging.getLogger(__name__)
 
@@ -95,6 +83,14 @@ class LatestMessages:
             return self.latest(kind) if self._changed.wait_for(lambda: self.count(kind) > after, timeout) else None
 
 
+class Source(NamedTuple):
+    """A topic, the class of its messages, and the functions that read values from them, by the kinds of the values."""
+
+    topic: str
+    message: Any
+    readers: dict[str, Callable[[Any], Any]]
+
+
 class Sensors:
     """Subscribes to scan, IMU, odometry and pose, and stores the latest valid values.
 
@@ -102,45 +98,38 @@ class Sensors:
     remains. ``pose_estimator`` aligns poses with the IMU.
 
     Attributes:
-        topics: topic of each kind of message: ``"scan"``, ``"imu"``, ``"odometry"``, and ``"pose"`` unless the pose
-            comes from wheel odometry.
+        sources: where each kind of message is from: ``"scan"``, ``"imu"``, ``"odometry"``, ``"pose"`` unless the pose
+            comes from wheel odometry, and what is subscribed to later.
         messages: latest valid value of each kind.
         rejected_scans: number of scans that were ignored.
         pose_frame: name of the frame that poses are in; empty if it is not known.
     """
 
     def __init__(
-        self, transport: Transport, settings: Ros2Settings, connection: Connection, pose_estimator: PoseEstimator
+        self, transport: Transport, settings: Ros2Settings, connection: Connection, pose_estimator: poses.PoseEstimator
     ) -> None:
-        self.messages = LatestMessages()
-        self.rejected_scans = 0
-        self.pose_frame = ""
+        self.transport, self.pose_estimator, self._connection = transport, pose_estimator, connection
+        self.messages, self.rejected_scans, self.pose_frame = LatestMessages(), 0, ""
         self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
-        self._pose_estimator = pose_estimator
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         # Stamp, position and orientation. Written by the transport's thread.
         self._poses: deque[tuple[float, Tensor, Tensor]] = deque(maxlen=POSES)
+        self._stamps: dict[str, tuple[float, float]] = {}  # of the last two messages of each kind, s
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
-        # Topic and type of each kind of message, and the functions that read values, by the kinds of these values. The
-        # scan is last, as a rover publishes it last: when it wakes a step, the other messages have arrived.
-        pose_type, read_pose = POSE_MESSAGES[settings.pose]
-        sources: dict[str, tuple[str, Any, dict[str, Callable[[Any], Any]]]] = {
-            "imu": (connection.imu_topic, Imu, {"imu": lambda msg: read_orientation(msg.orientation)}),
-            "odometry": (settings.odometry_topic, Odometry, {"odometry": read_twist}),
-            "pose": (settings.pose_topic, pose_type, {"pose": read_pose}),
-            "scan": (connection.scan_topic, LaserScan, {"scan": partial(read_scan, max_invalid=settings.max_invalid)}),
+        pose_type, read_pose = poses.POSE_MESSAGES[settings.pose]
+        read_ranges = partial(read_scan, max_invalid=settings.max_invalid)
+        # The scan is last, as a rover publishes it last: when it wakes a step, the other messages have arrived.
+        self.sources = {
+            "imu": Source(connection.imu_topic, Imu, {"imu": lambda msg: poses.read_orientation(msg.orientation)}),
+            "odometry": Source(settings.odometry_topic, Odometry, {"odometry": read_twist}),
+            "pose": Source(settings.pose_topic, pose_type, {"pose": read_pose}),
+            "scan": Source(connection.scan_topic, LaserScan, {"scan": read_ranges}),
         }
         if settings.pose == "wheels":
-            sources["odometry"][2].update(sources.pop("pose")[2])
-        self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
-        self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
-        self._messages = {kind: message for kind, (_, message, _) in sources.items()}
-        # Stamps of the last two messages of each kind, s.
-        self._stamps: dict[str, tuple[float, float]] = {}
-        for kind, (topic, message, _) in sources.items():
-            transport.subscribe(topic, message, partial(self.receive, kind))
-        self._transport, self._connection = transport, connection
+            self.sources["odometry"].readers.update(self.sources.pop("pose").readers)
+        for kind, source in self.sources.items():
+            transport.subscribe(source.topic, source.message, partial(self.receive, kind))
 
     @property
     def has_recent_scan(self) -> bool:
@@ -149,25 +138,37 @@ class Sensors:
         return scan is not None and scan.age < self._step_timeout
 
     @property
-    def pose(self) -> MeasuredPose:
+    def pose(self) -> poses.MeasuredPose:
         """Latest pose; the origin before the first one."""
-        return self.messages.value("pose", ORIGIN_POSE)
+        return self.messages.value("pose", poses.ORIGIN_POSE)
 
     @property
     def imu_orientation(self) -> Tensor:
         """Latest orientation of the IMU, ``[4]``; the identity before the first one."""
-        return self.messages.value("imu", IDENTITY_ORIENTATION)
+        return self.messages.value("imu", poses.IDENTITY_ORIENTATION)
 
     @property
     def wheel_velocity(self) -> Tensor:
         """Latest forward speed (m/s) and yaw rate (rad/s) by wheel odometry, ``[2]``; zeros before the first one."""
         return self.messages.value("odometry", torch.zeros(2))
 
-    def image(self, of: ImageKind, topic: str | None) -> Tensor | None:
-        """Returns the latest image on a topic, or on that of the connection; ``None`` before the first one."""
+    @property
+    def world_pose(self) -> tuple[Tensor, Tensor]:
+        """Position ``[3]`` and orientation ``[4]`` in the world by the latest pose and IMU orientation."""
+        return self.pose_estimator.estimate(self.pose, self.imu_orientation)
+
+    def image(self, of: ImageKind, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Returns the nearest pixels of the latest image on a topic, or on that of the connection, in another size.
+
+        Zeros before the first image.
+        """
         topic = topic or self._connection.image_topics[of]
         message, read, _ = image_format(of, topic)
-        return self.latest_on(topic, of, message, read)
+        image = self.latest_on(topic, of, message, read)
+        if image is None:
+            return torch.zeros(size if of == "depth" else (3, *size))
+        flat = image.reshape(1, -1, *image.shape[-2:])
+        return interpolate(flat, size, mode="nearest-exact").reshape(*image.shape[:-2], *size)
 
     def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
         """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
@@ -175,28 +176,27 @@ class Sensors:
         The first call subscribes to the topic. ``what`` tells apart what is read from the same topic.
         """
         kind = f"{what} {topic}"
-        if kind not in self.topics:
-            self._readers[kind], self.topics[kind], self._messages[kind] = {kind: read}, topic, message
-            self._transport.subscribe(topic, message, partial(self.receive, kind))
-        latest = self.messages.latest(kind)
-        return None if latest is None else latest.value
+        if kind not in self.sources:
+            self.sources[kind] = Source(topic, message, {kind: read})
+            self.transport.subscribe(topic, message, partial(self.receive, kind))
+        return self.messages.value(kind, None)
 
     def receive(self, kind: str, msg: Any) -> bool:
         """Reads a message; ignores a malformed one with a warning. Returns whether it is usable."""
-        if kind not in self._readers:
-            raise ValueError(f"kind must be one of {sorted(self._readers)}, got {kind!r}")
+        if kind not in self.sources:
+            raise ValueError(f"kind must be one of {sorted(self.sources)}, got {kind!r}")
         try:
-            values = {name: read(msg) for name, read in self._readers[kind].items()}
+            values = {name: read(msg) for name, read in self.sources[kind].readers.items()}
         except (ValueError, TypeError, AttributeError, OverflowError) as error:
             self._rejections[kind] = str(error)
             self.rejected_scans += kind == "scan"
-            self._throttled_log.warning(kind, "%s: ignored a message: %s", self.topics[kind], error)
+            self._throttled_log.warning(kind, "%s: ignored a message: %s", self.sources[kind].topic, error)
             return False
         self._rejections.pop(kind, None)
         if "scan" in values:
             self._check_scan_rate(values["scan"].stamp)
         if "pose" in values:
-            values["pose"] = self._pose_estimator.align_imu(values["pose"], self.imu_orientation)
+            values["pose"] = self.pose_estimator.align_imu(values["pose"], self.imu_orientation)
             self.pose_frame = read_frame(msg)
         stamp, scan = read_stamp(msg), self.messages.latest("scan")
         for name, value in values.items():
@@ -205,7 +205,7 @@ class Sensors:
                 scan.company[name] = value
             self.messages.put(name, value)
         if "pose" in values or "imu" in values:
-            self._poses.append((stamp, *self._pose_estimator.estimate(self.pose, self.imu_orientation)))
+            self._poses.append((stamp, *self.world_pose))
         return True
 
     def wait_for_company(self, scan: ReceivedMessage) -> None:
@@ -229,15 +229,11 @@ class Sensors:
 
         It is the latest of those that are not newer, or the latest one if all are, as with clocks that differ.
         """
-        poses = [*self._poses]
-        known = (each[1:] for each in reversed(poses) if each[0] <= stamp + STAMP_TOLERANCE)
-        return next(known, None) or self._pose_estimator.estimate(self.pose, self.imu_orientation)
-
-    def pose_frame_in_world(self) -> tuple[Tensor, Tensor]:
-        return self._pose_estimator.frame_in_world()
+        known = (each[1:] for each in reversed([*self._poses]) if each[0] <= stamp + STAMP_TOLERANCE)
+        return next(known, None) or self.world_pose
 
     def receive_clock(self, msg: Any) -> None:
-        self.messages.put("clock", msg.clock.sec + 1e-9 * msg.clock.nanosec)
+        self.messages.put("clock", seconds_of(msg.clock))
 
     def state_age(self) -> float | None:
         """Returns the time since the latest pose or IMU orientation was measured, s; ``None`` if it is not known.
@@ -245,10 +241,9 @@ class Sensors:
         The time now is that of the clock of a simulation, if it is received, else that of this machine. As for ROS's
         tf, the clock of the robot must be synchronized with it.
         """
-        poses = [*self._poses]
-        if not poses:
+        if not (known := [*self._poses]):
             return 0.0
-        age = self.messages.value("clock", time.time()) - poses[-1][0]
+        age = self.messages.value("clock", time.time()) - known[-1][0]
         return max(0.0, age) if abs(age) <= MAX_AGE else None
 
     def forget_poses(self) -> None:
@@ -260,31 +255,32 @@ class Sensors:
             return f"its messages cannot be used: {self._rejections[kind]}"
         if (latest := self.messages.latest(kind)) is not None:
             return f"the last message is {latest.age:.1f} s old"
-        message = self._messages[kind]
-        others = other_types(self._transport, self.topics[kind], message)
+        topic, message, _ = self.sources[kind]
+        others = other_types(self.transport, topic, message)
         if not others:
             return "no message has arrived yet"
-        silence = f"its messages are {others}, and {message.ros_type.replace('/msg/', '/')} is read"
-        fits = [name for name, (each, _) in POSE_MESSAGES.items() if each.ros_type.replace("/msg/", "/") == others]
+        silence = f"its messages are {others}, and {short(message.ros_type)} is read"
+        fits = [name for name, (each, _) in poses.POSE_MESSAGES.items() if short(each.ros_type) == others]
         return f"{silence}: choose pose={fits[0]!r}, --pose {fits[0]}" if kind == "pose" and fits else silence
 
     def _check_scan_rate(self, stamp: float) -> None:
         self._scan_times.append((stamp, time.monotonic()))
         if len(self._scan_times) <= RATE_WINDOW:
             return
-        first, last = self._scan_times[0], self._scan_times[-1]
-        by_stamp, by_arrival = last[0] - first[0], last[1] - first[1]
+        by_stamp, by_arrival = (
+            last - first for first, last in zip(self._scan_times[0], self._scan_times[-1], strict=True)
+        )
         span = by_stamp if by_stamp > 0 else by_arrival
         low, high = (share / self._control_dt for share in SUPPORTED_RATES)
         if span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
-            self._throttled_log.warning("rate", text, self.topics["scan"], RATE_WINDOW / span, low, high)
+            self._throttled_log.warning("rate", text, self.sources["scan"].topic, RATE_WINDOW / span, low, high)
 
 
 def read_stamp(msg: Any) -> float:
     """Returns the stamp of a message, s; 0 if it has none."""
     stamp = getattr(getattr(msg, "header", None), "stamp", None)
-    return 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
+    return 0.0 if stamp is None else seconds_of(stamp)
 
 
 def read_frame(msg: Any) -> str:
@@ -294,4 +290,4 @@ def read_frame(msg: Any) -> str:
 
 def read_twist(msg: Any) -> Tensor:
     """Reads forward speed (m/s) and yaw rate (rad/s) of a ``nav_msgs/Odometry``: float32 ``[2]``."""
-    return read_finite("velocity", msg.twist.twist.linear.x, msg.twist.twist.angular.z)
+    return poses.read_finite("velocity", msg.twist.twist.linear.x, msg.twist.twist.angular.z)

@@ -13,16 +13,13 @@ import torch
 from torch import Tensor
 
 from rover_rl.robots import Robot
-from rover_rl.sims.base import Feature, Simulator, View
+from rover_rl.sims.base import Feature, Simulator
 from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
-from rover_rl.sims.ros2 import PoseResetError, RobotLostError
-from rover_rl.sims.ros2.commands import Commands
+from rover_rl.sims.ros2 import PoseResetError, RobotLostError, scans
+from rover_rl.sims.ros2.commands import STOP, Commands
 from rover_rl.sims.ros2.ground import LivePoints
-from rover_rl.sims.ros2.images import resized
 from rover_rl.sims.ros2.messages import Clock
-from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
-from rover_rl.sims.ros2.poses import PoseEstimator
-from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard, cut
+from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
@@ -32,32 +29,20 @@ from rover_rl.worlds import World
 
 _log = logging.getLogger(__name__)
 
-CLOCK_TOPIC = "/clock"
-"""Topic of the time of a simulation."""
-MIN_STEP = 0.75
-"""Minimum time between the scans of two steps, in control steps. Scans of faster lidars are skipped."""
-MAX_DT = 1.0
-"""Maximum time between two stamps, s. A longer time means that the clock has jumped."""
+CLOCK_TOPIC = "/clock"  # topic of the time of a simulation
+MIN_STEP = 0.75  # minimum time between the scans of two steps, in control steps; scans of faster lidars are skipped
+MAX_DT = 1.0  # maximum time between two stamps, s; a longer time means that the clock has jumped
 BRAKE_TIMEOUT = 0.25
 """Time without a usable scan after which the rover is stopped, s. The step continues to wait for a scan."""
-BRAKE_PERIODS = 1.5
-"""The same time in periods of the last two scans. The longer of both applies."""
-GUARD_BEAMS = 128
-"""Number of beams of a simulator without a scanner: the guard looks at them."""
-HEARTBEAT_INTERVAL = 0.1
-"""Longest time between two heartbeats of the watchdog during a step, s."""
-MAX_UNUSABLE_SCANS = 20
-"""Number of consecutive unusable scans after which waiting for the first usable one ends."""
-PUBLISHER_CHECK_INTERVAL = 1.0
-"""Time between two checks of the number of publishers, s."""
-REST_VELOCITY = (0.05, 0.1)
-"""Forward speed (m/s) and yaw rate (rad/s) below which the wheels are at rest."""
-FROZEN_DISTANCE = 0.25
-"""Distance (m) or angle (rad) that the wheels may go while the scan stays the same."""
-FROZEN_SCANS = 5
-"""Number of times that a scan may come again meanwhile. Some drivers send each scan several times."""
-REST_DISTANCE = 0.05
-"""Distance below which a rover at rest may move while it settles, m."""
+BRAKE_PERIODS = 1.5  # the same time in periods of the last two scans; the longer of both applies
+GUARD_BEAMS = 128  # number of beams of a simulator without a scanner: the guard looks at them
+HEARTBEAT_INTERVAL = 0.1  # longest time between two heartbeats of the watchdog during a step, s
+MAX_UNUSABLE_SCANS = 20  # consecutive unusable scans after which waiting for the first usable one ends
+PUBLISHER_CHECK_INTERVAL = 1.0  # time between two checks of the number of publishers, s
+REST_VELOCITY = (0.05, 0.1)  # forward speed (m/s) and yaw rate (rad/s) below which the wheels are at rest
+FROZEN_DISTANCE = 0.25  # distance (m) or angle (rad) that the wheels may go while the scan stays the same
+FROZEN_SCANS = 5  # number of times that a scan may come again meanwhile; some drivers send each scan several times
+REST_DISTANCE = 0.05  # distance below which a rover at rest may move while it settles, m
 
 
 class Ros2Simulator(Simulator):
@@ -77,7 +62,6 @@ class Ros2Simulator(Simulator):
         connection: topics, and the time to wait for the first scan.
 
     Attributes:
-        settings: settings of the connection.
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
 
@@ -99,15 +83,12 @@ class Ros2Simulator(Simulator):
         if len(worlds) != 1:
             raise ValueError(f"backend 'ros2' drives one live rover, got num_envs={len(worlds)}")
         self.settings = settings = settings or Ros2Settings()
-        connection = connection or Connection()
-        self.num_envs = 1
-        self.control_dt = settings.control_dt
-        self.device = torch.device("cpu")
-        self._world, self._connection = worlds[0], connection
+        self._connection = connection = connection or Connection()
+        self.num_envs, self.control_dt, self.device = 1, settings.control_dt, torch.device("cpu")
+        self._world = worlds[0]
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
         self._limiter = CommandLimiter(settings.min_reversal)
         self._publishers_checked = -math.inf
-        self._pose_estimator = PoseEstimator(settings.pose)
         self._throttled_log = ThrottledLogger(_log)
         self._scan: ReceivedMessage | None = None
         self._set_beams(GUARD_BEAMS)
@@ -120,8 +101,10 @@ class Ros2Simulator(Simulator):
         self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self._transport)
         self._placer = Placer(settings, self._world.name, self._transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
-        self._sensors = Sensors(self._transport, settings, connection, self._pose_estimator)
-        self._points = LivePoints(self._sensors, self._transport, settings, connection)
+        self._sensors = Sensors(self._transport, settings, connection, PoseEstimator(settings.pose))
+        points = LivePoints(self._sensors, settings, connection)
+        self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
+        self.stop, self.halt = self._commands.stop, self._commands.halt
         self.wait_for_robot(connection.timeout)
 
     @property
@@ -149,9 +132,8 @@ class Ros2Simulator(Simulator):
             sensors.messages.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
         if not self.robot_connected:
             text = "no usable scan on %s within %g s: no robot is connected; it may still appear"
-            _log.warning(text, sensors.topics["scan"], timeout)
-            return False
-        return True
+            _log.warning(text, self._connection.scan_topic, timeout)
+        return self.robot_connected
 
     def require_robot(self) -> None:
         """Checks that exactly one robot sends usable scans, and that nothing else drives it.
@@ -183,7 +165,7 @@ class Ros2Simulator(Simulator):
             return self.state()
         self._require_only_driver()
         if not self._sensors.messages.count("scan"):
-            _log.warning("no robot has appeared on %s yet: observations are empty", self._sensors.topics["scan"])
+            _log.warning("no robot has appeared on %s yet: observations are empty", self._connection.scan_topic)
             return self.state()
         self._require_one_robot()
         self.stop()
@@ -194,10 +176,10 @@ class Ros2Simulator(Simulator):
         self._wait_until_at_rest(target, poses_before)
         self._take_next_scan(after=self._sensors.messages.count("scan"))
         ground = self._world.height_at(poses[0, :2]).item()
-        moved_to = target if self._placer.moves else None
         self._limiter.reset()
-        self._pose_estimator.start_episode(self._sensors.pose, self._sensors.imu_orientation, moved_to, ground)
-        self._sensors.forget_poses()
+        sensors, moved_to = self._sensors, target if self._placer.moves else None
+        sensors.pose_estimator.start_episode(sensors.pose, sensors.imu_orientation, moved_to, ground)
+        sensors.forget_poses()
         self._dt = self.control_dt
         return self.state()
 
@@ -206,12 +188,15 @@ class Ros2Simulator(Simulator):
         return Ros2Scanner(self, beams)
 
     def _set_beams(self, beams: int) -> None:
-        self._align = ScanAlignment(beams, self.settings.lidar_yaw, self.settings.lidar_inverted)
-        self._guard = UnseenGuard(beam_angles(beams).float())
+        self._beams = beams
         # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
         # blocks all motion.
-        nothing = AlignedScan(torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool))
-        self._aligned_scan = self._align(self._scan.value) if self._scan else nothing
+        nothing = scans.AlignedScan(torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool))
+        self._aligned_scan = scans.aligned(self._mounted(self._scan), beams) if self._scan else nothing
+
+    def _mounted(self, scan: ReceivedMessage) -> scans.Scan:
+        mounted: scans.Scan = scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted)
+        return mounted
 
     def ranges(self) -> Tensor:
         scan = self._aligned_scan
@@ -221,9 +206,7 @@ class Ros2Simulator(Simulator):
         return self._aligned_scan.seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        if self._scan is None:
-            return None
-        found = cut(self._scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted), points)
+        found = None if self._scan is None else scans.cut(self._mounted(self._scan), points)
         return None if found is None else found[None]
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
@@ -242,7 +225,7 @@ class Ros2Simulator(Simulator):
             self._require_one_robot()
         scans_before = self._sensors.messages.count("scan")
         speed, yaw_rate = self._limited(commands)
-        self.held = self._guard.blocks(speed, self._aligned_scan.seen)
+        self.held = scans.is_blocked(speed, self._aligned_scan.seen)
         if self.held:
             direction = "forward" if speed > 0 else "backward"
             self._throttled_log.warning("held", "%s motion canceled: no beam covers all of that direction", direction)
@@ -262,55 +245,34 @@ class Ros2Simulator(Simulator):
         speed, yaw_rate = self._limiter(last, commands.double(), dt, self._limits)[0].tolist()
         return speed, yaw_rate
 
-    def stop(self) -> None:
-        self._commands.stop()
-
-    def halt(self) -> None:
-        """Stops the rover for good, whatever is sent later. Any thread may call it."""
-        self._commands.halt()
-
     def state(self) -> RoverState:
-        company = {} if self._scan is None else self._scan.company
-        twist = company.get("odometry", self._sensors.wheel_velocity)[None]
-        pose, imu = company.get("pose", self._sensors.pose), company.get("imu", self._sensors.imu_orientation)
-        position, orientation = self._pose_estimator.estimate(pose, imu)
-        scan = self._scan.value if self._scan else None
+        sensors, scan = self._sensors, self._scan
+        company = scan.company if scan else {}
+        twist = company.get("odometry", sensors.wheel_velocity)[None]
+        pose, imu = company.get("pose", sensors.pose), company.get("imu", sensors.imu_orientation)
+        position, orientation = sensors.pose_estimator.estimate(pose, imu)
         return RoverState.pack(
             position=position[None],
             orientation=orientation[None],
             linear_velocity=twist[:, :1],
             angular_velocity=twist[:, 1:],
             dt=torch.full((1, 1), self._dt),
-            stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
+            stamp=torch.full((1, 1), scan.value.stamp if scan else 0.0, dtype=torch.float64),
             contact=torch.zeros(1, 1, dtype=torch.bool),
         )
-
-    def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        raise NotImplementedError("backend 'ros2' has no rendering; use RViz to visualize the rover")
 
     def close(self) -> None:
         self._finalizer()
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
-        stamp = 0.0 if self._scan is None else self._scan.value.stamp
-        position, orientation = self._sensors.pose_at(stamp)
+        position, orientation = self._sensors.pose_at(self._scan.value.stamp if self._scan else 0.0)
         return position[None], orientation[None]
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        image = self._sensors.image("depth", topic)
-        return torch.zeros(size) if image is None else resized(image, size)
+        return self._sensors.image("depth", topic, size)
 
     def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        image = self._sensors.image("colors", topic)
-        return torch.zeros(3, *size) if image is None else resized(image, size)
-
-    def point_cloud(self, topic: str | None) -> Tensor | None:
-        return self._points.cloud(topic)
-
-    def ground_at(
-        self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
-    ) -> Tensor:
-        return self._points.ground_at(grid, yaw, cell, topic, layer, mount)
+        return self._sensors.image("colors", topic, size)
 
     def follow_clock(self) -> None:
         self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
@@ -326,9 +288,6 @@ class Ros2Simulator(Simulator):
             self._throttled_log.warning("age", text, CLOCK_TOPIC)
         return torch.full((1, 1), age or 0.0)
 
-    def _world_pose(self) -> tuple[Tensor, Tensor]:
-        return self._pose_estimator.estimate(self._sensors.pose, self._sensors.imu_orientation)
-
     def _take_next_scan(self, after: int) -> None:
         """Waits for the scan of the next step, with a sequence number above ``after``, and updates the time step."""
         while True:
@@ -341,7 +300,7 @@ class Ros2Simulator(Simulator):
         self._sensors.wait_for_company(scan)
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
         self._require_changes(scan)
-        self._scan, self._aligned_scan = scan, self._align(scan.value)
+        self._scan, self._aligned_scan = scan, scans.aligned(self._mounted(scan), self._beams)
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
         """Waits for a scan with a sequence number above ``after``. Stops the rover well before it counts as lost."""
@@ -361,7 +320,7 @@ class Ros2Simulator(Simulator):
 
     def _require_only_driver(self, since: float = -math.inf) -> None:
         if not self.settings.give_way and (other := self._commands.other(since)):
-            if self._commands.last != (0.0, 0.0):
+            if self._commands.last != STOP:
                 self.stop()
             raise RobotLostError(
                 f"{other} also sends commands on {self._connection.cmd_vel_topic}, so that the rover is stopped: end "
@@ -375,8 +334,8 @@ class Ros2Simulator(Simulator):
         """
         self._publishers_checked = time.monotonic()
         self._commands.require_receiver()
-        topics = self._sensors.topics
-        for topic in (topics["scan"], topics.get("pose", topics["odometry"])):
+        sources = self._sensors.sources
+        for topic in (sources["scan"].topic, sources.get("pose", sources["odometry"]).topic):
             count = self._transport.publishers(topic)
             if count > 1:
                 self.stop()
@@ -386,7 +345,7 @@ class Ros2Simulator(Simulator):
     def _require_recent_messages(self) -> None:
         """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
         deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
-        for kind in self._sensors.topics:
+        for kind in self._sensors.sources:
             message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)
@@ -405,30 +364,32 @@ class Ros2Simulator(Simulator):
             self._repeated = (0, 0.0)
             self.stop()
             raise RobotLostError(
-                f"the scans on {self._sensors.topics['scan']} stay the same to the last bit while the wheels turn, as "
+                f"the scans on {self._connection.scan_topic} stay the same to the last bit while the wheels turn, as "
                 "of a lidar that hangs; a stop command was sent"
             )
 
     def _lost(self, kind: str) -> RobotLostError:
         self.stop()
-        topic, silence = self._sensors.topics[kind], self._sensors.describe_silence(kind)
+        topic, silence = self._sensors.sources[kind].topic, self._sensors.describe_silence(kind)
         return RobotLostError(f"lost the robot: {topic} ({kind}): {silence}; a stop command was sent")
 
     def _wait_until_at_rest(self, target: TargetPose, poses_before: int) -> None:
         # ``poses_before`` is the number of pose messages before the reset.
-        settings, messages = self.settings, self._sensors.messages
-        began = time.monotonic()
-        deadline = began + settings.reset_timeout
-        rest_start, rest_position = began, self._world_pose()[0]
+        settings, sensors = self.settings, self._sensors
+        rest_start = began = time.monotonic()
+        deadline, rest_position = began + settings.reset_timeout, sensors.world_pose[0]
         while time.monotonic() - rest_start < settings.settle:
             self._require_recent_messages()
             self._require_only_driver(since=began)
             if self._commands.gives_way:
                 deadline = time.monotonic() + settings.reset_timeout
-            position = self._world_pose()[0]
+            position = sensors.world_pose[0]
+            arrived = not self._placer.moves or (
+                sensors.messages.count("pose") > poses_before
+                and sensors.pose_estimator.matches_target(sensors.pose, target, settings.pose_tolerance)
+            )
             # The wheels also stand still while the rover falls or is carried.
-            at_rest = self._wheels_at_rest() and torch.dist(position, rest_position) < REST_DISTANCE
-            if not (at_rest and self._is_at_target(target, poses_before)):
+            if not (self._wheels_at_rest() and torch.dist(position, rest_position) < REST_DISTANCE and arrived):
                 rest_start, rest_position = time.monotonic(), position
             if time.monotonic() > deadline:
                 x, y, z = position.tolist()
@@ -437,17 +398,11 @@ class Ros2Simulator(Simulator):
                     f"the rover did not come to rest{place}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, "
                     f"y {y:.2f} m, z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
                 )
-            messages.wait("odometry", messages.count("odometry"), timeout=settings.settle / 4)
+            sensors.messages.wait("odometry", sensors.messages.count("odometry"), timeout=settings.settle / 4)
 
     def _wheels_at_rest(self) -> bool:
         speed, yaw_rate = self._sensors.wheel_velocity.abs().tolist()
         return speed < REST_VELOCITY[0] and yaw_rate < REST_VELOCITY[1]
-
-    def _is_at_target(self, target: TargetPose, poses_before: int) -> bool:
-        if not self._placer.moves:
-            return True
-        pose, is_new = self._sensors.pose, self._sensors.messages.count("pose") > poses_before
-        return is_new and self._pose_estimator.matches_target(pose, target, self.settings.pose_tolerance)
 
 
 class Ros2Scanner:

@@ -12,15 +12,10 @@ from typing import Any, Protocol, TypeAlias
 from rover_rl.sims.ros2.settings import TransportName
 
 Publisher: TypeAlias = Callable[[Any], None]
-"""Function that publishes a message."""
-TRANSPORTS: dict[TransportName, str] = {"dds": "DdsTransport", "rclpy": "RclpyTransport"}
-"""Class of each transport, in the module of its name. Only the selected one is imported."""
-HISTORY_DEPTH = 5
-"""Number of unread messages of a best-effort topic that are kept. Reliable publishers keep one."""
-ACTIVE_TIME = 1.0
-"""Time since its last message during which a publisher counts as active, s."""
-WARNING_INTERVAL = 5.0
-"""Minimum time between two warnings with the same key, s."""
+HISTORY_DEPTH = 5  # unread messages of a best-effort topic that are kept; reliable publishers keep one
+ACTIVE_TIME = 1.0  # time since its last message during which a publisher counts as active, s
+NAMING_TIME = 0.3  # time to wait for the name of the node of a publisher, s
+WARNING_INTERVAL = 5.0  # minimum time between two warnings with the same key, s
 
 
 class Transport(Protocol):
@@ -37,49 +32,46 @@ class Transport(Protocol):
         A message that cannot be decoded is ignored with a warning. ``receive`` returns False for an unusable message,
         which :meth:`publishers` does not count.
         """
-        ...
-
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher: ...
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
         """Subscribes to what others send on a topic: neither this transport, nor one of the same name in this process.
 
         ``receive`` is called with each message and an identifier of its publisher for :meth:`name_of`.
         """
-        ...
+
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher: ...
 
     def name_of(self, sender: str, topic: str) -> str:
         """Returns the name of the node of a publisher that was overheard."""
-        ...
 
     def subscribers(self, topic: str) -> int:
         """Returns the number of subscribers of this transport's publisher on ``topic``, without its own."""
-        ...
 
     def publishers(self, topic: str) -> int:
         """Returns the number of publishers that have sent usable messages on a subscribed topic in the last second.
 
         DDS itself detects only after many seconds that a publisher was killed.
         """
-        ...
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
         """Returns the ROS 2 names of the types that publishers of ``topic`` send, or that its subscribers receive."""
-        ...
 
     def close(self) -> None:
         """Releases all resources. Idempotent. No ``receive`` is called afterwards."""
-        ...
 
 
 def make_transport(name: TransportName, node: str) -> Transport:
     """Creates a transport for a node. Raises ``ImportError`` if a package that it requires is not installed."""
-    return getattr(import_module(f"{__package__}.{name}"), TRANSPORTS[name])(node)
+    return getattr(import_module(f"{__package__}.{name}"), f"{name.capitalize()}Transport")(node)
 
 
 def other_types(transport: Transport, topic: str, kind: Any, receivers: bool = False) -> str:
     """Returns the types of a topic other than ``kind``, which therefore never meet it; empty if it has no other."""
-    return " and ".join(sorted(transport.types(topic, receivers) - {kind.ros_type})).replace("/msg/", "/")
+    return " and ".join(map(short, sorted(transport.types(topic, receivers) - {kind.ros_type})))
+
+
+def short(ros_type: str) -> str:
+    return ros_type.replace("/msg/", "/")
 
 
 class ActiveSenders:

@@ -157,21 +157,14 @@ def assert_same_observation(actual: dict[str, list[float]], expected: dict[str, 
     assert_same_angle(actual["target"][1], expected["target"][1], 1e-5 + 1e-5 / max(expected["target"][0], 1e-3))
 
 
-def check_witnessed(seen: Witness, *, scans_may_be_missed: bool = False) -> None:
-    """Asserts that the environment returned what the transcription requires, in every step.
-
-    Args:
-        seen: record of the steps.
-        scans_may_be_missed: whether a step may last several control steps, as on a live rover whose scans arrive while
-            this process is busy.
-    """
+def check_witnessed(seen: Witness) -> None:
+    """Asserts that the environment returned what the transcription requires, in every step."""
     close_calls = 0
     for actual, expected in seen.first_observations:
         assert_same_observation(actual, expected)
     for v in seen.verdicts:
         assert_same_observation(v.observation, v.expected_observation)
-        control_steps = max(1, round(v.dt / contract.DT)) if scans_may_be_missed else 1
-        assert v.dt == pytest.approx(control_steps * contract.DT, abs=1e-6)
+        assert v.dt == pytest.approx(contract.DT, abs=1e-6)
         assert v.command == pytest.approx(v.expected_command, abs=1e-4)
         assert {name: v.outcome[name] for name in contract.EVENTS} == v.expected.events
         assert not v.outcome["invalid_action"]

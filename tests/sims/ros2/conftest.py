@@ -29,29 +29,22 @@ def domain() -> dict[str, str]:
     return {"ROS_DOMAIN_ID": str(5 * block), "ROS_LOCALHOST_ONLY": "1"}
 
 
-@pytest.fixture(scope="session")
-def peer() -> str:
-    """Path of a Python with ROS 2's own rclpy."""
-    from tests.sims.ros2.peer import find_peer
-
-    return find_peer()
-
-
 @pytest.fixture
-def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """Puts this process in that domain. Returns its environment variables, for processes that it starts."""
+def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Puts this process in that domain."""
     for key, value in domain.items():
         monkeypatch.setenv(key, value)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    return dict(os.environ)
 
 
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
-    """Transport of all simulators in the test, whose waiting steps the rovers on it."""
+    """Transport of all simulators in the test, whose waiting steps the rovers on it, and whose time is theirs."""
     from tests.sims.ros2.wire import QuietWatchdog, Wire
 
     wire = Wire()
+    for module in ("commands", "ground", "poses", "robot", "sensors", "simulator", "transport"):
+        monkeypatch.setattr(f"rover_rl.sims.ros2.{module}.time", wire)
     monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda name, node: wire)
     monkeypatch.setattr("rover_rl.sims.ros2.commands.Watchdog", QuietWatchdog)
     monkeypatch.setattr(
@@ -81,7 +74,7 @@ def start_env(wire: Wire) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverE
         ) -> tuple[SimulatedRobot, RoverEnv]:
             robot = SimulatedRobot(wire, world, pose, view)
             stack.callback(robot.rover.close)
-            backend = Ros2Settings(**{"reset": "none", "settle": 0.05, "step_timeout": 20.0, **settings})
+            backend = Ros2Settings(**{"reset": "none", "settle": 0.05, **settings})
             config = made_for or EnvConfig()
             env = RoverEnv(replace(config, world=world, length=10**9, backend=backend, end_on_goal=True, seed=0))
             stack.callback(env.close)

@@ -42,7 +42,7 @@ POINTS = np.array(
     [[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [-4.5, 5.25, 1e3], [0.0, np.inf, 0.0], [7.0, 8.0, 9.0], [0, 0, 0]]
 )
 KEPT = torch.from_numpy(POINTS[[0, 2, 4, 5]].astype(np.float32))
-LIVE = Ros2Settings(reset="none", settle=0.05, step_timeout=20.0)
+LIVE = Ros2Settings(reset="none", settle=0.05)
 PLACE, YAW = (1.0, 2.0, 0.1), 0.5
 """Position and heading of the rover of the live tests, which stands on a slope and is level nevertheless."""
 STOP = torch.zeros(1, 2)

@@ -12,7 +12,6 @@ import torch
 from PIL import Image as Picture
 
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, box
-from rover_rl.cli import main
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.ray_images import DepthCamera, SegmentationCamera
 from rover_rl.envs.served_rover import ServedRover
@@ -177,13 +176,3 @@ def test_a_camera_that_is_silent_or_broken_stops_the_rover_and_one_without_topic
         env.close()
     with pytest.raises(ValueError, match="colors end in /compressed if they are compressed, got '/a/compressedDepth'"):
         image_format("colors", "/a/compressedDepth")
-
-
-def test_the_robot_publishes_the_cameras_that_are_asked_for(wire, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", lambda *_: wire)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-    monkeypatch.setattr(RobotNode, "run", lambda node, *_: node.step())
-    topics = ["--camera-topic", "/d/compressedDepth", "--color-topic", "/c/compressed"]
-    main(["robot", "--backend", "warp", "--lidar-beams", "16", "--sensors", "colors", "depth", *topics])
-    images = {topic: type(sent[0]) for topic, sent in wire.sent.items() if type(sent[0]) in (Image, CompressedImage)}
-    assert images == {"/d/compressedDepth": CompressedImage, "/c/compressed": CompressedImage}

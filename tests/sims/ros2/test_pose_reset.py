@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, Ros2Settings
-from rover_rl.sims.ros2.pose_reset import Placer, TargetPose, place_in_gazebo
+from rover_rl.sims.ros2.poses import Placer, TargetPose, place_in_gazebo
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import ALL, Wire, drive, simulator, yaw_of
 
@@ -70,7 +70,7 @@ def test_automatic_reset_selects_an_available_placer(wire, rover, monkeypatch, c
     state = simulator(reset="auto").reset(ALL, START)
     assert state.position[0, :2].tolist() == [-3.0, 4.0]  # the rover subscribes to the reset topic
     wire.receivers["/rover/set_pose"].clear()
-    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset.DISCOVERY_TIMEOUT", 0.01)
+    monkeypatch.setattr("rover_rl.sims.ros2.poses.DISCOVERY_TIMEOUT", 0.01)
     state = simulator(reset="auto").reset(ALL, torch.tensor([[1.0, 1.0, 0.0]]))
     assert state.position[0, :2].tolist() == [-3.0, 4.0]
     assert "no node subscribes to /rover/set_pose, and neither ign nor gz is installed" in caplog.text
@@ -165,7 +165,7 @@ def test_each_gazebo_command_uses_its_own_message_package(fake_command, command,
 
 
 def test_a_hanging_command_times_out(fake_command, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset.SERVICE_TIMEOUT_MS", 100)
+    monkeypatch.setattr("rover_rl.sims.ros2.poses.SERVICE_TIMEOUT_MS", 100)
     fake_command(extra="exec sleep 60")
     with pytest.raises(PoseResetError, match="did not finish within"):
         place_in_gazebo("ign", "maze", "rover", TARGET)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from rover_rl.envs.sensors.standard import LidarPooling
 from rover_rl.sims.ros2.messages import Header, LaserScan, Quaternion, Time
 from rover_rl.sims.ros2.poses import read_orientation
-from rover_rl.sims.ros2.scans import SECTOR, ScanAlignment, UnseenGuard, cut, read_scan
+from rover_rl.sims.ros2.scans import SECTOR, aligned, cut, is_blocked, read_scan
 
 
 def scan(ranges, first=0.0, increment=None) -> LaserScan:
@@ -31,7 +31,7 @@ def test_ranges_are_unchanged_copies():
     assert read.stamp == 3.5
     read.ranges[0] = 7
     assert message.ranges[0] == 1
-    assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).ranges.tolist() == [-math.inf, 1.0]
+    assert aligned(read_scan(scan([-math.inf, 1.0])), 2).ranges.tolist() == [-math.inf, 1.0]
 
 
 def test_readings_outside_of_the_range_limits_are_invalid():
@@ -96,10 +96,10 @@ def reference_alignment(message: LaserScan, beams: int, yaw: float) -> list[floa
 def test_alignment_matches_a_reference_implementation(readings, beams, yaw, share):
     # Offset, so that no reading lies on the border between two sectors.
     message = scan(readings, first=-math.pi + 0.00371, increment=share * 2 * math.pi / len(readings))
-    aligned = ScanAlignment(beams, yaw)(read_scan(message, max_invalid=1.0))
+    full = aligned(read_scan(message, max_invalid=1.0).mounted(yaw), beams)
     expected = reference_alignment(message, beams, yaw)
-    assert aligned.seen.tolist() == [reading is not None for reading in expected]
-    assert aligned.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
+    assert full.seen.tolist() == [reading is not None for reading in expected]
+    assert full.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
 
 
 @pytest.mark.parametrize("count", [640, 1081, 37])
@@ -126,7 +126,7 @@ def test_a_lidar_that_hangs_upside_down_is_rolled_before_it_is_turned(yaw, clock
     direction = Rotation.from_euler("xz", [math.pi, yaw]).apply([math.cos(at), math.sin(at), 0.0])
     beam = round(math.atan2(direction[1], direction[0]) / (2 * math.pi / 360)) % 360
     read = read_scan(message)
-    assert ScanAlignment(360, yaw, inverted=True)(read).ranges.argmin() == beam
+    assert aligned(read.mounted(yaw, inverted=True), 360).ranges.argmin() == beam
     assert cut(read.mounted(yaw, inverted=True), 360)[[beam - 1, beam, (beam + 1) % 360]].min() == 1.0
 
 
@@ -141,9 +141,9 @@ def test_an_orientation_is_normalized_from_any_object_with_the_attributes_and_mu
 @pytest.mark.parametrize(("speed", "direction"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])
 def test_every_beam_around_the_direction_of_travel_must_be_seen(speed, direction):
     angles = torch.arange(128) * (2 * math.pi / 128)
-    guard, sector = UnseenGuard(angles), direction * angles.cos() > math.cos(SECTOR) - 1e-3
+    sector = direction * angles.cos() > math.cos(SECTOR) - 1e-3
     for beam in range(128):
         seen = torch.ones(128, dtype=torch.bool)
-        assert not guard.blocks(speed, seen)
+        assert not is_blocked(speed, seen)
         seen[beam] = False
-        assert guard.blocks(speed, seen) == sector[beam].item()
+        assert is_blocked(speed, seen) == sector[beam].item()

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
 import torch
+from torchrl.envs.utils import check_env_specs
 
 from rover_rl import Randomization, RoverEnv, TaskConfig
+from rover_rl import make_env as make_env_of_contract
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
 from rover_rl.envs.sensors.scan_pose import taken_at
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
@@ -25,6 +26,8 @@ from rover_rl.sims.ros2.messages import (
 )
 from rover_rl.sims.ros2.simulator import FROZEN_SCANS, Ros2Simulator
 from rover_rl.worlds import get_world
+from tests.envs import transcription as contract
+from tests.envs.contract.witness import check_witnessed, witness
 from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
 POSE = torch.tensor([[1.0, 2.0, 0.5]])
@@ -40,6 +43,7 @@ def sim(rover) -> Ros2Simulator:
 
 def test_step_sends_the_command_and_returns_the_next_state(wire, rover, sim):
     rover.ranges[0] = 1.5  # the lidar's first beam, which points forward
+    wire.now += 0.01
     state = sim.step(torch.tensor([[0.5, -0.25]]))
     command = wire.sent["/cmd_vel"][-1]
     assert (command.linear.x, command.angular.z) == sim.last_command == (0.5, -0.25)
@@ -47,7 +51,7 @@ def test_step_sends_the_command_and_returns_the_next_state(wire, rover, sim):
     assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
     assert sim.ranges().shape == (1, BEAMS)
     assert sim.ranges()[0, 0] == 1.5
-    assert sim.latency > 0
+    assert sim.latency == pytest.approx(0.01)
     assert (state.linear_velocity.item(), state.angular_velocity.item()) == (0.5, -0.25)  # by the wheels
 
 
@@ -71,7 +75,7 @@ def test_stamped_commands(wire, rover):
     drive(sim)
     sent = wire.sent["/cmd_vel"][-1]
     assert sent.header.frame_id == "base_link"
-    assert sent.header.stamp.sec == pytest.approx(time.time(), abs=600)
+    assert sent.header.stamp.sec == int(wire.now)
     assert (sent.twist.linear.x, sent.twist.angular.z) == (0.5, pytest.approx(0.2))
 
 
@@ -145,8 +149,25 @@ def test_gymnasium_callbacks_process_messages(wire):
     env.close()
 
 
+def test_the_environment_of_a_live_rover_matches_its_specs_and_fulfills_the_contract(wire):
+    robot = SimulatedRobot(wire, get_world("maze"), (0.0, 0.0, 0.0))
+    env = make_env_of_contract(world_n="maze", backend=Ros2Settings(reset="topic"), seed=0, length=20)
+    check_env_specs(env, break_when_any_done="both")
+    rng = np.random.default_rng(0)
+
+    def wander(td, bare, k):
+        return torch.from_numpy(rng.uniform(-1, 1, (1, 2))).float() * torch.tensor([1.0, math.pi])
+
+    table = contract.WORLDS["maze"]
+    seen = witness(env, (table.too_far_away_x, table.too_far_away_y), 50, wander, length=20)
+    check_witnessed(seen)
+    assert sum(verdict.truncated for verdict in seen.verdicts) == 2
+    env.close()
+    robot.rover.close()
+
+
 def make_env(task: TaskConfig | None = None) -> RoverEnv:
-    backend = Ros2Settings(reset="none", max_invalid=0.2, settle=0.05, step_timeout=20.0)
+    backend = Ros2Settings(reset="none", max_invalid=0.2, settle=0.05)
     return RoverEnv(world_n="maze", backend=backend, lidar_beams=BEAMS, lidar_points=BEAMS, task=task)
 
 
@@ -174,7 +195,7 @@ def test_every_lidar_reading_becomes_a_valid_observation(rover, ranges, seen):
 def test_the_observed_segments_are_cut_from_the_raw_scan(rover, count, yaw):
     rover.ranges = np.random.default_rng(0).uniform(0.5, 14.0, count).astype(np.float32)
     rover.ranges[7], rover.ranges[-9] = math.inf, -math.inf
-    env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none", settle=0.05, step_timeout=20.0, lidar_yaw=yaw))
+    env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none", settle=0.05, lidar_yaw=yaw))
     lidar = env.reset()["lidar"][0].numpy()
     ahead = np.roll(rover.ranges, 0 if yaw else -count // 2)  # the first reading is at -pi of the lidar
     np.testing.assert_allclose(lidar, [part.min().clip(0, 12) for part in np.array_split(ahead, 32)], rtol=1e-6)
@@ -265,7 +286,7 @@ def test_the_end_of_a_simulator_stops_the_rover_and_closes_the_connection(wire, 
 def test_a_late_scan_is_paired_with_the_pose_of_its_time_and_a_late_pose_is_carried_on_to_now(wire):
     late = Randomization(scan_latency=(4, 4), state_latency=(2, 2), lost_scans=0.1)
     robot = SimulatedRobot(wire, get_world("maze"), (-2.0, 0.0, 0.5), randomization=late)
-    settings = {"world_n": "maze", "backend": Ros2Settings(reset="none", step_timeout=20.0), "seed": 0}
+    settings = {"world_n": "maze", "backend": Ros2Settings(reset="none"), "seed": 0}
     env = RoverEnv(**settings, sensors=["scan_pose"], compensate_delay=True)
     td = env.reset()
     errors = []

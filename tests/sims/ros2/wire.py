@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,36 +11,20 @@ from typing import Any
 import numpy as np
 import torch
 
-from rover_rl.envs.config import EnvConfig, LidarConfig, Randomization
+from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims import make_simulator
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.ros2.messages import (
-    Header,
-    Imu,
-    LaserScan,
-    Odometry,
-    Point,
-    Pose,
-    PoseArray,
-    PoseStamped,
-    PoseWithCovariance,
-    PoseWithCovarianceStamped,
-    Quaternion,
-    Time,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-)
+from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.ros2.sensors import LatestMessages, ReceivedMessage
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World, get_world
 
-BEAMS = 8
+BEAMS, TURN = 8, 2 * math.pi
 ALL = torch.ones(1, dtype=torch.bool)
 STEP = 0.05
 """Time between two messages of a rover, s."""
@@ -57,64 +42,70 @@ class Wire:
         tamper: function that modifies the messages of a topic, by topic.
         rovers: functions that step the rovers, which then publish.
         closed: whether the transport is closed.
+        now: time in s. It also stands for the module ``time``.
     """
 
-    def __init__(self, node: str = "") -> None:
-        self.receivers: dict[str, list[Callable[[Any], None]]] = {}
-        self.sent: dict[str, list[Any]] = {}
-        self.robots = 1
-        self.kinds: dict[str, set[str]] = {}
-        self.received: dict[str, set[str]] = {}
-        self.ears: dict[str, list[Callable[[Any, str], object]]] = {}
+    def __init__(self) -> None:
+        self.receivers, self.ears = defaultdict(list), defaultdict(list)
+        self.sent, self.kinds, self.received = defaultdict(list), defaultdict(set), defaultdict(set)
         self.tamper: dict[str, Callable[[Any], Any]] = {}
         self.rovers: list[Callable[[], object]] = []
-        self.closed = False
+        self.robots, self.closed, self.now = 1, False, 1000.0
 
-    def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
-        self.receivers.setdefault(topic, []).append(receive)
-        self.received.setdefault(topic, set()).add(kind.ros_type)
+    def monotonic(self) -> float:
+        return self.now
+
+    time = monotonic
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
+        self.receivers[topic].append(receive)
+        self.received[topic].add(kind.ros_type)
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False):
-        self.kinds.setdefault(topic, set()).add(kind.ros_type)
+        self.kinds[topic].add(kind.ros_type)
 
         def publish(message: Any) -> None:
             assert isinstance(message, kind)
             message = self.tamper.get(topic, lambda unchanged: unchanged)(message)
-            self.sent.setdefault(topic, []).append(message)
-            for receive in self.receivers.get(topic, []):
+            self.sent[topic].append(message)
+            for receive in self.receivers[topic]:
                 receive(message)
 
         return publish
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
-        self.ears.setdefault(topic, []).append(receive)
+        self.ears[topic].append(receive)
 
     def name_of(self, sender: str, topic: str) -> str:
         return sender
 
     def subscribers(self, topic: str) -> int:
-        return len(self.receivers.get(topic, []))
+        return len(self.receivers[topic])
 
     def publishers(self, topic: str) -> int:
         return self.robots
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
-        return (self.received if receivers else self.kinds).get(topic, set())
+        return (self.received if receivers else self.kinds)[topic]
 
     def close(self) -> None:
         self.closed = True
 
     def say(self, topic: str, message: Any, sender: str) -> None:
         """Lets another node send a message."""
-        for receive in self.receivers.get(topic, []):
+        for receive in self.receivers[topic]:
             receive(message)
-        for hear in self.ears.get(topic, []):
+        for hear in self.ears[topic]:
             hear(message, sender)
 
     def wait(self, messages: LatestMessages, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
         """Replaces :meth:`LatestMessages.wait`: steps the rovers for the given time."""
         for _ in range(math.ceil(timeout / STEP)):
-            for step in self.rovers:
+            self.now += STEP
+            for step in [*self.rovers]:
                 step()
             if messages.count(kind) > after:
                 return messages.latest(kind)
@@ -122,15 +113,14 @@ class Wire:
 
 
 class QuietWatchdog:
-    """Stands for a watchdog, of which it keeps what it was told."""
+    """Stands for a watchdog."""
 
     may_be_stopping = False
 
-    def __init__(self, *_: Any, **__: Any) -> None:
-        self.told: list[str] = []
+    def __init__(self, *_: Any, **__: Any) -> None: ...
 
     def __getattr__(self, name: str) -> Callable[[], None]:
-        return lambda: self.told.append(name)
+        return lambda: None
 
 
 class Rover:
@@ -149,21 +139,21 @@ class Rover:
         self.frozen = False  # whether all scans are the same
         self.stamp = 0.0
         self._publish = {
-            "scan": wire.publisher("/scan", LaserScan),
-            "imu": wire.publisher("/imu/data", Imu),
-            "odometry": wire.publisher("/odometry/wheels", Odometry),
-            "pose": wire.publisher("/rover/pose_array", PoseArray),
-            "localizer": wire.publisher("/pose", PoseStamped),
-            "amcl": wire.publisher("/amcl_pose", PoseWithCovarianceStamped),
+            "scan": wire.publisher("/scan", ros.LaserScan),
+            "imu": wire.publisher("/imu/data", ros.Imu),
+            "odometry": wire.publisher("/odometry/wheels", ros.Odometry),
+            "pose": wire.publisher("/rover/pose_array", ros.PoseArray),
+            "localizer": wire.publisher("/pose", ros.PoseStamped),
+            "amcl": wire.publisher("/amcl_pose", ros.PoseWithCovarianceStamped),
         }
-        wire.subscribe("/cmd_vel", Twist, self.obey)
-        wire.subscribe("/rover/set_pose", PoseStamped, self.move_to)
+        wire.subscribe("/cmd_vel", ros.Twist, self.obey)
+        wire.subscribe("/rover/set_pose", ros.PoseStamped, self.move_to)
         wire.rovers.append(self.publish)
 
-    def obey(self, twist: Twist) -> None:
+    def obey(self, twist: ros.Twist) -> None:
         self.speed, self.turn = twist.linear.x, twist.angular.z
 
-    def move_to(self, msg: PoseStamped) -> None:
+    def move_to(self, msg: ros.PoseStamped) -> None:
         self.x, self.y = msg.pose.position.x, msg.pose.position.y
         self.yaw = 2 * math.atan2(msg.pose.orientation.z, msg.pose.orientation.w)
 
@@ -172,18 +162,18 @@ class Rover:
 
     def publish(self) -> None:
         self.stamp += self.stamp_step
-        header = Header(Time.from_seconds(self.stamp))
-        heading = Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
+        header = ros.Header(ros.Time.from_seconds(self.stamp))
+        heading = ros.Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
         imu_yaw = self.yaw + self.imu_offset
         self.z += self.climb
-        pose = Pose(Point(self.x, self.y, self.z), heading)
-        twist = Twist(Vector3(x=self.speed), Vector3(z=self.turn))
+        pose = ros.Pose(ros.Point(self.x, self.y, self.z), heading)
+        twist = ros.Twist(ros.Vector3(x=self.speed), ros.Vector3(z=self.turn))
         messages = {
-            "imu": Imu(header, Quaternion(z=math.sin(imu_yaw / 2), w=math.cos(imu_yaw / 2))),
-            "odometry": Odometry(header, pose=PoseWithCovariance(pose), twist=TwistWithCovariance(twist)),
-            "pose": PoseArray(header, [pose]),
-            "localizer": PoseStamped(header, pose),
-            "amcl": PoseWithCovarianceStamped(header, PoseWithCovariance(pose)),
+            "imu": ros.Imu(header, ros.Quaternion(z=math.sin(imu_yaw / 2), w=math.cos(imu_yaw / 2))),
+            "odometry": ros.Odometry(header, pose=ros.PoseWithCovariance(pose), twist=ros.TwistWithCovariance(twist)),
+            "pose": ros.PoseArray(header, [pose]),
+            "localizer": ros.PoseStamped(header, pose),
+            "amcl": ros.PoseWithCovarianceStamped(header, ros.PoseWithCovariance(pose)),
             "scan": self.scan(header, self._noisy()),
         }
         for kind in sorted(messages, key=lambda kind: (kind == "scan") != self.scan_first):
@@ -197,26 +187,20 @@ class Rover:
         ranges[1:2] = np.nextafter(ranges[1:2], np.float32(100.0)) if self._odd else ranges[1:2]
         return ranges
 
-    def scan(self, header: Header, ranges: np.ndarray) -> LaserScan:
+    def scan(self, header: ros.Header, ranges: np.ndarray) -> ros.LaserScan:
         first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
         last = first + increment * (len(ranges) - 1)
-        return LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
+        return ros.LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
 
 
 class SimulatedRobot:
     """The node of a rover in PyBullet. ``driven`` has its x after each step, ``poses`` place and yaw by the time."""
 
     def __init__(
-        self,
-        wire: Wire,
-        world: World,
-        start: tuple[float, float, float],
-        view: float = 2 * math.pi,
-        randomization: Randomization = Randomization(),  # noqa: B008  (it is frozen)
+        self, wire: Wire, world: World, start: tuple[float, float, float], view: float = TURN, **config
     ) -> None:
-        kind = replace(get_robot("rover_zero"), lidar_view=view)
-        lidar = LidarConfig(beams=128)
-        self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, randomization=randomization))
+        kind, lidar = replace(get_robot("rover_zero"), lidar_view=view), LidarConfig(beams=128)
+        self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, **config))
         self._node = RobotNode(self.rover, wire, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
         self.poses: dict[float, tuple[torch.Tensor, float]] = {}
@@ -236,7 +220,7 @@ class SimulatedRobot:
 def simulator(timeout: float = 2.0, beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
     """Connects to the rovers on the wire, and sends commands without limits of the accelerations."""
     quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}
-    settings = {"reset": "topic", "step_timeout": 20.0, "settle": 0.05, **quick, **settings}
+    settings = {"reset": "topic", "settle": 0.05, **quick, **settings}
     made = make_simulator(
         Ros2Settings(**settings),
         worlds=[get_world("maze")],

@@ -1,8 +1,7 @@
-"""A node of ROS 2's own rclpy that a test directs: see :class:`tests.sims.ros2.peer.RosNode`.
+"""A node of ROS 2's own rclpy, ``teleop``, that a test directs: see :class:`tests.sims.ros2.processes.Peer`.
 
-Each line of the input is a call, ``[method, arguments]`` in JSON, and each line of the output is its result.
-
-    python node.py NAME
+Each line of the input is a call, ``[method, arguments]`` in JSON, and each line of the output is its result. Messages
+are dictionaries.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import json
 import sys
 import threading
-import time
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -21,57 +19,47 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 
 class Node:
-    def __init__(self, name: str) -> None:
+    def __init__(self) -> None:
         rclpy.init()
-        self._node = rclpy.create_node(name)
+        self._node = rclpy.create_node("teleop")
         self._received: dict[str, list[Any]] = {}
-        self._publishers: dict[tuple[str, str], Any] = {}
-        self._timers: dict[tuple[str, str], Any] = {}
+        self._publishers: dict[str, Any] = {}
+        self._timers: dict[str, Any] = {}
         threading.Thread(target=self._spin, daemon=True).start()
 
-    def subscribe(self, topic: str, kind: str, reliable: bool = True, depth: int = 10) -> None:
+    def subscribe(self, topic: str, kind: str, reliable: bool = True) -> None:
         received = self._received.setdefault(topic, [])
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         self._node.create_subscription(
-            _class(kind), topic, lambda message: received.append((time.monotonic(), message)), _qos(reliable, depth)
+            _class(kind), topic, received.append, QoSProfile(depth=10, reliability=reliability)
         )
 
-    def received(self, topic: str) -> list[tuple[float, Any]]:
+    def received(self, topic: str) -> list[Any]:
+        """Messages on a topic since the last call."""
         messages, self._received[topic][:] = [*self._received[topic]], []
-        return [(moment, _fields(message)) for moment, message in messages]
+        return [_fields(message) for message in messages]
 
-    def count(self, topic: str) -> int:
-        return len(self._received[topic])
-
-    def publish(self, topic: str, kind: str, fields: Any, rate: float = 0.0) -> int:
-        key = (topic, kind)
-        if key not in self._publishers:
-            self._publishers[key] = self._node.create_publisher(_class(kind), topic, _qos(True, 10))
-        publisher, message = self._publishers[key], _set(_class(kind)(), fields)
-        if key in self._timers:
-            self._node.destroy_timer(self._timers.pop(key))
+    def publish(self, topic: str, kind: str, fields: Any, rate: float = 0.0) -> None:
+        """Publishes a message once, or from now on at a rate, Hz."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self._node.create_publisher(_class(kind), topic, 10)
+        publisher, message = self._publishers[topic], _set(_class(kind)(), fields)
+        if topic in self._timers:
+            self._node.destroy_timer(self._timers.pop(topic))
         publisher.publish(message)
         if rate:
-            self._timers[key] = self._node.create_timer(1 / rate, lambda: publisher.publish(message))
-        return publisher.get_subscription_count()
+            self._timers[topic] = self._node.create_timer(1 / rate, lambda: publisher.publish(message))
 
-    def publishers(self, topic: str) -> list[dict[str, Any]]:
+    def publishers(self, topic: str) -> list[list[str]]:
+        """Type, reliability and durability of each publisher on a topic."""
         return [_endpoint(each) for each in self._node.get_publishers_info_by_topic(topic)]
 
-    def subscriptions(self, topic: str) -> list[dict[str, Any]]:
+    def subscriptions(self, topic: str) -> list[list[str]]:
         return [_endpoint(each) for each in self._node.get_subscriptions_info_by_topic(topic)]
-
-    def nodes(self) -> list[str]:
-        return self._node.get_node_names()
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
             rclpy.spin(self._node)
-
-
-def _qos(reliable: bool, depth: int) -> QoSProfile:
-    return QoSProfile(
-        depth=depth, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    )
 
 
 def _class(kind: str) -> Any:
@@ -79,10 +67,8 @@ def _class(kind: str) -> Any:
     return getattr(import_module(f"{package}.{folder}"), name)
 
 
-def _endpoint(info: Any) -> dict[str, Any]:
-    qos = info.qos_profile
-    names = {"reliability": qos.reliability.name, "durability": qos.durability.name}
-    return {"node": info.node_name, "type": info.topic_type, **names}
+def _endpoint(info: Any) -> list[str]:
+    return [info.topic_type, info.qos_profile.reliability.name, info.qos_profile.durability.name]
 
 
 def _fields(value: Any) -> Any:
@@ -99,13 +85,8 @@ def _set(message: Any, fields: dict[str, Any]) -> Any:
     return message
 
 
-def main() -> None:
-    node = Node(sys.argv[1])
-    print(json.dumps("up"), flush=True)
-    for line in sys.stdin:
-        method, *arguments = json.loads(line)
-        print(json.dumps(getattr(node, method)(*arguments)), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+node = Node()
+print(json.dumps("up"), flush=True)
+for line in sys.stdin:
+    method, *arguments = json.loads(line)
+    print(json.dumps(getattr(node, method)(*arguments)), flush=True)

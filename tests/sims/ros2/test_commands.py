@@ -1,0 +1,131 @@
+"""``rover-rl drive`` and ``rover-rl robot``, on a wire of this process."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from rover_rl.algos.deploy.drive_log import read_drives
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.cli import main
+from rover_rl.sims.ros2.messages import CompressedImage, Image, LaserScan, Twist
+from rover_rl.worlds import get_world
+from tests.sims.ros2.wire import SimulatedRobot
+
+FAR = ("drive", "scripted", "--world", "maze", "--goal", "9", "9")
+"""A drive that does not end soon."""
+
+
+@pytest.fixture
+def robot(wire) -> Iterator[SimulatedRobot]:
+    """A robot that stands at a stored start without a wall nearby."""
+    robot = SimulatedRobot(wire, get_world("maze"), tuple(stored_episodes("maze").start[0].tolist()))
+    yield robot
+    robot.rover.close()
+
+
+@pytest.fixture
+def log(tmp_path) -> list[str]:
+    return ["--log", str(tmp_path / "drive.jsonl")]
+
+
+def drives(robot: SimulatedRobot) -> bool:
+    return robot.rover.env.rover_state.linear_velocity.item() > 0.1
+
+
+def test_drive_visits_goals_and_writes_a_log(robot, wire, log, capsys):
+    code = main(["drive", "pretrained:anywhere", "--world", "maze", "--random", "2", "--seconds", "1", *log])
+    (logged,) = read_drives(Path(log[1]))
+    assert len(logged.endings) == 2
+    assert code == (logged.endings != ["goal", "goal"])
+    output = capsys.readouterr().out
+    assert output.count("goal 1,") == output.count("goal 2,") == 1
+    assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
+
+
+@pytest.mark.parametrize(
+    ("number", "suppressed"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)]
+)
+def test_a_signal_stops_the_rover_even_if_a_library_suppresses_it(robot, wire, log, number, suppressed):
+    before = signal.getsignal(number)
+
+    def interrupt() -> None:
+        if drives(robot):
+            with suppress(KeyboardInterrupt if suppressed else ()):
+                signal.raise_signal(number)
+
+    wire.rovers.append(interrupt)
+    assert main([*FAR, *log]) == 130
+    assert signal.getsignal(number) is before
+    assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
+
+
+def test_silent_sensors_stop_the_rover(robot, wire, log, capsys):
+    wire.rovers.append(lambda: drives(robot) and wire.rovers.clear())
+    assert main([*FAR, *log]) == 2
+    assert "rover-rl: lost the robot: /scan (scan): the last message is" in capsys.readouterr().err
+    assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
+    assert read_drives(Path(log[1]))[0].endings == ["stopped"]
+
+
+def test_a_dry_run_sends_nothing(robot, wire, log, capsys):
+    assert main([*FAR, "--dry-run", "--seconds", "0.5", *log]) == 1
+    output = capsys.readouterr().out
+    assert output.count("m/s") == 2 * 10
+    assert "goal 1, 9.00 9.00: time limit" in output
+    assert not wire.sent["/cmd_vel"]
+
+
+def test_drive_without_a_robot_reports_an_error(wire, log, capsys):
+    assert main([*FAR, "--timeout", "0.2", *log]) == 2
+    assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in capsys.readouterr().err
+
+
+def test_the_robot_publishes_the_cameras_that_are_asked_for_until_a_signal(wire, monkeypatch):
+    monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", lambda *_: wire)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    wire.subscribe("/scan", LaserScan, lambda scan: signal.raise_signal(signal.SIGTERM))
+    cameras = ["--sensors", "colors", "depth", "--camera-topic", "/d/compressedDepth", "--color-topic", "/c/compressed"]
+    try:
+        assert main(["robot", "--backend", "warp", "--lidar-beams", "16", *cameras]) == 0
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    images = {topic: type(sent[0]) for topic, sent in wire.sent.items() if type(sent[0]) in (Image, CompressedImage)}
+    assert images == {"/d/compressedDepth": CompressedImage, "/c/compressed": CompressedImage}
+    assert wire.closed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("drive scripted --goal 1 1", "say which --world"),
+        ("drive random --world maze --goal 1 1", "cannot drive a live rover"),
+        ("drive scripted --world maze", "say where to"),
+        ("drive scripted --world maze --goal nan 1", "--goal must be finite numbers, got nan 1"),
+        (
+            "drive scripted --world maze --goal 1 1 --goal 40 0",
+            "the goal 40 0 is outside of the bounds of maze: x from -30 to 30 m, y from -30 to 30 m; name the --world",
+        ),
+        ("drive scripted --goal 1 1 --clearance -1", "clearance must be at least 0 and at most 1e+30, got -1.0"),
+        ("drive scripted --goal 1 1 --timeout nan", "timeout must be at least 0 and at most 1e+06, got nan"),
+        ("drive scripted --goal 1 1 --lidar-yaw nan", "lidar_yaw must be a finite angle in rad, got nan"),
+        ("drive scripted --world maze --goals goals.csv", "goals.csv must have two numbers a line"),
+        ("robot --rate 0", "rate must be positive and at most 1000, got 0"),
+        ("robot --lidar-beams 0", "lidar_beams must be at least 1 and at most 16383, got 0"),
+        ("robot --lidar-view 0", "lidar_view must be positive and at most 360, got 0"),
+    ],
+)
+def test_invalid_options_are_rejected_before_connecting(arguments, message, capsys, tmp_path, monkeypatch):
+    for part in ("sims.ros2.commands.Watchdog", "envs.rover.RoverEnv", "sims.ros2.transport.make_transport"):
+        monkeypatch.setattr(f"rover_rl.{part}", None)
+    monkeypatch.chdir(tmp_path)
+    Path("goals.csv").write_text("1.0, 2.0\nx, y\n")
+    assert main(arguments.split()) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
