@@ -26,15 +26,16 @@ from rover_rl.algos.train.fine_tuning import fine_tuning_config
 # %%
 # Before
 # ------
-# The stored episodes of the maze, each from a start to a goal, with a time limit of 60 s.
+# The stored episodes of the maze, each from a start to a goal.
 
 EPISODES = 32
+SECONDS = 60.0
 episodes = choose_episodes("maze", EPISODES)
 
 
 def success(policy, name):
     env = replace(environment_for(policy, None), backend="warp")
-    evaluation = evaluate(policy, episodes, name=name, env=env)
+    evaluation = evaluate(policy, episodes, name=name, env=env, seconds=SECONDS)
     print(f"{name}: {int(evaluation.reached.sum())} of {EPISODES} goals")
     return evaluation
 

@@ -30,6 +30,7 @@ WORLD = "moon"
 TRIALS = 8
 STEPS = 500_000
 EPISODES = 32
+SECONDS = 60.0
 FOLDER = Path("runs/sweep-moon")
 episodes = draw_episodes(WORLD, EPISODES, seed=30_000)
 
@@ -47,7 +48,7 @@ def run(trial: optuna.Trial) -> float:
     except FloatingPointError as error:
         raise optuna.TrialPruned(str(error)) from error  # The training diverged.
     env = replace(environment_for(actor, None), backend="warp")
-    return evaluate(actor, episodes, name=name, env=env).success_rate
+    return evaluate(actor, episodes, name=name, env=env, seconds=SECONDS).success_rate
 
 
 # %%

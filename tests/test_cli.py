@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +80,9 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate scripted --world maze --count -3", "count must be between 1 and 256, got -3"),
         ("evaluate scripted --world maze --seconds nan", "seconds must be at least 0.05 and at most 1e+06, got nan"),
         ("film scripted --width 99999999 --out film.gif", "width must be positive and at most 8192, got 99999999"),
-        ("train --num-envs 0", "num_envs must be at least 1 and at most 1e+06, got 0"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
         ("train --hidden 1000000000000", "not enough memory"),
         ("train --backend warp --world maze --physics fast", "presets of the physics are Bullet's"),
-        ("demo --count 0", "count must be at least 1 and at most 1000, got 0"),
     ],
 )
 def test_a_wrong_command_line_is_refused_in_one_line(
@@ -115,15 +112,14 @@ def test_options_that_a_command_does_not_take_are_refused_with_what_it_takes(
 
 
 def test_a_run_without_a_checkpoint_says_what_to_do(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    command = "evaluate"
     (tmp_path / "config.yaml").write_text("algo: ppo\n")
     expected = f"no checkpoint at {tmp_path}/checkpoint.pt: the run has written none yet; if it has ended, go on with"
-    assert failed(capsys, command, tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
-    assert "is not the folder of a run" in failed(capsys, command, tmp_path.parent)
-    assert "is damaged, or no checkpoint" in failed(capsys, command, tmp_path / "config.yaml")
-    assert failed(capsys, command, tmp_path / "no.pt").startswith("rover-rl: no checkpoint at")
+    assert failed(capsys, "evaluate", tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
+    assert "is not the folder of a run" in failed(capsys, "evaluate", tmp_path.parent)
+    assert "is damaged, or no checkpoint" in failed(capsys, "evaluate", tmp_path / "config.yaml")
+    assert failed(capsys, "evaluate", tmp_path / "no.pt").startswith("rover-rl: no checkpoint at")
     (tmp_path / "foreign.pt").write_text("not a checkpoint")
-    assert "no checkpoint of rover_rl" in failed(capsys, command, tmp_path / "foreign.pt")
+    assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
 
 
 def test_settings_that_cannot_be_read_are_refused_in_one_line(
@@ -139,59 +135,40 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(
         assert "config.yaml is empty, or cut short" in failed(capsys, "train", "--resume", tmp_path)
 
 
-@pytest.fixture(scope="module")
-def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """The kernels that a film and an evaluation need are on disk: compiling them writes files."""
-    film = tmp_path_factory.mktemp("films") / "film.gif"
-    line = f"film scripted --world maze --backend warp --seconds 0.5 --width 64 --height 48 --out {film}"
-    assert main(line.split()) == 0
+FILM = "film scripted --world maze --backend warp --seconds 0.1 --width 64 --height 48 --out"
 
 
-@pytest.mark.parametrize(
-    ("line", "name"),
-    [
-        ("export pretrained:moon-ppo --format torch --out {}/moon.pt2", "moon.pt2"),
-        (
-            "film scripted --world maze --backend warp --seconds 0.5 --width 64 --height 48 --out {}/film.gif",
-            "film.gif",
-        ),
-        ("train --runs {} --name run", "run/config.yaml"),
-    ],
-)
-@pytest.mark.usefixtures("compiled_kernels")
 def test_without_space_the_file_is_named_and_nothing_is_left(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, line: str, name: str
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    # Compiling kernels writes files.
+    assert main([*FILM.split(), str(tmp_path / "before.gif")]) == 0
+    (tmp_path / "before.gif").unlink()
+    evaluate = "evaluate scripted --world maze --backend warp --count 1 --seconds 0.2 --out"
+    capsys.readouterr()
     with largest_file(100):
-        assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
+        for line, file in (
+            (f"{FILM} {tmp_path}/film.gif", "film.gif"),
+            (f"train --runs {tmp_path} --name run", "run/config.yaml"),
+        ):
+            assert failed(capsys, *line.split()) == f"rover-rl: {tmp_path}/{file}: File too large\n"
+        assert main([*evaluate.split(), str(tmp_path)]) == 2
+    told = capsys.readouterr()
+    assert told.err == f"rover-rl: {tmp_path}/evaluation.json: File too large\n"
+    # Results are shown where they cannot be written.
+    assert "scripted" in told.out
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-@pytest.mark.usefixtures("compiled_kernels")
-def test_results_are_shown_where_they_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = [
-        *["evaluate", "scripted", "--world", "maze", "--backend", "warp", "--count", "1", "--seconds", "0.5", "--out"]
-    ]
-    with largest_file(100):
-        assert main([*given, str(tmp_path)]) == 2
-    captured = capsys.readouterr()
-    assert captured.err == f"rover-rl: {tmp_path}/evaluation.json: File too large\n"
-    assert "scripted" in captured.out
-    assert not [*tmp_path.iterdir()]
-    assert "workers must be at least 1" in failed(capsys, *given, tmp_path, "--workers", 0)
-    written(tmp_path, "")
-    assert f"{tmp_path}/given.yaml is no folder: name another place with --out" in failed(
-        capsys, *given, tmp_path / "given.yaml"
-    )
-
-
-SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "64", "--hidden", "16"]
+SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "16", "--hidden", "16"]
 
 
 @pytest.mark.slow
 def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     given = ["train", "--algo", "ppo", "--world", "maze", "--randomize", "--epochs", "1", *SIZE]
-    assert main([*given, "--runs", str(tmp_path), "--name", "run"]) == 0
+    reward = "tests.envs.test_specs:CollisionHeat"
+    with pytest.warns(UserWarning, match=f"no component of reward='{reward}' pays for a goal"):
+        assert main([*given, "--reward", reward, "--runs", str(tmp_path), "--name", "run"]) == 0
     folder = tmp_path / "run"
     told = capsys.readouterr().out
     assert str(folder / "checkpoint.pt") in told
@@ -199,14 +176,15 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert (folder / "learning_curve.png").is_file()
     assert "already" in failed(capsys, "train", "--runs", tmp_path, "--name", "run")
 
-    assert main(["train", "--resume", str(folder), "--total-steps", "128"]) == 0
+    with pytest.warns(UserWarning, match="pays for a goal"):
+        assert main(["train", "--resume", str(folder), "--total-steps", "128"]) == 0
     assert "after 128 steps" in capsys.readouterr().out
     message = failed(capsys, "train", "--resume", folder, "--world", "moon")
     assert f"{folder} is trained with world='maze'" in message
     assert f"use --from {folder}" in message
 
     out = tmp_path / "results"
-    options = ["--count", "2", "--seconds", "1"]
+    options = ["--count", "2", "--seconds", "0.2"]
     assert main(["evaluate", str(folder), "scripted", "--backend", "warp", *options, "--out", str(out)]) == 0
     names = {"evaluation.csv", "evaluation-summary.csv", "evaluation.json", "paths.png"}
     assert {file.name for file in out.iterdir()} == names
@@ -214,13 +192,13 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nlearning_starts: 16\n")
+    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nlearning_starts: 8\n")
     runs = ["--runs", str(tmp_path), "--name", "run"]
-    size = ["--num-envs", "4", "--workers", "1", "--rollout-length", "8", "--total-steps", "128"]
+    size = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "32"]
     assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *size, "--gradient-steps", "1"]) == 0
     config = read_config(tmp_path / "run" / "config.yaml")
     assert isinstance(config.algorithm, SACConfig)
-    assert config.algorithm.learning_starts == 16
+    assert config.algorithm.learning_starts == 8
     parts = (config.env.world, config.network.hidden, config.env.num_envs, config.algorithm.gradient_steps)
     assert parts == ("maze", (8,), 4, 1)
     capsys.readouterr()
@@ -231,13 +209,13 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
 
 
 def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = ["--from", "pretrained:moon-ppo", "--world", "maze", "--total-steps", "64", "--num-envs", "4"]
+    given = ["--from", "pretrained:moon-ppo", "--world", "maze", "--total-steps", "16", "--num-envs", "4"]
     assert main(["train", *given, "--rollout-length", "4", "--runs", str(tmp_path), "--name", "run"]) == 0
     config, source = read_config(tmp_path / "run" / "config.yaml"), load_pretrained("moon-ppo").config
     chosen = (config.run.started_from, config.env.world, config.network)
     assert chosen == ("pretrained:moon-ppo", "maze", source.network)
     assert config.algorithm.learning_rate < source.algorithm.learning_rate
-    assert (config.run.total_steps, config.run.max_minutes) == (64, None)
+    assert (config.run.total_steps, config.run.max_minutes) == (16, None)
     capsys.readouterr()
     given = ["train", "--from", tmp_path / "run", "--runs", tmp_path / "more"]
     assert "hidden=(128, 128) of the policy" in failed(capsys, *given, "--hidden", "8")
@@ -245,18 +223,6 @@ def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixt
     assert "give one of them" in failed(capsys, *given, "--resume", tmp_path / "run")
     assert "no checkpoint at" in failed(capsys, "train", "--from", tmp_path / "nothing")
     assert not (tmp_path / "more").exists()
-
-
-def test_a_reward_without_goals_is_told(tmp_path: Path) -> None:
-    given, tilt = (
-        ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"],
-        "tests.envs.test_specs:CollisionHeat",
-    )
-    with pytest.warns(UserWarning, match=rf"no component of reward='{tilt}' pays for a goal"):
-        assert main([*given, tilt]) == 0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        assert main([*given, "contract", tilt]) == 0
 
 
 def written(folder: Path, text: str) -> Path:
@@ -290,9 +256,8 @@ def test_play_films_a_policy_and_opens_the_film_on_a_display(
     assert film.stat().st_size > 1000
     assert opened == []
     monkeypatch.setenv("DISPLAY", ":0")
-    for options, addresses in ((["--no-show"], []), ([], [film.resolve().as_uri()])):
-        assert main([*given, *options]) == 0
-        assert opened == addresses
+    assert main(given) == 0
+    assert opened == [film.resolve().as_uri()]
 
 
 def test_play_films_a_trained_policy_in_its_world_and_folder(
@@ -315,7 +280,11 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_
     monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
     make_config = Demo._config
     monkeypatch.setattr(
-        Demo, "_config", lambda demo, base: with_settings(make_config(demo, base), num_envs=4, workers=1, minibatch=32)
+        Demo,
+        "_config",
+        lambda demo, base: with_settings(
+            make_config(demo, base), num_envs=4, workers=1, rollout_length=8, epochs=1, minibatch=16
+        ),
     )
     filmed: list[Any] = []
 
@@ -418,7 +387,6 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
     ("option", "command"),
     [
         ("--runs", ["train", "--world", "maze", "--runs", "OUT"]),
-        ("--out", ["evaluate", "scripted", "--world", "maze", "--episodes", "1", "--out", "OUT"]),
         ("--html", ["evaluate", "scripted", "--world", "maze", "--html", "OUT/page.html"]),
         ("--out", ["film", "scripted", "--out", "OUT/film.gif"]),
         ("--out", ["export", "pretrained:moon-sac", "--out", "OUT/sac.onnx"]),

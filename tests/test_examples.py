@@ -95,7 +95,8 @@ def shortened(code: str) -> str:
     code = re.sub(r"\bnum_iter=\d+", "num_iter=20", code)
     code = re.sub(r"total_frames=\d+_000", "total_frames=100", code)
     code = re.sub(r"\brollout\(\d{3}\b", "rollout(10", code)
-    code = code.replace(".first(8)", ".first(1)")
+    code = code.replace(".first(8)", ".first(1)").replace("seconds=6", "seconds=0.5")
+    code = re.sub(r"^(\w+ = evaluate\(.*)\)$", r"\1, seconds=1)", code, flags=re.MULTILINE)
     return re.sub(r"\bnum_envs=(48|64|4096)\b", "num_envs=6", code)
 
 
@@ -141,9 +142,11 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
         ("evaluate_policies.py", {"EPISODES": 2}, r"anywhere: 2 of 2 goals"),
         ("torchrl_ppo.py", {"STEPS": 256, "ROVERS": 2}, "256 steps"),
         ("sb3_sac.py", {"STEPS": 64, "ROVERS": 2, "EPISODE": 20}, "of 2 rovers reached a goal"),
-        ("sweep.py", {"TRIALS": 1, "STEPS": 1_000, "EPISODES": 1}, "best: trial 0, success"),
+        ("sweep.py", {"TRIALS": 1, "STEPS": 1_000, "EPISODES": 1, "SECONDS": 1}, "best: trial 0, success"),
         pytest.param("deploy_policy.py", {"STEPS": 20}, r"m from the goal after 1\.0 s", marks=pytest.mark.slow),
-        pytest.param("fine_tuning.py", {"EPISODES": 1, "STEPS": 1_000}, "fine-tuned: ", marks=pytest.mark.slow),
+        pytest.param(
+            "fine_tuning.py", {"EPISODES": 1, "STEPS": 1_000, "SECONDS": 1}, "fine-tuned: ", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_programs_of_the_gallery(

@@ -13,7 +13,6 @@ import yaml
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
 from rover_rl.robots import get_robot
-from tests.extras import BACKENDS
 from tests.fork_server import quick_workers
 from tests.pages import ROOT, blocks
 
@@ -162,7 +161,7 @@ def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = "runs/own"
-    assert main(["evaluate", run, "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow"]) == 0
+    assert main(["evaluate", run, "--count", "2", "--seconds", "0.2", "--backend", "my_package.parts:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
     assert evaluation["env"]["robot"] == "my_package.robot:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
@@ -177,12 +176,11 @@ def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_robot_drives_and_is_filmed_in_every_simulator(folder: Path, backend: str) -> None:
-    drive = ["runs/own", "--backend", backend]
-    assert main(["evaluate", *drive, "--count", "1", "--seconds", "0.5", "--workers", "1", "--out", backend]) == 0
-    assert main(["film", *drive, "--out", f"{backend}.gif", "--seconds", "0.3", "--width", "80", "--height", "60"]) == 0
-    assert (folder / f"{backend}.gif").stat().st_size > 500
+@pytest.mark.parametrize("backend", ["mujoco", "warp"])
+def test_the_robot_drives_in_every_simulator(folder: Path, backend: str) -> None:
+    line = ["evaluate", "runs/own", "--backend", backend, "--count", "1", "--seconds", "0.2", "--out", backend]
+    assert main(line) == 0
+    assert (folder / backend / "evaluation.json").is_file()
 
 
 @pytest.mark.slow

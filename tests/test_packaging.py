@@ -72,10 +72,8 @@ def test_the_lock_holds_one_allowed_version_of_everything_that_is_needed(python)
         assert version in requirement.specifier, f"{requirement} and {pinned[name]}"
 
 
-@pytest.fixture(scope="module")
-def beside_a_clone(tmp_path_factory):
-    """A folder with a clone named rover_rl and an environment into which pip has installed it for development."""
-    folder = tmp_path_factory.mktemp("beside")
+def beside_a_clone(folder):
+    """Puts a clone named rover_rl into a folder, and an environment into which pip installs it for development."""
     clone, environment = folder / "rover_rl", folder / "environment"
     clone.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
@@ -92,18 +90,12 @@ def beside_a_clone(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["beside the clone", "in the clone", "at the root"])
-def test_an_editable_installation_is_found_beside_the_clone_in_it_and_elsewhere(beside_a_clone, place):
-    folder, python = beside_a_clone
-    cwd = {"beside the clone": folder, "in the clone": folder / "rover_rl", "at the root": Path("/")}[place]
-    program = "import rover_rl, gymnasium; from rover_rl import make_env; gymnasium.spec('rover_rl/Rover-v0')"
+def test_an_editable_installation_is_found_beside_the_clone_in_it_and_elsewhere(tmp_path):
+    folder, python = beside_a_clone(tmp_path)
+    program = "import rover_rl, gymnasium; gymnasium.spec('rover_rl/Rover-v0'); print(rover_rl.__file__)"
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    found = subprocess.run(
-        [python, "-c", f"{program}; print(rover_rl.__file__)"],
-        cwd=cwd,
-        env=variables,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert found.stdout.strip() == str(folder / "rover_rl" / "rover_rl" / "__init__.py")
+    for place in (folder, folder / "rover_rl", Path("/")):
+        found = subprocess.run(
+            [python, "-c", program], cwd=place, env=variables, check=True, capture_output=True, text=True
+        )
+        assert found.stdout.strip() == str(folder / "rover_rl" / "rover_rl" / "__init__.py")

@@ -2,8 +2,8 @@
 
 Example:
     >>> actor = Checkpoint.load("runs/ppo-moon").make_actor()
-    >>> episodes = stored_episodes("maze").first(4)
-    >>> print_table([evaluate(actor, episodes, name="PPO", seconds=5), evaluate(None, episodes, seconds=5)])
+    >>> episodes = stored_episodes("maze").first(2)
+    >>> print_table([evaluate(actor, episodes, name="PPO", seconds=2), evaluate(None, episodes, seconds=2)])
 """
 
 from __future__ import annotations

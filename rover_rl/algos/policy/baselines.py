@@ -2,7 +2,7 @@
 
 Example:
     >>> episodes = stored_episodes("maze").first(4)
-    >>> evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=20)
+    >>> evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=2)
 """
 
 from __future__ import annotations

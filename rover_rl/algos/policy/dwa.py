@@ -31,7 +31,7 @@ are within the noise of 64 episodes. The command for one of the families::
     rover-rl evaluate dwa --world maze:0-63 --episodes 1 --action-repeat 2 --seconds 45 --backend warp
 
 Example:
-    >>> evaluate(DynamicWindowPolicy(), draw_episodes("maze:10000", count=2), name="dwa", seconds=5)
+    >>> evaluate(DynamicWindowPolicy(), draw_episodes("maze:10000", count=2), name="dwa", seconds=2)
 """
 
 from __future__ import annotations

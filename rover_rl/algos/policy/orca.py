@@ -8,7 +8,7 @@ towards the goal, of a set of 16 speeds and 64 directions, or, if none is allowe
 The rover is no point: the velocity becomes a speed and a heading, backward if it points far enough to the rear.
 
 Example:
-    >>> evaluate(OrcaPolicy(), draw_episodes("forest:10000", count=2), name="orca", seconds=5)
+    >>> evaluate(OrcaPolicy(), draw_episodes("forest:10000", count=2), name="orca", seconds=2)
 """
 
 from __future__ import annotations

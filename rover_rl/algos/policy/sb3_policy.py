@@ -4,7 +4,7 @@ Example:
     >>> from stable_baselines3 import PPO
     >>> from rover_rl.envs.sb3 import SB3VecEnv
     >>> PPO("MultiInputPolicy", SB3VecEnv(RoverEnv(world_n="maze", num_envs=4))).save("ppo.zip")
-    >>> evaluate(SB3Policy(Path("ppo.zip")), stored_episodes("maze").first(4), seconds=5)
+    >>> evaluate(SB3Policy(Path("ppo.zip")), stored_episodes("maze").first(4), seconds=2)
 """
 
 from __future__ import annotations
