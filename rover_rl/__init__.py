@@ -90,7 +90,6 @@ __all__ = ["ENV_ID", "LEARNING_DEFAULTS", "LEARNING_ENV_ID", "__version__", *_HO
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name on first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(_HOME[name]), name)

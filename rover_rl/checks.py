@@ -1,4 +1,4 @@
-"""Validation of numbers given by users. Does not import PyTorch, so that settings can be validated without it."""
+"""Validation of numbers given by users. Does not import PyTorch."""
 
 from __future__ import annotations
 
@@ -17,16 +17,14 @@ MAX_NUMBER = 1e30
 """Upper limit of real-valued settings: products with 32-bit floats stay finite."""
 MAX_SECONDS = 1e6
 """Longest drive that can be evaluated or filmed, s."""
-
 MAX_TOPIC = 247
 """Largest number of characters of a topic, as in ROS 2."""
 
 
 def check_count(most: int, **counts: Any) -> int:
-    """Returns a count of any integer type as an ``int``, given by its name.
+    """Returns a count of any integer type, given by its name, as an ``int``.
 
-    Raises:
-        ValueError: if it is not a whole number from 1 to ``most``.
+    Raises ``ValueError`` if it is not a whole number from 1 to ``most``.
     """
     ((name, count),) = counts.items()
     if not 1 <= (whole := _whole(count)) <= most:
@@ -35,10 +33,9 @@ def check_count(most: int, **counts: Any) -> int:
 
 
 def check_seed(seed: Any, count: int = 1) -> int:
-    """Returns a seed of any integer type as an ``int``, from which on ``count`` seeds are in range.
+    """Returns a seed of any integer type as an ``int``.
 
-    Raises:
-        ValueError: if the seed is not a whole number or out of range.
+    Raises ``ValueError`` if it is not a whole number, or it or one of the ``count`` seeds from it on is out of range.
     """
     most = MAX_SEED - count + 1
     if not 0 <= (whole := _whole(seed)) <= most:
@@ -47,7 +44,6 @@ def check_seed(seed: Any, count: int = 1) -> int:
 
 
 def _whole(number: Any) -> int:
-    """Returns a number of any integer type, NumPy's and PyTorch's too, as an ``int``; -1 for anything else."""
     try:
         # operator.index(True) is 1, but a bool is most likely a mistake.
         return -1 if isinstance(number, bool) else operator.index(number)

@@ -76,7 +76,6 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def _mark(path: Path) -> None:
-    """Marks a file as made by this package, in a way that readers of its format skip."""
     if path.suffix.lower() not in _MARKS:
         return
     before, mark = _MARKS[path.suffix.lower()]
@@ -127,7 +126,6 @@ def check_outputs(
 
 
 def _is_marked(path: Path) -> bool:
-    """Whether this package made a file."""
     if not path.is_file():
         return False
     content = path.read_bytes()

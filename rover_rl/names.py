@@ -99,7 +99,6 @@ class Name(Sequence["Name"]):
                 raise ValueError(f"the ends of {text!r} must be in order, as in '{self.part}:0-99@0.2-0.8'")
 
     def __str__(self) -> str:
-        """Returns the name in its shortest form."""
         rest = dict(self.settings)
         walkers, seed, level, scale = (rest.pop(setting, None) for setting in SHORT)
         short = "+walkers" if walkers else ""
@@ -148,10 +147,7 @@ class Name(Sequence["Name"]):
 
 
 def unseen(text: str) -> str:
-    """Returns the name of a world, or robot, to evaluate a policy that was trained with those of ``text``.
-
-    For a range, it has the first seed that is neither in the range nor for training. Other names stay unchanged.
-    """
+    """Returns a name with the first seed that is neither in a range nor for training; other names unchanged."""
     name = Name.parse(text)
     if not name.is_range:
         return text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
@@ -47,19 +46,13 @@ def _describe_error(error: BaseException, kind: type | None) -> str:
 
 @cache
 def _converter() -> Converter:
-    """Creates the converter. It converts tuples to lists and back, and does not convert between other types."""
+    # It converts tuples to lists and back, and does not convert between other types.
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, _structure_strictly)
-    converter.register_structure_hook_func(_origin_in(Literal), _structure_literal)
-    converter.register_structure_hook_func(
-        _origin_in(Union, UnionType), lambda value, hint: _structure_union(converter, value, hint)
-    )
+    converter.register_structure_hook_func(lambda hint: get_origin(hint) is Literal, _structure_literal)
+    converter.register_structure_hook_func(lambda hint: get_origin(hint) in (Union, UnionType), _structure_union)
     return converter
-
-
-def _origin_in(*origins: Any) -> Callable[[Any], bool]:
-    return lambda hint: get_origin(hint) in origins
 
 
 def _structure_strictly(value: Any, kind: type) -> Any:
@@ -76,15 +69,14 @@ def _structure_literal(value: Any, hint: Any) -> Any:
     return value
 
 
-def _structure_union(converter: Converter, value: Any, hint: Any) -> Any:
-    """Structures a value as the first type of a union that accepts it."""
+def _structure_union(value: Any, hint: Any) -> Any:
     if value is None and NoneType in get_args(hint):
         return None
     for kind in get_args(hint):
         # Otherwise a string would be accepted as a tuple of characters.
         if kind is str or not (kind is NoneType or isinstance(value, str)):
             with suppress(ValueError, TypeError, BaseValidationError):
-                return converter.structure(value, kind)
+                return _converter().structure(value, kind)
     raise ValueError(f"a value of type {hint} is needed, got {value!r}")
 
 
@@ -118,7 +110,6 @@ _NUMBERS = {
 
 
 def _of_python(value: Any) -> Any:
-    """Returns scalars and arrays, also those in a list or tuple, as Python's numbers, strings and lists."""
     if type(value) in (list, tuple):
         parts = [_of_python(part) for part in value]
         return value if all(map(operator.is_, parts, value)) else type(value)(parts)
@@ -126,7 +117,6 @@ def _of_python(value: Any) -> Any:
 
 
 def _is_of(value: Any, kind: str) -> bool:
-    """Returns whether a value fits an annotation of numbers. Whole numbers are real numbers, too."""
     if kind.startswith("tuple"):
         of = kind[6:].split(",")[0]
         return isinstance(value, list | tuple) and len(value) == 2 and all(_is_of(part, of) for part in value)

@@ -36,7 +36,6 @@ class _RemainingColumn(ProgressColumn):
         self._remaining = remaining
 
     def render(self, task: Task) -> Text:
-        """Returns the text of the column."""
         seconds = math.ceil(self._remaining())
         return Text(f"left {timedelta(seconds=seconds)}" if seconds > 0 else "", style="progress.remaining")
 
@@ -139,7 +138,7 @@ class ProgressDisplay:
             self.update(done / count)
 
     def _remaining(self) -> float:
-        """Returns the estimate of the remaining time, s. Not positive if there is none, or it has turned out wrong."""
+        # Not positive if there is no estimate, or it has turned out wrong.
         seconds = self._bar.tasks[0].time_remaining if self._estimate else None
         return (seconds or 0.0) - (time.monotonic() - self._updated)
 
@@ -152,7 +151,6 @@ class ProgressDisplay:
         self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{left}{status}")
 
     def _print_regularly(self) -> None:
-        """Prints a line whenever nothing was printed for ``interval``."""
         while not self._ended.wait(max(0.0, self._printed + self._interval - time.monotonic())):
             if time.monotonic() >= self._printed + self._interval:
                 try:

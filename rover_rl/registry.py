@@ -6,7 +6,6 @@ form ``module:attribute``, in this order. Does not import PyTorch.
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -40,10 +39,7 @@ class Registry:
         self._parts = dict(built_in)
 
     def register(self, name: str, part: Any) -> None:
-        """Registers a part, or its ``"module:attribute"``, which is imported on first use.
-
-        Registering the same object again under its name has no effect.
-        """
+        """Registers a part, or its ``"module:attribute"``, which is imported on first use."""
         if not re.fullmatch(r"[\w.-]+", name):
             raise ValueError(
                 f"the name of a {self._kind} must consist of letters, digits, '_', '-' and '.', got {name!r}"
@@ -53,7 +49,6 @@ class Registry:
         self._parts[name] = part
 
     def names(self) -> list[str]:
-        """Returns the names of all built-in, registered and installed parts, sorted."""
         return sorted({*self._parts, *(entry.name for entry in self._entry_points())})
 
     def find(self, name: str) -> Any:
@@ -84,7 +79,6 @@ class Registry:
             raise ValueError(f"{self._kind} {name!r} does not take the settings {settings}: {error}") from error
 
     def _unknown(self, name: str, path: str) -> str:
-        """Returns the message about a name, whose part would be at ``path``, ``"module:attribute"``."""
         known = self.names()
         named = is_path(path) and path.split(":")[0] not in known
         advice = (_module_advice(path) if named else perhaps(name, known)) or _module_advice(path)
@@ -122,7 +116,6 @@ def perhaps(name: str, known: Iterable[str]) -> str:
 
 
 def _module_advice(name: str) -> str:
-    """Returns what is wrong with a name of the form ``module:attribute``, or ``module.attribute``."""
     module, _, attribute = name.replace(":", ".").rpartition(".")
     if not is_path(f"{module}:{attribute}"):
         return ""
@@ -130,30 +123,6 @@ def _module_advice(name: str) -> str:
     if top not in sys.modules and find_spec(top) is None:
         return f": there is no module {top!r}"
     return "" if is_path(name) else f", perhaps '{module}:{attribute}'"
-
-
-def split_settings(name: str) -> tuple[str, dict[str, Any]]:
-    """Returns the name and the settings of ``"name(setting=value, ...)"``. Values are literals of Python.
-
-    Raises:
-        ValueError: for something else in parentheses. Nothing in it is executed.
-
-    Example:
-        >>> split_settings("depth(size=(24, 32), period=2)")
-        ('depth', {'size': (24, 32), 'period': 2})
-    """
-    before, parenthesis, rest = name.partition("(")
-    if not parenthesis:
-        return name, {}
-    try:
-        call = ast.parse(f"_({rest}", mode="eval").body
-        if not isinstance(call, ast.Call) or call.args or not isinstance(call.func, ast.Name):
-            raise ValueError
-        return before, {str(one.arg): ast.literal_eval(one.value) for one in call.keywords}
-    except (SyntaxError, ValueError) as error:
-        raise ValueError(
-            f"settings are NAME(setting=value, ...) with numbers, texts and tuples, got {name!r}"
-        ) from error
 
 
 def is_path(name: str) -> bool:

@@ -33,23 +33,14 @@ def row_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
 
 
 def episode_keys(rows: Tensor, episode: Tensor | int) -> Tensor:
-    """Returns the keys of the current episodes, int64 ``[N, 1]``.
-
-    Args:
-        rows: keys of the rows from :func:`row_keys`, ``[N, 1]``.
-        episode: number of the current episode of each row, int64 ``[N, 1]``, or one for all.
-    """
+    """Returns the keys of episodes, int64 ``[N, 1]``, of rows by their keys, and their numbers, ``[N, 1]`` or one."""
     return _mix(rows + episode * _EPISODE)
 
 
 def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Tensor:
-    """Returns ``count`` independent 64-bit hashes per row, int64 ``[N, count]``.
+    """Returns ``count`` independent 64-bit hashes per row, int64 ``[N, count]``, from ``keys`` of episodes ``[N, 1]``.
 
-    Args:
-        keys: random keys of the episodes, ``[N, 1]``.
-        stream: identifier of the purpose. Different streams give independent numbers.
-        draw: index of the draw within the stream, ``[N, 1]`` or one for all rows.
-        count: number of hashes per row.
+    ``stream`` identifies the purpose, and ``draw`` is the index of the draw for it, ``[N, 1]`` or one for all rows.
     """
     offset = draw * _DRAW + _signed(stream * _STREAM % (1 << 64))
     if isinstance(offset, int):
@@ -60,7 +51,6 @@ def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Te
 
 @lru_cache(maxsize=64)
 def _lanes(count: int, device: torch.device) -> Tensor:
-    """Offsets of the hashes of a row in the Weyl sequence, int64 ``[count]``."""
     return torch.arange(1, count + 1, dtype=torch.int64, device=device) * _GOLDEN
 
 
@@ -91,7 +81,7 @@ def to_normal(bits: Tensor) -> Tensor:
 
 
 def _shift(bits: Tensor, places: int) -> Tensor:
-    """Shifts right and fills with zeros. PyTorch's ``>>`` keeps the sign."""
+    # PyTorch's >> keeps the sign, and does not fill with zeros.
     return (bits >> places) & ((1 << (64 - places)) - 1)
 
 

@@ -92,12 +92,10 @@ def read_xml(path: Path) -> Element:
 
 
 def text_of(element: Element | None) -> str:
-    """Returns the text of an element without surrounding space, empty without one."""
     return "" if element is None or element.text is None else element.text.strip()
 
 
 def is_true(element: Element | None) -> bool:
-    """Returns whether the text of an element means true."""
     return text_of(element).lower() in ("1", "true")
 
 

@@ -25,7 +25,6 @@ LAYERS = (
         "rng",
         "tensordicts",
         "tiny_xml",
-        "torch_defaults",
         "rotations",
         "native",
     ),

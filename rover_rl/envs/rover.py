@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from rover_rl import checks, tensordicts, torch_defaults
+from rover_rl import checks, tensordicts
 from rover_rl.envs import placement, privileged, rows, specs, stages, task
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
@@ -78,7 +78,7 @@ class RoverEnv(EnvBase):
 
     batch_locked = True
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def __init__(self, *args: Any, **settings: Any) -> None:
         config = replace(EnvConfig.of(*args, **settings), reward="task").fitted()
         num_envs = 1 if config.num_envs is None else checks.check_count(checks.MAX_ROVERS, num_envs=config.num_envs)
@@ -148,7 +148,7 @@ class RoverEnv(EnvBase):
         rig = base.Rig(self.fleet, config.lidar, self.control_dt, config.randomization)
         self.observer = base.Observer(self.sensors, rig)
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def _set_seed(self, seed: int | None) -> None:
         seed = secrets.randbits(31) if seed is None else checks.check_seed(seed, self.num_envs)
         given = seed, self.num_envs, self._tensor_device
@@ -160,7 +160,7 @@ class RoverEnv(EnvBase):
             self._episodes = GroupEpisodes(*given, self.config.agents)
         self._state.keys, self._state.total_steps = self._episodes.keys, torch.zeros_like(self._episodes.keys)
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def _reset(
         self,
         tensordict: TensorDictBase | None = None,
@@ -219,7 +219,7 @@ class RoverEnv(EnvBase):
             self.simulator.close()
             self._open()
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_started("step")
         active = tensordict.get("_step", None)
@@ -231,7 +231,7 @@ class RoverEnv(EnvBase):
         command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
         return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def step_commands(self, command: Tensor) -> TensorDictBase:
         """Takes a step with commands ``[N, A]`` in place of actions, as a simulated robot receives them over ROS 2."""
         self._require_started("step_commands")
@@ -341,14 +341,14 @@ class RoverEnv(EnvBase):
         """Whether the rovers are connected. Always true in simulation."""
         return self.simulator.robot_connected
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def set_world_weights(self, weights: Tensor) -> None:
         """Sets the weights ``[len(pool)]`` of the worlds in draws, for the episodes after the next one of each row."""
         if "worlds" not in self.simulator.features:
             raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
         self._row_worlds.set_weights(weights)
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def set_goal(self, goal: Tensor) -> None:
         """Sets the goal of every row, ``[N, 2]``, m, within its episode: from the next step on, for example by hand."""
         self._require_started("set_goal")
@@ -357,7 +357,7 @@ class RoverEnv(EnvBase):
         state, reference = self._state, self._state.reference
         state.goal, state.target = checked, task.target_info(reference.position, reference.yaw, checked)
 
-    @torch_defaults.with_torch_defaults
+    @tensordicts.with_torch_defaults
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_started("render")

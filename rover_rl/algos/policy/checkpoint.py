@@ -14,7 +14,7 @@ from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.networks import actor_of
 from rover_rl.envs.config import EnvConfig, RobotLike, require_match
 from rover_rl.files import written_whole
-from rover_rl.torch_defaults import with_torch_defaults
+from rover_rl.tensordicts import with_torch_defaults
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
 """Names of the files in a run's folder that hold the settings and the policy."""

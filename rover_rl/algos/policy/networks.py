@@ -28,7 +28,7 @@ from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
 from rover_rl.robots import get_robot
-from rover_rl.torch_defaults import with_torch_defaults
+from rover_rl.tensordicts import with_torch_defaults
 
 DRIVER = "driver"
 """Entry of a batch of decisions: mean that the prior of a policy adds, before squashing, ``[..., 2]``."""

@@ -24,7 +24,7 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.suite import MOVERS, OPTIONAL, ROUTE, SEEN_DISTANCES, with_sensors
 from rover_rl.sims.settings import CONTROL_DT
-from rover_rl.torch_defaults import with_torch_defaults
+from rover_rl.tensordicts import with_torch_defaults
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.

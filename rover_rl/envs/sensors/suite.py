@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.registry import Registry, split_settings
+from rover_rl.names import Name
+from rover_rl.registry import Registry
 
 if TYPE_CHECKING:
     from rover_rl.envs.config import EnvConfig, LidarConfig, SensorLike
@@ -84,7 +85,8 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
     found: dict[str, Sensor] = {}
     for each in sensors:
-        name, settings = split_settings(each) if isinstance(each, str) else (str(each), {})
+        word = Name.parse(each) if isinstance(each, str) else Name(str(each))
+        name, settings = word.part, word.settings
         part = _REGISTRY.find(name) if isinstance(each, str) else each
         if callable(part) and not isinstance(part, Sensor):
             part = _REGISTRY.call(name, part, **settings)

@@ -25,8 +25,7 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.base import View
-from rover_rl.tensordicts import in_rows
-from rover_rl.torch_defaults import with_torch_defaults
+from rover_rl.tensordicts import in_rows, with_torch_defaults
 
 Observation: TypeAlias = Any
 """A dictionary of arrays by entry, or one array if observations are scaled. All arrays are float32."""
