@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
@@ -50,9 +51,13 @@ def _converter() -> Converter:
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, _structure_strictly)
-    converter.register_structure_hook_func(lambda hint: get_origin(hint) is Literal, _structure_literal)
-    converter.register_structure_hook_func(lambda hint: get_origin(hint) in (Union, UnionType), _structure_union)
+    converter.register_structure_hook_func(_origin_in(Literal), _structure_literal)
+    converter.register_structure_hook_func(_origin_in(Union, UnionType), _structure_union)
     return converter
+
+
+def _origin_in(*origins: Any) -> Callable[[Any], bool]:
+    return lambda hint: get_origin(hint) in origins
 
 
 def _structure_strictly(value: Any, kind: type) -> Any:
