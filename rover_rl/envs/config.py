@@ -18,7 +18,7 @@ from functools import cached_property
 from inspect import Parameter, Signature
 from itertools import pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, get_args
 
 import tyro
 
@@ -60,6 +60,7 @@ OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 PoseSource: TypeAlias = Literal["truth", "odometry", "localized", "either"]
 CollisionSource: TypeAlias = Literal["lidar", "contact"]
 
+_CHOICES = {"source": PoseSource, "collision_from": CollisionSource, "outcome_from": OutcomeSource}
 _UNCHANGED = (1.0, 1.0)
 _SEVERITY = 22
 """Stream of random numbers."""
@@ -67,8 +68,29 @@ _TURN = 2 * math.pi + 0.01
 """A full turn, rad, which rounded numbers may exceed."""
 
 
+class Settings:
+    """Base of the parts of a description, which are frozen dataclasses: checks their numbers and choices.
+
+    The numbers in ``positive`` must be positive, and those in ``not_negative`` at least 0, all at most ``most``, but
+    for ``None``. Numbers of NumPy and PyTorch become Python's.
+    """
+
+    positive: ClassVar[tuple[str, ...]] = ()
+    not_negative: ClassVar[tuple[str, ...]] = ()
+    most: ClassVar[float] = MAX_NUMBER
+
+    def __post_init__(self) -> None:
+        take_numbers(self)
+        values = {name: value for name, value in vars(self).items() if value is not None}
+        for name in values.keys() & _CHOICES.keys():
+            if values[name] not in get_args(_CHOICES[name]):
+                raise ValueError(f"{name} must be one of {get_args(_CHOICES[name])}, got {values[name]!r}")
+        check_positive(self.most, **{name: values[name] for name in self.positive if name in values})
+        check_at_least(0, self.most, **{name: values[name] for name in self.not_negative if name in values})
+
+
 @dataclass(frozen=True)
-class LidarConfig:
+class LidarConfig(Settings):
     """Lidar and its readings."""
 
     points: int = 32
@@ -82,12 +104,12 @@ class LidarConfig:
     the same in between. Fewer scans take less time."""
 
     def __post_init__(self) -> None:
-        take_numbers(self)
+        super().__post_init__()
         check_at_least(1, MAX_COUNT, period=self.period)
 
 
 @dataclass(frozen=True)
-class PoseConfig:
+class PoseConfig(Settings):
     """Pose that the sensors report, from which the target is computed. Events and rewards know the true pose.
 
     - ``truth``: the true pose, as in the original environment.
@@ -112,15 +134,12 @@ class PoseConfig:
     jump_heading: float = 0.0
     """Standard deviation of the error of the heading that each jump draws anew, rad."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-        _check_choice(self, "source", PoseSource)
-        check_at_least(0, MAX_NUMBER, **_some(self, "drift", "drift_heading", "jump", "jump_rate", "jump_heading"))
-        check_positive(MAX_NUMBER, drift_time=self.drift_time)
+    positive = ("drift_time",)
+    not_negative = ("drift", "drift_heading", "jump", "jump_rate", "jump_heading")
 
 
 @dataclass(frozen=True)
-class ActionConfig:
+class ActionConfig(Settings):
     """Bounds of the action. Actions outside of them are clipped."""
 
     min_speed: float | None = None
@@ -130,11 +149,12 @@ class ActionConfig:
     max_turn: float = math.pi
     """Maximum absolute heading offset, rad. It is at most that at which the robot turns as fast as it can."""
     max_sideways: float = 0.0
-    """Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has no such
-    component."""
+    """Maximum absolute speed to the left, m/s, of a drive that moves sideways. 0 leaves it out of the action."""
+
+    not_negative = ("max_sideways",)
 
     def __post_init__(self) -> None:
-        take_numbers(self)
+        super().__post_init__()
         speeds = [speed for speed in (self.min_speed, self.max_speed) if speed is not None]
         if not all(map(math.isfinite, speeds)) or (len(speeds) == 2 and not speeds[0] < speeds[1]):
             raise ValueError(
@@ -142,7 +162,6 @@ class ActionConfig:
             )
         if not 0 < self.max_turn <= math.pi:
             raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
-        check_at_least(0, MAX_NUMBER, max_sideways=self.max_sideways)
 
     def for_robot(self, robot: RobotLike, gain: float = 2.0) -> ActionConfig:
         """Returns the bounds for a robot, whose heading PID has a proportional ``gain``, 1/s.
@@ -164,7 +183,7 @@ class ActionConfig:
 
 
 @dataclass(frozen=True)
-class TaskConfig:
+class TaskConfig(Settings):
     """Thresholds of the task. The defaults are the contract's."""
 
     success_distance: float = 0.5
@@ -187,16 +206,13 @@ class TaskConfig:
     """What counts as a collision: lidar (a reading below the threshold) or contact (the chassis or a wheel touches
     an obstacle). A live rover senses no contact and is never in collision then."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-        _check_choice(self, "collision_from", CollisionSource)
-        check_positive(math.inf, **_some(self, "success_distance", "min_goal_distance", "stuck_window"))
-        names = ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold")
-        check_at_least(0, math.inf, **_some(self, *names))
+    positive = ("success_distance", "min_goal_distance", "stuck_window")
+    not_negative = ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold")
+    most = math.inf
 
 
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(Settings):
     """Parameters of the contract's reward, which are the defaults, and of components that may be added to it."""
 
     goal_reward: float = 100.0
@@ -248,13 +264,12 @@ class RewardConfig:
     risk_distance: float = 0.5
     """Distance from the center of the rover to the surface of a mover within which it is at risk, m."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-        check_positive(math.inf, **_some(self, "clearance_distance", "intrusion_distance", "risk_distance"))
+    positive = ("clearance_distance", "intrusion_distance", "risk_distance")
+    most = math.inf
 
 
 @dataclass(frozen=True)
-class HeadingGains:
+class HeadingGains(Settings):
     """Gains of the heading PID. The defaults are the contract's."""
 
     kp: float = 2.0
@@ -266,12 +281,9 @@ class HeadingGains:
     max_output: float = 7.0
     """Maximum absolute yaw rate, rad/s. A robot whose drive is slower turns at most at its own."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-
 
 @dataclass(frozen=True)
-class LimitsConfig:
+class LimitsConfig(Settings):
     """Limits of the commands: those that ``rover-rl drive`` applies to a live rover, in simulation too.
 
     ``rover-rl drive`` applies by default what a policy was trained with, if ``apply``, else the defaults below. In
@@ -291,15 +303,12 @@ class LimitsConfig:
     min_reversal: float = MIN_REVERSAL
     """Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-        check_at_least(0, MAX_NUMBER, min_reversal=self.min_reversal)
-        names = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
-        check_positive(MAX_NUMBER, **_some(self, *names))
+    positive = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
+    not_negative = ("min_reversal",)
 
 
 @dataclass(frozen=True)
-class GuardConfig:
+class GuardConfig(Settings):
     """Emergency brake: limits the speed so that the rover stops before what the scan shows in its way.
 
     The way is the arc of the command, swept by the outline of the robot. Of the free distance ``d`` on it, the rover
@@ -317,13 +326,11 @@ class GuardConfig:
     margin: float = 0.02
     """Free distance around the outline, m."""
 
-    def __post_init__(self) -> None:
-        take_numbers(self)
-        check_at_least(0, MAX_NUMBER, **vars(self))
+    not_negative = ("deceleration", "reaction", "approach", "margin")
 
 
 @dataclass(frozen=True)
-class Randomization:
+class Randomization(Settings):
     """Domain randomization. The defaults disable it.
 
     Factors, delays and biases are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
@@ -351,8 +358,7 @@ class Randomization:
     scan_latency: tuple[int, int] = (0, 0)
     """Range of the delay of scans, control steps."""
     state_latency: tuple[int, int] = (0, 0)
-    """Range of the delay of pose, IMU, wheel odometry and other sensors, control steps. A scan waits for the pose
-    of its time."""
+    """Range of the delay of all other sensors, control steps. A scan waits for the pose of its time."""
     scan_period: tuple[int, int] | None = None
     """Range of the number of steps from one scan to the next. None: that of the lidar."""
     lost_scans: float = 0.0
@@ -376,43 +382,47 @@ class Randomization:
     lidar_min_range: tuple[float, float] = (0.0, 0.0)
     """Range of the least distance that the lidar measures, m. Beams that meet something closer have no return."""
 
+    not_negative = ("range_noise", "odometry_noise", "imu_noise")
+
     def __post_init__(self) -> None:
-        take_numbers(self)
+        super().__post_init__()
         least = math.ulp(0.0)
-        for name in ("friction", "chassis_mass", "motor_torque", "odometry_scale", "limits"):
-            _check_range(self, name, "positive factors", least)
-        _check_range(self, "severity", "factors of at least 0", 0)
-        for name in ("latency", "scan_latency", "state_latency"):
-            _check_range(self, name, "control steps", 0)
-        _check_range(self, "scan_period", "at least 1 step", 1)
-        _check_range(self, "yaw_bias", "yaw rates, rad/s", -MAX_NUMBER)
-        _check_range(self, "lidar_view", "positive angles of at most 2 pi rad", least, _TURN)
-        _check_range(self, "dead_sector_width", "angles of 0 to 2 pi rad", 0, _TURN)
-        _check_range(self, "lidar_min_range", "distances, m", 0)
-        check_at_least(0, MAX_NUMBER, **_some(self, "range_noise", "odometry_noise", "imu_noise"))
+        for names, what, low, high in (
+            ("friction chassis_mass motor_torque odometry_scale limits", "positive factors", least, MAX_NUMBER),
+            ("severity", "factors of at least 0", 0, MAX_NUMBER),
+            ("latency scan_latency state_latency", "control steps", 0, MAX_NUMBER),
+            ("scan_period", "at least 1 step", 1, MAX_NUMBER),
+            ("yaw_bias", "yaw rates, rad/s", -MAX_NUMBER, MAX_NUMBER),
+            ("lidar_view", "positive angles of at most 2 pi rad", least, _TURN),
+            ("dead_sector_width", "angles of 0 to 2 pi rad", 0, _TURN),
+            ("lidar_min_range", "distances, m", 0, MAX_NUMBER),
+        ):
+            for name in names.split():
+                ends = getattr(self, name) or (low, high)
+                if not low <= ends[0] <= ends[1] <= high:
+                    raise ValueError(f"{name} must be a range (low, high) of {what}, got {ends}")
         check_at_least(0, 16, dead_sectors=self.dead_sectors)
-        for name, share in _some(self, "dropout", "lost_scans").items():
+        for name, share in {"dropout": self.dropout, "lost_scans": self.lost_scans}.items():
             if not 0 <= share < 1:
                 raise ValueError(f"{name} must be at least 0 and less than 1, got {share}")
 
     @classmethod
-    def typical(cls) -> Randomization:
-        """Returns typical ranges for a skid-steer rover with low-cost sensors, with delays in steps of 50 ms."""
-        bias = math.radians(0.1)
+    def typical(cls, dt: float = CONTROL_DT) -> Randomization:
+        """Returns typical ranges for a skid-steer rover with low-cost sensors, with delays in steps of ``dt``, s."""
         return cls(
             friction=(0.7, 1.3),
             chassis_mass=(0.9, 1.3),
             motor_torque=(0.7, 1.0),
-            latency=(0, 2),
+            latency=(0, round(0.1 / dt)),
             range_noise=0.01,
             dropout=0.01,
             odometry_noise=0.02,
             imu_noise=0.01,
-            scan_latency=(0, 2),
-            state_latency=(0, 1),
+            scan_latency=(0, round(0.1 / dt)),
+            state_latency=(0, round(0.05 / dt)),
             lost_scans=0.01,
             odometry_scale=(0.98, 1.02),
-            yaw_bias=(-bias, bias),
+            yaw_bias=(-math.radians(0.1), math.radians(0.1)),
             severity=(0.0, 1.0),
         )
 
@@ -427,7 +437,7 @@ class Randomization:
     @property
     def varies_dynamics(self) -> bool:
         """Whether friction, mass or motor torque are randomized."""
-        return any(getattr(self, name) != _UNCHANGED for name in ("friction", "chassis_mass", "motor_torque"))
+        return not self.friction == self.chassis_mass == self.motor_torque == _UNCHANGED
 
     @property
     def delays_sensors(self) -> bool:
@@ -441,7 +451,7 @@ class Randomization:
 
 
 @dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(Settings):
     """Description of an environment: world, robot, sensors, task, reward and simulator.
 
     ``make_env(EnvConfig(...))`` builds the environment. Training stores the description in the run's folder and in the
@@ -517,6 +527,9 @@ class EnvConfig:
     device: str | None = None
     """Device of the tensors: cpu, cuda or cuda:1."""
 
+    positive = ("control_rate",)
+    most = MAX_RATE
+
     def __post_init__(self) -> None:
         def take(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -524,8 +537,8 @@ class EnvConfig:
         if self.seed is not None:
             take("seed", check_seed(self.seed))
         take("device", None if self.device is None else str(self.device))
-        take_numbers(self)
-        for name, kind in _PARTS.items():
+        super().__post_init__()
+        for name, kind in PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
         if self.robot_options != RobotOptions():
@@ -534,14 +547,11 @@ class EnvConfig:
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
             raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
-        _check_choice(self, "outcome_from", OutcomeSource)
         if (self.action.min_speed is None) != (self.action.max_speed is None):
             self.action.for_robot(self.robot)  # Raises an error if they leave no range.
         if isinstance(self.reward, RewardConfig):
             take("contract_reward", self.reward)
             take("reward", "contract")
-        if self.control_rate is not None:
-            check_positive(MAX_RATE, control_rate=self.control_rate)
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
         for name in ("world", "robot", "reward", "sensors"):
@@ -580,19 +590,17 @@ class EnvConfig:
                 parts.setdefault(part, {})[attribute] = value
             elif value is not None or name == "num_envs":
                 changes[part] = value
-        return cls(**changes, **{part: _PARTS[part](**values) for part, values in parts.items()})
+        return cls(**changes, **{part: PARTS[part](**values) for part, values in parts.items()})
 
     @property
     def worlds(self) -> tuple[str | World, ...]:
         """Worlds and ranges of worlds, also if there is only one."""
         # The entries of a WorldPool, which is not imported here, as it imports PyTorch.
         world: Any = getattr(self.world, "entries", self.world)
-        several = isinstance(world, Sequence) and not isinstance(world, str)
-        return tuple(world) if several else (world,)
+        return tuple(world) if isinstance(world, Sequence) and not isinstance(world, str) else (world,)
 
     @property
     def world_names(self) -> tuple[str, ...]:
-        """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
     def fitted(self) -> EnvConfig:
@@ -643,18 +651,10 @@ class EnvConfig:
         return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 
-_PARTS: dict[str, type] = {
-    "robot_options": RobotOptions,
-    "lidar": LidarConfig,
-    "pose": PoseConfig,
-    "action": ActionConfig,
-    "task": TaskConfig,
-    "contract_reward": RewardConfig,
-    "heading_gains": HeadingGains,
-    "limits": LimitsConfig,
-    "guard": GuardConfig,
-    "randomization": Randomization,
-    "connection": Connection,
+PARTS: dict[str, Any] = {
+    item.name: item.default_factory
+    for item in fields(EnvConfig)
+    if isinstance(item.default_factory, type)  # type: ignore[misc]
 }
 """Types of the parts of :class:`EnvConfig`."""
 
@@ -676,10 +676,8 @@ CONTRACT = {
 
 def env_signature() -> Signature:
     """Signature of an environment: the contract's arguments and the settings, for ``help()`` and editors."""
-    default = EnvConfig()
-    paths = CONTRACT | {item.name: item.name for item in fields(EnvConfig)}
-    parameters = []
-    for number, (name, path) in enumerate(paths.items()):
+    default, parameters = EnvConfig(), []
+    for number, (name, path) in enumerate((CONTRACT | {item.name: item.name for item in fields(EnvConfig)}).items()):
         kind = Parameter.POSITIONAL_OR_KEYWORD if number < 10 else Parameter.KEYWORD_ONLY
         parameters.append(Parameter(name, kind, default=attrgetter(path)(default)))
     return Signature(parameters)
@@ -701,21 +699,6 @@ def describe_settings() -> str:
     return "\n".join(lines("EnvConfig"))
 
 
-def _some(config: Any, *names: str) -> dict[str, Any]:
-    return {name: value for name in names if (value := getattr(config, name)) is not None}
-
-
-def _check_choice(config: Any, name: str, choices: Any) -> None:
-    if getattr(config, name) not in get_args(choices):
-        raise ValueError(f"{name} must be one of {get_args(choices)}, got {getattr(config, name)!r}")
-
-
-def _check_range(config: Any, name: str, what: str, least: float, most: float = MAX_NUMBER) -> None:
-    low, high = getattr(config, name) or (least, most)
-    if not least <= low <= high <= most:
-        raise ValueError(f"{name} must be a range (low, high) of {what}, got {(low, high)}")
-
-
 def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
     if isinstance(robots, str):
         return with_options(robots, options)
@@ -725,15 +708,12 @@ def _with_options(robots: RobotLike, options: RobotOptions) -> RobotLike:
 
 
 def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
-    """Checks that a policy trained in one environment can be used in another.
+    """Raises ``ValueError`` with the first difference if a policy made for one environment cannot be used in another.
 
     The lidar readings (number and range), robot, action bounds and heading gains must be equal, and the environment
     must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ. A
     policy that was made for several robots may drive any robot, whose limits bound its actions. One whose
     ``Randomization`` has a ``lidar_view`` may drive its robot with a lidar of any view in that range.
-
-    Raises:
-        ValueError: if they do not match. The message names the first difference.
     """
     for what, expected, actual in _pairs(made_for, env):
         if expected != actual:
@@ -741,14 +721,13 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
 
 
 def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]]:
-    """Yields what must be equal in two environments. The bounds of the action come after the robot they depend on."""
     yield "lidar points", made_for.lidar.points, env.lidar.points
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
     several = names_several(made_for.robot)
     if not several:
         yield "the robot", *_robots(made_for, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
-    # A robot whose limits are tighter bounds what the policy does.
+    # These depend on the robot. Of several, one whose limits are tighter bounds what the policy does.
     expected, actual = (config.action if several else config.bounded_action for config in (made_for, env))
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", astuple(expected), astuple(actual)
     gains = astuple(made_for.heading_gains), astuple(env.heading_gains)
@@ -763,10 +742,8 @@ def _robots(made_for: EnvConfig, given: RobotLike) -> tuple[str, str]:
     from rover_rl.robots import get_robot, get_robots
 
     expected, robots = get_robot(made_for.robot), get_robots(given)
-    if views is not None and len(robots) == 1:
-        (robot,) = robots
-        if views[0] - 1e-3 <= robot.lidar_view <= views[1] + 1e-3:
-            robots = (replace(robot, name=expected.name, lidar_view=expected.lidar_view),)
+    if views is not None and len(robots) == 1 and views[0] - 1e-3 <= robots[0].lidar_view <= views[1] + 1e-3:
+        robots = (replace(robots[0], name=expected.name, lidar_view=expected.lidar_view),)
     if tuple(robots) == (expected,):
         return names[0], names[0]
     return names if names[0] != names[1] else (names[0], f"another robot of the name {names[1]}")
@@ -779,17 +756,14 @@ def name_of_part(part: Any) -> str:
     return part if isinstance(part, str) else part.name
 
 
-_OBJECTS = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
-"""Fields of :class:`EnvConfig` that are names or objects, and what the objects are."""
-
-
 def plain_env(config: EnvConfig) -> dict[str, Any]:
     """Converts a description to plain data for YAML and JSON.
 
     Raises:
         ValueError: if the world, robot, reward or a sensor is an object. Only names can be written.
     """
-    for name, kind in _OBJECTS.items():
+    objects = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
+    for name, kind in objects.items():
         value = getattr(config, name)
         if not all(isinstance(part, str) for part in (value if isinstance(value, tuple) else (value,))):
             advice = "register it, or name it as module:attribute"

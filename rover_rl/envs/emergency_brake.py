@@ -22,14 +22,9 @@ TIGHTEST = 0.25
 class EmergencyBrake(Stage):
     """Limits speeds: see :class:`~rover_rl.envs.config.GuardConfig`.
 
-    The brake sees what the scan sees. It does not keep the corners of a rover that turns on the spot from obstacles.
-    What is within the outline already does not count, so that a rover in contact can leave.
-
-    Args:
-        config: deceleration, reaction and margins.
-        fleet: robots of the rows.
-        angles: direction of each beam, ``[beams]``, rad.
-        delays: delays of the scans. ``None``: they are never late.
+    The brake sees what the scan sees, by beams of some ``angles`` ``[beams]`` (rad), and late if there are ``delays``.
+    It does not keep the corners of a rover that turns on the spot from obstacles. What is within the outline already
+    does not count, so that a rover in contact can leave.
     """
 
     def __init__(self, config: GuardConfig, fleet: Fleet, angles: Tensor, delays: SensorDelays | None = None) -> None:

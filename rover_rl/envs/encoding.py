@@ -74,11 +74,7 @@ class ObservationEncoder(nn.Module):
         return cls(keys, config.lidar.points, sensors=config.own_sensors)
 
     def forward(self, *observation: Tensor) -> Tensor:
-        """Encodes the entries named in ``keys``, in this order (m, rad, m/s, rad/s): ``[..., features]``.
-
-        Raises:
-            ValueError: if the lidar has another number of readings than ``lidar_points``.
-        """
+        """Encodes the entries named in ``keys``, in this order (m, rad, m/s, rad/s): ``[..., features]``."""
         entries = dict(zip(self.keys, observation, strict=True))
         if "lidar" in entries and (points := entries["lidar"].shape[-1]) != self._lidar_points:
             raise ValueError(f"the policy reads {self._lidar_points} lidar points, got {points}")
@@ -104,11 +100,8 @@ class EncodedObservation(Transform):
     """Adds ``observation``, float32 ``[N, n]``: the features of an encoder, about [-1, 1] each.
 
     Programs that expect one vector under TorchRL's usual name run with it, and networks learn from it without
-    statistics of the observations.
-
-    Args:
-        encoder: encoder of the entries to read. ``None``: that of the environment that the transform is appended to,
-            ``ObservationEncoder.of``, with all of its own sensors.
+    statistics of the observations. ``encoder`` is by default ``ObservationEncoder.of`` the environment that it is
+    appended to.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4).append_transform(EncodedObservation())

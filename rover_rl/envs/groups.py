@@ -73,11 +73,6 @@ class GroupPlacement(Placement):
         super().__init__(worlds, robot, min_goal_distance)
 
     def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
-        """Draws start poses apart from one another.
-
-        Raises:
-            ValueError: if the start area of a world is too small for the rovers of a group.
-        """
         if self._crowded:
             raise ValueError(self._crowded)
         rows = chosen_rows(mask)
@@ -105,7 +100,6 @@ class GroupPlacement(Placement):
         taken: Tensor | None,
         count: int,
     ) -> Tensor:
-        """Chooses one of the candidates ``[M, K, k]`` of each of the ``rows``: ``[N, k]``."""
         device = candidates.device
         drawn = torch.ones(count, dtype=torch.bool, device=device) if mask is None else mask.squeeze(-1)
         number = torch.arange(count, device=device) if isinstance(rows, slice) else drawn.cumsum(0) - 1

@@ -102,10 +102,6 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         base_env: the ``RoverEnv`` under the transforms.
         reward_config: parameters of the contract's reward. ``None`` if this class has not added it.
 
-    Raises:
-        TypeError: if ``env`` has another type, or an option does not exist.
-        ValueError: if there is more than one rover, or an option is out of range.
-
     Example:
         >>> import rover_rl
         >>> env = GymWrapper(rover_rl.RoverEnv(world_n="maze"))
@@ -136,14 +132,10 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode.
+        """Begins the next episode, with a new seed or that of before.
 
-        Args:
-            seed: seed of this and the following episodes. ``None`` continues with the current seed.
-            options: ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m), both optional.
-
-        Raises:
-            ValueError: if the seed is out of range, or an option is unknown or has the wrong shape.
+        The options are ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m). Raises ``ValueError`` for
+        another one, a wrong shape, or a seed that is out of range.
         """
         super().reset(seed=None if seed is None else check_seed(seed))
         options = {key: np.asarray(value)[None] for key, value in (options or {}).items()}
@@ -154,11 +146,8 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes one step: 0.05 s, or ``action_repeat`` times as long.
 
-        Args:
-            action: forward speed (m/s) and heading offset (rad), ``[2]``. Clipped to the action space.
-
-        Raises:
-            ValueError: if the shape is wrong, or values are not finite.
+        The action, forward speed (m/s) and heading offset (rad), is clipped to the action space. Raises ``ValueError``
+        if its shape is wrong, or it is not finite.
         """
         action = np.asarray(action, np.float32)
         if action.shape != self.action_space.shape:
@@ -173,7 +162,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         return self._batch.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Releases the simulator. Idempotent. Later calls of step, reset and render raise an error."""
+        """Releases the simulator. Later calls of step, reset and render raise an error."""
         self._batch.env.close()
 
     def get_observation(self) -> Observation:
@@ -189,10 +178,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         return self._reward
 
     def is_robot_flipped(self) -> str | bool:
-        """Returns the direction in which the rover has flipped, or ``False``.
-
-        The directions are ``'roll_left'``, ``'roll_right'``, ``'pitch_forward'`` and ``'pitch_backward'``.
-        """
+        """Returns ``'roll_left'``, ``'roll_right'``, ``'pitch_forward'``, ``'pitch_backward'``, or ``False``."""
         threshold = self.base_env.config.task.flip_threshold
         roll, pitch = self.current_roll, self.current_pitch
         if abs(roll) > threshold:
@@ -213,13 +199,12 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         return controller(desired, current, dt).item()
 
     def too_far_away(self) -> bool:
-        """Returns whether the rover is outside of the world's bounds."""
+        """Whether the rover is outside of the world's bounds."""
         x, y, _ = self.rover_position.tolist()
         (x_low, x_high), (y_low, y_high) = self.base_env.worlds[0].bounds
         return not (x_low <= x <= x_high and y_low <= y <= y_high)
 
     def _check_robot_connection(self, timeout: float) -> bool:
-        """Waits up to ``timeout`` seconds for a live rover's first scan. Returns whether the rover is connected."""
         wait = getattr(self.base_env.simulator, "wait_for_robot", None)
         return self.base_env.robot_connected if wait is None else wait(timeout)
 
@@ -228,12 +213,9 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         self._pass_message("pose", msg)
 
     def lidar_callback(self, msg: Any) -> None:
-        """Passes a ``sensor_msgs/LaserScan`` to a live backend, as if it were received on the topic.
+        """Passes a ``sensor_msgs/LaserScan`` to a live backend, which ignores a malformed one with a warning.
 
-        A malformed message is ignored with a warning.
-
-        Raises:
-            RuntimeError: if the backend is a simulator, which generates its own sensor data.
+        Raises ``RuntimeError`` if the backend is a simulator, which generates its own sensor data.
         """
         self._pass_message("scan", msg)
 
@@ -341,14 +323,9 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return observation, {}
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """Takes one step in every row: 0.05 s, or ``action_repeat`` times as long.
+        """Takes one step in every row with actions ``[N, 2]``, as :meth:`GymWrapper.step`.
 
-        Args:
-            actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``. Clipped to the action space.
-
-        Raises:
-            ValueError: if the shape is wrong, or values are not finite.
-            RuntimeError: if ``autoreset_mode`` is ``DISABLED`` and a row whose episode ended was not reset.
+        Raises ``RuntimeError`` if ``autoreset_mode`` is ``DISABLED`` and a row whose episode ended was not reset.
         """
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
             return self._step_and_reset_ended(actions)
@@ -371,11 +348,9 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return tuple(self._batch.picture(row) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Releases the simulator."""
         self._batch.env.close()
 
     def _step_and_reset_ended(self, actions: ArrayLike) -> VectorStep:
-        """Steps the running rows, and resets the rows whose episode ended in the previous step."""
         running = ~self._ended
         step = self._batch.step(actions, running)
         # The reset comes after the step, so that the reset rows do not take part in it.
@@ -384,7 +359,6 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return observation, step.reward, step.terminated, step.truncated, _masked(step.info, running)
 
     def _reset_in_same_step(self, step: Step) -> VectorStep:
-        """Resets the rows whose episode ended in ``step``, and adds their final observations and infos."""
         ended = step.ended
         final = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended).tolist():
@@ -408,10 +382,8 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
     """Entry point of ``gymnasium.make_vec("rover_rl/Rover-v0", vectorization_mode="vector_entry_point")``.
 
-    Args:
-        num_envs: number of rovers.
-        **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`, and Gymnasium's
-            ``disable_env_checker``, which has no effect on a batch.
+    It takes the arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`, and Gymnasium's
+    ``disable_env_checker``, which has no effect on a batch.
     """
     kwargs.pop("disable_env_checker", None)
     options, mode = pop_options(kwargs), kwargs.pop("autoreset_mode", AutoresetMode.NEXT_STEP)
@@ -419,7 +391,6 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
 
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:
-    """Returns the seed of row 0. The seeds of the rows must be consecutive."""
     if not isinstance(seed, Iterable):
         return None if seed is None else check_seed(seed, num_envs)
     seeds = list(seed)

@@ -45,9 +45,7 @@ def make_env(*args: Any, **settings: Any) -> EnvBase:
             ``[*contract_reward(), TiltPenalty()]``.
 
     Raises:
-        ValueError: if the reward is unknown, or :class:`RoverEnv` raises it.
-        TypeError: if there are further arguments besides an ``EnvConfig``, or one is unknown or given by both of its
-            names.
+        ValueError, TypeError: if the reward is unknown, or as :class:`RoverEnv`.
 
     Example:
         >>> env = make_env(world="maze", num_envs=4, seed=0, lidar=LidarConfig(points=16))
@@ -64,10 +62,7 @@ make_env.__signature__ = env_signature()  # type: ignore[attr-defined]
 
 
 def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:
-    """Adds a reward, see :func:`make_env`, to a :class:`RoverEnv`.
-
-    ``config`` describes the environment with the reward. ``None`` uses ``env.config`` and ``reward``.
-    """
+    """Adds a reward to a :class:`RoverEnv`: that of ``config``, which describes the result, or ``reward``."""
     config = config or replace(env.config, reward=reward)
     components = reward_components(config.reward, config.contract_reward)
     if not components:

@@ -34,14 +34,9 @@ _CANDIDATES = 8
 class Placement:
     """Draws start poses and goals for a batch whose rows may be in different worlds.
 
-    Args:
-        worlds: world of each row. The device of the slots is that of the draws.
-        robot: robot that determines the free space, or a function that returns that of a world.
-        min_goal_distance: minimum distance from the rover to a new goal, m.
-
-    Attributes:
-        bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
-        bounds_low, bounds_high: the lower and the upper corners among them, ``[N, 2]``, m.
+    ``robot`` determines the free space, or a function that returns that of a world. Goals are at least
+    ``min_goal_distance`` (m) away from the rover. ``bounds`` are those of each row's world, ``[N, 4]``, m: lower x and
+    y (``bounds_low``), and upper x and y (``bounds_high``).
     """
 
     def __init__(self, worlds: WorldTable, robot: Robot | Callable[[World], Robot], min_goal_distance: float) -> None:
@@ -71,16 +66,13 @@ class Placement:
     def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
 
-        Args:
-            keys: random keys of the episodes.
-            mask: rows whose pose is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
-            taken: positions of the rovers of the other rows, ``[N, 2]``, m, for rovers that share worlds.
+        Those of rows that are not in ``mask`` (bool ``[N, 1]``) may be 0. ``taken`` are positions of the rovers of the
+        other rows, ``[N, 2]``, m, for rovers that share worlds.
         """
         rows = chosen_rows(mask)
         return scattered(self._starts(keys[rows], 0, self._worlds.slots[rows]), rows, len(keys))
 
     def _starts(self, keys: Tensor, draw: Tensor | int, slot: Tensor) -> Tensor:
-        """Returns the start poses ``[M, 3]`` of draws in the worlds of slots."""
         bits = random_bits(keys, _START, draw, 5)
         cell = to_index(bits[:, 0], self._start_cells.lengths[slot])
         jitter = to_unit(bits[:, 1:3]) - 0.5
@@ -91,14 +83,10 @@ class Placement:
     def draw_goal(
         self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
     ) -> Tensor:
-        """Draws goals ``[N, 2]`` (m), uniformly from the free goal cells at least ``min_goal_distance`` away.
+        """Draws goals ``[N, 2]`` (m), uniformly from the free goal cells that are far enough from the position.
 
-        Args:
-            keys: random keys of the episodes, ``[N, 1]``.
-            number: number of goals set in the episode so far, ``[N, 1]``.
-            position: position of the rover, ``[N, 2]``, m.
-            mask: rows whose goal is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
-            taken: goals of the other rows, ``[N, 2]``, m, for rovers that share worlds.
+        ``number`` are the goals set in the episode so far, ``[N, 1]``. The others are as in :meth:`draw_start`, where
+        ``taken`` are goals.
         """
         rows = chosen_rows(mask)
         candidates, far = self._goals(keys[rows], number[rows], position[rows], self._worlds.slots[rows], _CANDIDATES)
@@ -106,7 +94,7 @@ class Placement:
         return scattered(candidates.gather(1, first).squeeze(1), rows, len(keys))
 
     def _goals(self, keys: Tensor, number: Tensor, position: Tensor, slot: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """Returns candidates ``[M, K, 2]`` of a draw in the worlds of slots, and which are far enough ``[M, K, 1]``."""
+        """Returns candidates ``[M, K, 2]``, and which are far enough ``[M, K, 1]``."""
         bits = random_bits(keys, _GOAL, number, count)
         # The upper 32 bits select the cell. The lower two times 16 bits are the position in the cell.
         jitter = torch.stack((bits & 0xFFFF, (bits >> 16) & 0xFFFF), -1).float() * 2.0**-16 - 0.5
@@ -120,12 +108,9 @@ class Placement:
 def checked_place(
     key: str, value: Tensor | None, tensordict: TensorDictBase | None, shape: Sequence[int], device: torch.device
 ) -> Tensor | None:
-    """Returns the ``"start"`` or ``"goal"`` that a user gives to a reset, ``[N, k]``, or ``None``.
+    """Returns a ``"start"`` or ``"goal"`` ``[N, k]`` given to a reset as ``value`` or in its tensordict, or ``None``.
 
-    It is ``value``, else the entry ``key`` of the reset tensordict, of shape ``[*batch_size, k]``.
-
-    Raises:
-        ValueError: if the shape is wrong, or values are not finite.
+    Raises ``ValueError`` if the shape is not ``shape``, ``[*batch_size, k]``, or values are not finite.
     """
     if value is None and tensordict is not None:
         value = tensordict.get(key, None)

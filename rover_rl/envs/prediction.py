@@ -82,7 +82,6 @@ class Prediction(Stage):
         state.predicted = {"pose": known[:, :3], "imu": known[:, 3:], "velocities": velocities}
 
     def _follow(self, command: Tensor, steps: Tensor, dt: Tensor, active: Tensor | None) -> None:
-        """Moves the model by a step of the ``active`` rows, which have taken ``steps`` steps before."""
         if self._live is not None:
             command = command.new_tensor([self._live.last_command])
         received = self._latency.delayed(command, steps)
@@ -112,6 +111,5 @@ class Prediction(Stage):
 
 
 def _turned(vectors: Tensor, angle: Tensor) -> Tensor:
-    """Returns vectors ``[N, 2]`` turned by angles ``[N, 1]``, rad."""
     (x, y), cos, sin = vectors.split(1, -1), angle.cos(), angle.sin()
     return torch.cat((cos * x - sin * y, sin * x + cos * y), -1)

@@ -22,16 +22,9 @@ MAP_DISTANCES = (0.5, 1.5)
 MAP_BEARINGS = 16
 """Number of directions of the local map, counterclockwise from straight ahead."""
 FEATURES = {
-    "position": 3,
-    "attitude": 3,
-    "velocities": 2,
-    "target": 2,
-    "path_distance": 1,
+    **{"position": 3, "attitude": 3, "velocities": 2, "target": 2, "path_distance": 1},
     "local_map": len(MAP_DISTANCES) * MAP_BEARINGS,
-    "friction": 1,
-    "chassis_mass": 1,
-    "motor_torque": 1,
-    "latency": 1,
+    **dict.fromkeys(("friction", "chassis_mass", "motor_torque", "latency"), 1),
 }
 """Entries of the privileged observation and their numbers of features."""
 
@@ -62,14 +55,9 @@ class PrivilegedObservation:
     def __call__(
         self, truth: Perception, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
     ) -> TensorDict:
-        """Returns the privileged observation, ``[N]``.
+        """Returns the privileged observation, ``[N]``, for indices of worlds, int64 ``[N, 1]``, and goals ``[N, 2]``.
 
-        Args:
-            truth: true state of the rovers.
-            world: index of each row's world, int64 ``[N, 1]``.
-            goal: positions of the goals, ``[N, 2]``, m.
-            dynamics: scale factors of the dynamics.
-            latency: delays of commands, ``[N, 1]``, control steps.
+        The delays of commands, ``[N, 1]``, are in control steps.
         """
         rover = truth.rover
         fields = self._distances.fields(world.flatten(), goal)
@@ -81,9 +69,7 @@ class PrivilegedObservation:
             "target": target_info(truth.position, truth.yaw, goal),
             "path_distance": path_distance,
             "local_map": self._local_map(fields, path_distance, truth),
-            "friction": dynamics.friction[:, None],
-            "chassis_mass": dynamics.chassis_mass[:, None],
-            "motor_torque": dynamics.motor_torque[:, None],
+            **{name: getattr(dynamics, name)[:, None] for name in ("friction", "chassis_mass", "motor_torque")},
             "latency": latency.to(torch.float32),
         }
         return unchecked_tensordict(entries, goal.shape[:1], goal.device)

@@ -53,9 +53,8 @@ class RewardComponent(Transform):
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
         """Returns the value of the component in active rows: one number for all rows, or ``[N, 1]``.
 
-        Args:
-            outcome: events and measurements of the step, see :mod:`rover_rl.envs.task`.
-            observation: result of the step, including the observation. An unbatched environment has one row.
+        It gets the ``outcome`` of the step, see :mod:`rover_rl.envs.task`, and the whole result of the step, including
+        the ``observation``. An unbatched environment has one row.
         """
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -101,68 +100,74 @@ def _number(value: float, device: torch.device) -> Tensor:
     return torch.tensor(value, dtype=torch.float32, device=device)
 
 
-def _progress(outcome: TensorDictBase, config: RewardConfig) -> Tensor:
+def _progress(outcome: TensorDictBase, _: TensorDictBase, config: RewardConfig) -> Tensor:
     progress = outcome.get("progress")
     counts = (progress.abs() > config.min_progress) & (outcome.get("alignment") > config.min_alignment)
     multiplier = config.final_reward_multiplier
     return torch.where(counts, progress * (multiplier * config.distance_delta_scale), multiplier * config.idle_penalty)
 
 
-def _general(outcome: TensorDictBase, config: RewardConfig) -> Tensor:
+def _general(outcome: TensorDictBase, _: TensorDictBase, config: RewardConfig) -> Tensor:
     early_flip = (outcome.get("phase") == StepEvent.FLIP) & (outcome.get("steps") <= config.flip_grace_steps)
     return torch.where(early_flip, 0.0, config.general_penalty)
 
 
-CONTRACT: dict[str, tuple[tuple[StepEvent, ...], Callable[[TensorDictBase, RewardConfig], Tensor | float]]] = {
-    "goal": ((StepEvent.GOAL,), lambda outcome, config: config.goal_reward),
+def _clearance(outcome: TensorDictBase, observation: TensorDictBase, config: RewardConfig) -> Tensor:
+    nearest = observation.get("lidar").amin(-1, keepdim=True)
+    return config.clearance_penalty * (1 - nearest / config.clearance_distance).clamp_min(0)
+
+
+def _mover_proximity(outcome: TensorDictBase, observation: TensorDictBase, config: RewardConfig) -> Tensor | float:
+    distance = outcome.get("mover_distance", None)
+    if distance is None:
+        return 0.0
+    near = (1 - distance / config.intrusion_distance).clamp_min(0)
+    rate = config.intrusion_penalty + config.haste_penalty * outcome.get("linear_velocity").abs()
+    return rate * near + config.risk_penalty * (distance < config.risk_distance)
+
+
+Value = Callable[[TensorDictBase, TensorDictBase, RewardConfig], Tensor | float]
+
+CONTRACT: dict[str, tuple[tuple[StepEvent, ...], Value]] = {
+    "goal": ((StepEvent.GOAL,), lambda outcome, _, config: config.goal_reward),
     "progress": ((StepEvent.DENSE,), _progress),
-    "velocity": ((StepEvent.DENSE,), lambda outcome, config: outcome.get("linear_velocity") * config.velocity_scale),
-    "turn": ((StepEvent.DENSE,), lambda outcome, config: outcome.get("angular_velocity").abs() * config.turn_scale),
-    "collision": ((StepEvent.COLLISION,), lambda outcome, config: config.collision_penalty),
-    "stuck": ((StepEvent.STUCK,), lambda outcome, config: config.stuck_penalty),
+    "velocity": ((StepEvent.DENSE,), lambda outcome, _, config: outcome.get("linear_velocity") * config.velocity_scale),
+    "turn": ((StepEvent.DENSE,), lambda outcome, _, config: outcome.get("angular_velocity").abs() * config.turn_scale),
+    "collision": ((StepEvent.COLLISION,), lambda outcome, _, config: config.collision_penalty),
+    "stuck": ((StepEvent.STUCK,), lambda outcome, _, config: config.stuck_penalty),
     "general": ((StepEvent.FLIP, StepEvent.JAM), _general),
-    "out_of_bounds": ((StepEvent.OUT_OF_BOUNDS,), lambda outcome, config: config.out_of_bounds_penalty),
+    "out_of_bounds": ((StepEvent.OUT_OF_BOUNDS,), lambda outcome, _, config: config.out_of_bounds_penalty),
 }
 """Components of the contract's reward: the events that they are active in, and their values."""
+SHAPING: dict[str, tuple[tuple[StepEvent, ...], Value]] = {
+    "clearance": ((), _clearance),
+    "mover_proximity": ((), _mover_proximity),
+}
+"""Components that are not a part of the contract, in every step.
+
+- ``clearance``: ``clearance_penalty * max(0, 1 - d / D)`` with the nearest reading ``d`` of the observation and the
+  ``clearance_distance`` ``D``. This is the form of C. Chen, Y. Liu, S. Kreiss, A. Alahi, "Crowd-robot interaction",
+  ICRA 2019 (arXiv:1809.08835): ``-0.1 + d / 2`` for ``d < 0.2``, that is a penalty of -0.1 and a distance of 0.2 m.
+  There, ``d`` is the gap between two bodies; here it is measured from the lidar, so that ``D`` must exceed the distance
+  from the lidar to the outline of the rover.
+- ``mover_proximity``: ``(intrusion_penalty + haste_penalty |v|) max(0, 1 - d / D) + risk_penalty [d < risk_distance]``
+  with the distance ``d`` from the center of the rover to the surface of the nearest mover, the ``intrusion_distance``
+  ``D``, and the speed ``v`` of the wheels; 0 in worlds without movers. People keep others out of 1.2 m (Hall, "The
+  Hidden Dimension", 1966).
+"""
 
 
 class ConfiguredComponent(RewardComponent):
-    """Component whose parameters are those of a :class:`RewardConfig`."""
+    """Component whose parameters are those of a :class:`RewardConfig`: one of :data:`CONTRACT` or :data:`SHAPING`."""
 
-    def __init__(self, config: RewardConfig | None = None) -> None:
+    def __init__(self, config: RewardConfig | None = None, name: str = "") -> None:
         super().__init__()
         self.config = config or RewardConfig()
-
-
-class ContractComponent(ConfiguredComponent):
-    """A component of the contract's reward by its name in :data:`CONTRACT`."""
-
-    def __init__(self, name: str, config: RewardConfig | None = None) -> None:
-        super().__init__(config)
-        self.name, (self.phases, self._value) = name, CONTRACT[name]
+        if name:
+            self.name, (self.phases, self._value) = name, (CONTRACT | SHAPING)[name]
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
-        return self._value(outcome, self.config)
-
-
-class ClearancePenalty(ConfiguredComponent):
-    """Penalty that grows as the nearest lidar reading falls below a distance. Not a part of the contract.
-
-    With the nearest reading ``d`` of the observation and the distance ``D``, the value is
-
-        ``clearance_penalty * max(0, 1 - d / D)``
-
-    in every step. This is the form of C. Chen, Y. Liu, S. Kreiss, A. Alahi, "Crowd-robot interaction", ICRA 2019
-    (arXiv:1809.08835): ``-0.1 + d / 2`` for ``d < 0.2``, that is a penalty of -0.1 and a distance of 0.2 m. There,
-    ``d`` is the gap between two bodies; here it is measured from the lidar, so that ``D`` must exceed the distance from
-    the lidar to the outline of the rover.
-    """
-
-    name = "clearance"
-
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        nearest = observation.get("lidar").amin(-1, keepdim=True)
-        return self.config.clearance_penalty * (1 - nearest / self.config.clearance_distance).clamp_min(0)
+        return self._value(outcome, observation, self.config)
 
 
 class ActionRatePenalty(ConfiguredComponent):
@@ -224,28 +229,6 @@ class MoverContactPenalty(ConfiguredComponent):
         return super()._step(tensordict, next_tensordict)
 
 
-class MoverProximityPenalty(ConfiguredComponent):
-    """Penalty for being close to movers, and for driving fast there. Not a part of the contract.
-
-    With the distance ``d`` from the center of the rover to the surface of the nearest mover, ``D`` the
-    ``intrusion_distance``, and the speed ``v`` of the wheels, the value is
-
-        ``(intrusion_penalty + haste_penalty |v|) max(0, 1 - d / D) + risk_penalty [d < risk_distance]``
-
-    in every step, and 0 in worlds without movers. People keep others out of 1.2 m (Hall, "The Hidden Dimension", 1966).
-    """
-
-    name = "mover_proximity"
-
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
-        distance, config = outcome.get("mover_distance", None), self.config
-        if distance is None:
-            return 0.0
-        near = (1 - distance / config.intrusion_distance).clamp_min(0)
-        rate = config.intrusion_penalty + config.haste_penalty * outcome.get("linear_velocity").abs()
-        return rate * near + config.risk_penalty * (distance < config.risk_distance)
-
-
 class TotalReward(Transform):
     """Writes the sum of all reward components to ``reward``. Append it after the components."""
 
@@ -271,23 +254,20 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
         ['goal', 'progress', 'velocity', 'turn', 'collision', 'stuck', 'general', 'out_of_bounds']
     """
     config = config or RewardConfig()
-    others = {
-        ClearancePenalty: config.clearance_penalty,
-        ActionRatePenalty: config.action_rate_penalty,
-        MoverContactPenalty: config.mover_contact_penalty or config.struck_penalty,
-        MoverProximityPenalty: config.intrusion_penalty or config.haste_penalty or config.risk_penalty,
-    }
-    return [
-        *(ContractComponent(name, config) for name in CONTRACT),
-        *(kind(config) for kind, penalty in others.items() if penalty),
-    ]
+    components: list[Transform] = [ConfiguredComponent(config, name) for name in CONTRACT]
+    if config.clearance_penalty:
+        components.append(ConfiguredComponent(config, "clearance"))
+    if config.action_rate_penalty:
+        components.append(ActionRatePenalty(config))
+    if config.mover_contact_penalty or config.struck_penalty:
+        components.append(MoverContactPenalty(config))
+    if config.intrusion_penalty or config.haste_penalty or config.risk_penalty:
+        components.append(ConfiguredComponent(config, "mover_proximity"))
+    return components
 
 
 def pays_for_goals(components: Sequence[Transform]) -> bool:
-    """Returns whether a reward may pay for goals. That of the bare task, without components, does.
-
-    A component of one's own without ``phases`` is taken to pay.
-    """
+    """Whether a reward may pay for goals. That of the bare task and a component of one's own without ``phases`` do."""
 
     def pays(component: Transform) -> bool:
         phases, own = getattr(component, "phases", ()), not isinstance(component, ConfiguredComponent)
@@ -300,21 +280,18 @@ _REGISTRY = Registry("reward", {"contract": contract_reward, "task": list})
 
 
 def register_reward(name: str, reward: Any) -> None:
-    """Registers a reward under a name, for ``make_env``, ``EnvConfig`` and ``--reward``.
+    """Registers a reward under a new name, for ``make_env``, ``EnvConfig`` and ``--reward``.
 
-    Args:
-        name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        reward: :class:`RewardComponent` class or object, list of them, :class:`RewardConfig`, function without
-            arguments that returns one of these, or ``"module:attribute"`` of any of these.
+    It is a :class:`RewardComponent` class or object, a list of them, a :class:`RewardConfig`, a function without
+    arguments that returns one of these, or ``"module:attribute"`` of any of these.
 
     Raises:
-        ValueError: if the name is taken or has other characters.
+        ValueError: if the name is taken, or has other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
     _REGISTRY.register(name, reward)
 
 
 def reward_names() -> list[str]:
-    """Names of all rewards: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 

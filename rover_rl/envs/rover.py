@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.data import Unbounded
 from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts
@@ -54,16 +55,12 @@ class RoverEnv(EnvBase):
 
     Attributes:
         config: description of the environment.
-        num_envs: number of rovers. 1 if unbatched.
         pool: all worlds that rows can be in. ``outcome["world"]`` is the index of a row's world.
         fleet: robot of each row, ``env.fleet[row]``.
         robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
-        scanner: its lidar, which scans what does not move, in a full turn.
-        delays: delays of the sensors. ``None`` if there are none.
-        observer: what reads the sensors.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -133,16 +130,14 @@ class RoverEnv(EnvBase):
 
     def _make_specs(self) -> None:
         config, batch_size, device = self.config, self.batch_size, self.device
-        bounds, action = (
-            {key: each.bounds for key, each in self.sensors.items()},
-            specs.action_bounds(config.bounded_action),
-        )
+        bounds = {key: each.bounds for key, each in self.sensors.items()}
+        action = specs.action_bounds(config.bounded_action)
         nested = {"outcome": specs.outcome_spec(batch_size, device, len(self.pool) > 1, self._simulation.has_movers)}
         if config.privileged:
             nested["privileged"] = specs.vectors_spec(privileged.FEATURES, batch_size, device)
         self.observation_spec = specs.observation_spec(bounds, nested, batch_size, device)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
-        self.reward_spec = specs.reward_spec(batch_size, device)
+        self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
         rig = base.Rig(self.fleet, config.lidar, self.control_dt, config.randomization)
@@ -254,7 +249,6 @@ class RoverEnv(EnvBase):
         return self._pack(self._every if active is None else active.squeeze(-1), reward=reward)
 
     def _sense(self, state: stages.StepState) -> None:
-        """Writes what the sensors report of the true state."""
         noise, scan_step = self.config.randomization, None if self.delays is None else self.delays.scan_step
         pooling = self._simulation.pooling
         state.sensed = self.observer.sense(noise, state.truth, state.keys, state.steps, pooling, scan_step)
@@ -366,7 +360,6 @@ class RoverEnv(EnvBase):
         return self.simulator.render(row, view, width, height, self._state.goal[row])
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
-        """Refuses to be copied or pickled: a copy would share the simulator, or lose it."""
         raise TypeError(
             "an environment cannot be copied or pickled, as its simulator is not Python's: "
             "make another one from its description, make_env(env.config)"

@@ -48,7 +48,6 @@ class Episodes:
         self._number = torch.zeros_like(self._rows)
 
     def are_first(self) -> bool:
-        """Whether all rows are in their first episode."""
         return bool((self._number == 1).all())
 
     def begin(self, mask: Tensor) -> Tensor:
@@ -84,7 +83,6 @@ class RowWorlds:
 
     Attributes:
         pool: all worlds that rows can be in.
-        is_drawn: whether episodes draw their worlds.
         index: index of each row's world in the pool, int64 ``[N, 1]``.
         table: world and slot of each row, for those who hold data of worlds.
         preparing: makes a context in which the thread of :meth:`open` prepares worlds, for the simulator's kernels.
@@ -153,12 +151,7 @@ class RowWorlds:
             self._resident = self.table.hold(worlds.get(k) or self.pool[k] for k in range(len(self.pool)))
 
     def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> None:
-        """Draws the worlds of new episodes, and those of the episodes after these.
-
-        Args:
-            mask: rows that begin an episode, bool ``[N, 1]``.
-            keys, next_keys: random keys of the episodes, and of those after them, ``[N, 1]``.
-        """
+        """Draws the worlds of the rows of ``mask``, whose episodes begin with ``keys``, and those of the next ones."""
         drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
         before, self.index = self.index, torch.where(mask, drawn, self.index)
         self._next_keys = torch.where(mask, next_keys, self._next_keys)
@@ -174,11 +167,7 @@ class RowWorlds:
             self._ahead.request(self._next[mask].tolist())
 
     def set_weights(self, weights: Tensor) -> None:
-        """Sets the weights of the worlds, ``[len(pool)]``, in later draws. The next episodes have already drawn theirs.
-
-        Raises:
-            ValueError: if episodes do not draw worlds, or a weight is negative or not finite, or all are 0.
-        """
+        """Sets the weights of the worlds, ``[len(pool)]``, in later draws. The next episodes have theirs already."""
         count = len(self.pool)
         if not self.is_drawn:
             raise ValueError(
@@ -201,13 +190,11 @@ class RowWorlds:
             ahead.pause()
 
     def close(self) -> None:
-        """Ends the preparation of worlds. Idempotent."""
         if self._ahead:
             self._ahead.close()
             self._ahead, self.preparing = None, nullcontext
 
     def _drawn(self, keys: Tensor) -> Tensor:
-        """Returns the index of the world that each episode draws, int64 ``[N, 1]``."""
         bits = random_bits(keys, _WORLD, 0, 2)
         if self._limits is not None:
             part = to_index(bits[:, :1], torch.full_like(keys, _PARTS))
@@ -230,9 +217,7 @@ class RowRobots:
     Attributes:
         fleet: robot of each row, for those who hold data of robots.
         robot_in: returns the robot that needs the most space of those that drive in a world.
-        are_several: whether there are different robots.
-        keys: random keys of the next episodes in place of those of the environment, int64 ``[N, 1]``. ``None``: those
-            of the environment.
+        keys: random keys of the next episodes in place of those of the environment. ``None``: those.
     """
 
     def __init__(
@@ -253,7 +238,6 @@ class RowRobots:
         return worlds, cls(groups, choices, worlds, keys)
 
     def draw(self, mask: Tensor, keys: Tensor) -> None:
-        """Draws the robots of the rows of ``mask`` (bool ``[N, 1]``), which begin an episode."""
         drawn = self._drawn(keys if self.keys is None else self.keys)
         self.fleet.index = torch.where(mask.squeeze(-1), drawn, self.fleet.index)
 
@@ -263,11 +247,9 @@ class RowRobots:
 
 
 def drawn_robots(choices: Tensor, keys: Tensor) -> Tensor:
-    """Returns the index of the robot that each episode draws, int64 ``[N]``.
+    """Returns the index of the robot that each episode draws with its key, int64 ``[N]``.
 
-    Args:
-        choices: first robot and number of robots that each row chooses from, int64 ``[N, 2]``.
-        keys: random keys of the episodes, ``[N, 1]``.
+    ``choices`` are the first robot and number of robots that each row chooses from, int64 ``[N, 2]``.
     """
     return choices[:, 0] + to_index(random_bits(keys, _ROBOT, 0, 1), choices[:, 1:]).squeeze(-1)
 

@@ -20,16 +20,11 @@ class SB3VecEnv(VecEnv):
     """Wraps a :class:`rover_rl.RoverEnv` of any number of rovers as a ``VecEnv``, which is stepped as one batch.
 
     A row whose episode ends is reset in the same step. Its info then contains ``terminal_observation``,
-    ``TimeLimit.truncated`` and the ``info`` of :class:`~rover_rl.GymWrapper`. The infos of the other
-    rows are empty.
+    ``TimeLimit.truncated`` and the ``info`` of :class:`~rover_rl.GymWrapper`. The infos of the other rows are empty.
 
-    Args:
-        env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        **options: options of :class:`~rover_rl.GymWrapper`. The default of ``time_limit`` is
-            ``"truncated"``, so that algorithms bootstrap the value at the end of an episode's length.
-
-    Attributes:
-        base_env: the ``RoverEnv`` under the transforms.
+    ``env`` is a ``RoverEnv`` or a ``TransformedEnv`` of one (:attr:`base_env`), and the options are those of
+    :class:`~rover_rl.GymWrapper`. The default of ``time_limit`` is ``"truncated"``, so that algorithms bootstrap the
+    value at the end of an episode's length. Attributes and methods are those of the ``RoverEnv``, for all rows.
 
     Example:
         >>> import rover_rl
@@ -65,11 +60,9 @@ class SB3VecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Sets the actions ``[N, 2]`` for the next :meth:`step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Takes one step, 0.05 s or ``action_repeat`` times as long: returns observations, rewards, dones and infos."""
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async() first")
         step = self._batch.step(self._actions)
@@ -83,25 +76,20 @@ class SB3VecEnv(VecEnv):
         return observation, step.reward.astype(np.float32), step.ended, infos
 
     def close(self) -> None:
-        """Releases the simulator. Idempotent."""
         self._batch.env.close()
 
     def get_images(self) -> list[NDArray[np.uint8]]:
-        """Returns an image of every rover, uint8 ``[480, 640, 3]``."""
         return [self._batch.picture(row) for row in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Returns an attribute of the batched ``RoverEnv``, once per requested row."""
         owner = self._batch if attr_name == "render_mode" else self.base_env
         return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the batched ``RoverEnv`` for all rows."""
         self._require_all(indices)
         setattr(self.base_env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of the batched ``RoverEnv`` once. Returns its result once per row."""
         self._require_all(indices)
         return [getattr(self.base_env, method_name)(*method_args, **method_kwargs)] * self.num_envs
 

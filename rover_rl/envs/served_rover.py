@@ -63,7 +63,7 @@ class ServedRover:
         self._arrived = -1.0
 
     def reset(self, pose: tuple[float, float, float]) -> None:
-        """Moves the rover to a pose: x, y (m) and yaw (rad), at rest. Delays and the like are drawn anew."""
+        """Moves the rover to a pose: x, y (m) and yaw (rad), at rest, and draws its delays and errors anew."""
         steps = self.env.reset(start=torch.tensor([pose]))["outcome", "steps"]
         self._report(steps)
 

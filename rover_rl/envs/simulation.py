@@ -44,13 +44,6 @@ class Simulation:
 
     The first reset must be of all rows.
 
-    Args:
-        config: description of the environment.
-        worlds: world of each row.
-        robots: robot of each row.
-        sensors: sensors that the environment reads.
-        pooling: pooling of the scans.
-
     Attributes:
         simulator: simulator.
         scanner: lidar in a full turn, which scans what does not move.
@@ -59,8 +52,7 @@ class Simulation:
         surroundings: what sensors cast rays at.
         changes_worlds: whether rows draw worlds, and the simulator lets them change.
         stages: stages, in their order.
-        command_delay: delay of the commands.
-        delays: delays of the sensors. ``None`` if there are none.
+        command_delay, delays: delay of the commands, and those of the sensors. ``None`` if there are none.
 
     Raises:
         ValueError: if the simulator or a robot cannot do what the environment needs.
@@ -215,6 +207,5 @@ class Simulation:
             state.movers = {"mover_contact": touched, "mover_distance": distance, "mover_speed": speed}
 
     def close(self) -> None:
-        """Releases the simulator. Idempotent."""
         self.simulator.close()
         self._worlds.close()

@@ -1,9 +1,10 @@
-"""TorchRL specs of observation, action, reward and done flags, the bounds that they are built from, and devices."""
+"""TorchRL specs of observation, action and done flags, the bounds that they are built from, and devices."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -11,6 +12,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from rover_rl.envs.config import ActionConfig, EnvConfig
 from rover_rl.envs.task import EVENTS, StepEvent
+
+Device: TypeAlias = torch.device | str | None
 
 
 @dataclass(frozen=True)
@@ -20,8 +23,7 @@ class Bounds:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
-    def tensors(self, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-        """Lower and upper bounds, float32 ``[features]`` each."""
+    def tensors(self, device: Device) -> tuple[Tensor, Tensor]:
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
@@ -45,68 +47,52 @@ ACTION = action_bounds(ActionConfig())
 """Bounds of the contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
-def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
-    """Creates a float32 spec of shape ``[*batch_size, features]``."""
+def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: Device) -> Bounded:
     low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
 
 def observation_spec(
-    bounds: Mapping[str, Bounds],
-    nested: Mapping[str, Composite],
-    batch_size: Sequence[int],
-    device: torch.device | str | None,
+    bounds: Mapping[str, Bounds], nested: Mapping[str, Composite], batch_size: Sequence[int], device: Device
 ) -> Composite:
     """Creates the spec of the observation: entries with the bounds of their sensors, and nested ones."""
     entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
     return Composite({**entries, **nested}, shape=batch_size, device=device)
 
 
-def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:
-    """Creates the spec of the reward, float32 ``[*batch_size, 1]``."""
-    return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
-
-
-def vectors_spec(
-    features: Mapping[str, int], batch_size: Sequence[int], device: torch.device | str | None
-) -> Composite:
-    """Creates the spec of unbounded float32 vectors by name, ``[*batch_size, features]`` each."""
+def vectors_spec(features: Mapping[str, int], batch_size: Sequence[int], device: Device) -> Composite:
+    """Creates the spec of unbounded float32 vectors, by name and size."""
     entries = {name: Unbounded(shape=(*batch_size, size), device=device) for name, size in features.items()}
     return Composite(**entries, shape=batch_size, device=device)
 
 
-def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
-    """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
+def done_spec(batch_size: Sequence[int], device: Device) -> Composite:
     keys = ("done", "terminated", "truncated")
     return Composite({key: _flag(batch_size, device) for key in keys}, shape=batch_size, device=device)
 
 
 def outcome_spec(
-    batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool = False, movers: bool = False
+    batch_size: Sequence[int], device: Device, several_worlds: bool = False, movers: bool = False
 ) -> Composite:
     """Creates the spec of the nested ``outcome``, with the index of the world, and what happens with movers."""
     shape = (*batch_size, 1)
-    number = Unbounded(shape=shape, device=device)
-    count = Unbounded(shape=shape, dtype=torch.int64, device=device)
-    entries = {event: _flag(batch_size, device) for event in EVENTS}
-    entries |= {
+
+    def of(dtype: torch.dtype, *names: str) -> dict[str, Unbounded]:
+        return {name: Unbounded(shape=shape, dtype=dtype, device=device) for name in names}
+
+    entries = {event: _flag(batch_size, device) for event in EVENTS} | {
         "phase": Bounded(low=0, high=max(StepEvent), shape=shape, dtype=torch.int64, device=device),
-        "progress": number,
+        **of(torch.float32, "progress"),
         "alignment": Bounded(low=-1.0, high=1.0, shape=shape, device=device),
-        "linear_velocity": number.clone(),
-        "angular_velocity": number.clone(),
-        "steps": count,
-        "total_steps": count.clone(),
+        **of(torch.float32, "linear_velocity", "angular_velocity"),
+        **of(torch.int64, "steps", "total_steps", *["world"] * several_worlds),
     }
-    if several_worlds:
-        entries["world"] = count.clone()
     if movers:
-        entries |= {"mover_contact": _flag(batch_size, device)}
-        entries |= {"mover_distance": number.clone(), "mover_speed": number.clone()}
+        entries |= {"mover_contact": _flag(batch_size, device), **of(torch.float32, "mover_distance", "mover_speed")}
     return Composite(entries, shape=batch_size, device=device)
 
 
-def _flag(batch_size: Sequence[int], device: torch.device | str | None) -> Binary:
+def _flag(batch_size: Sequence[int], device: Device) -> Binary:
     return Binary(n=1, shape=(*batch_size, 1), dtype=torch.bool, device=device)
 
 

@@ -28,13 +28,12 @@ _DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE, _LIMITS = 7, 8, 9, 23, 24, 26
 
 
 class Perception:
-    """State of the rovers with the attitude, heading, position and pooled lidar scan derived from it.
+    """State of the rovers and a raw lidar scan, and what follows from both.
 
     Attributes:
         rover: state of the rovers, ``[N]``.
         ranges: raw lidar scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid.
-        euler: roll, pitch and yaw, ``[N, 3]``, rad.
-        yaw: heading, ``[N, 1]``, rad.
+        euler, yaw: roll, pitch and yaw, ``[N, 3]``, and heading, ``[N, 1]``, rad.
         position: horizontal position (x, y), ``[N, 2]``, m.
         readings: pooled lidar scan, ``[N, lidar_points]``, m.
     """
@@ -115,11 +114,9 @@ class Stage:
         """Begins episodes in the rows of ``mask`` (bool ``[N, 1]``). ``keys`` ``[N, 1]`` are those of all rows."""
 
     def command(self, command: Tensor, state: StepState) -> Tensor:
-        """Returns the command for the next stage.
+        """Returns the command ``[N, A]`` for the next stage: speed (m/s), yaw rate (rad/s), perhaps speed to the left.
 
-        Args:
-            command: forward speed (m/s), yaw rate (rad/s) and, if there is one, speed to the left (m/s), ``[N, A]``.
-            state: state before the step.
+        The state is that before the step.
         """
         return command
 
@@ -135,11 +132,8 @@ def scans_with_period(period: int) -> Callable[[Tensor, Tensor], Tensor | None]:
 def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """Clips actions ``[*batch_size, A]`` to ``bounds``, and returns them ``[N, A]``, and rows that are not finite.
 
-    Values that are not finite raise an error on the CPU. On an accelerator they are only flagged, because raising an
-    error would require synchronization with the device.
-
-    Raises:
-        ValueError: if the shape is wrong, or values are not finite.
+    A wrong shape raises ``ValueError``, and so do values that are not finite, but only on the CPU: on an accelerator,
+    this would require synchronization with the device.
     """
     expected = (*batch_size, len(bounds[0]))
     if action.shape != expected:
@@ -164,17 +158,14 @@ class HeadingController:
         self._integral = torch.zeros(num_envs, 1, device=device)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears the error and integral of the rows of ``mask`` (bool ``[N, 1]``)."""
         self._error = self._error.masked_fill(mask, 0.0)
         self._integral = self._integral.masked_fill(mask, 0.0)
 
     def __call__(self, desired: Tensor, current: Tensor, dt: Tensor, active: Tensor | None = None) -> Tensor:
-        """Returns the yaw rate that turns the rover toward the desired heading, ``[N, 1]``, rad/s.
+        """Returns the yaw rate that turns the rovers to their desired heading, ``[N, 1]``, rad/s.
 
-        Args:
-            desired, current: headings in the world frame, ``[N, 1]``, rad.
-            dt: time since the previous call, ``[N, 1]``, s.
-            active: rows to update, bool ``[N, 1]``. The other rows keep their error and integral.
+        Headings are in rad, and ``dt`` is the time since the previous call, s, ``[N, 1]`` each. Rows that are not
+        ``active`` keep their error and integral.
         """
         error = wrap_angle(desired - current)
         integral = torch.addcmul(self._integral, error, dt)
@@ -199,10 +190,9 @@ class DriveBounds(Stage):
 
 
 class RowLimits(Stage):
-    """Limits commands as ``rover-rl drive`` does for a live rover.
+    """Limits commands as ``rover-rl drive`` does for a live rover, by ``config`` and else the limits of the robots.
 
-    Limits that ``config`` does not state are those of the robots. Each episode draws a factor of all limits from the
-    range ``factors``.
+    Each episode draws a factor of all limits from the range ``factors``.
     """
 
     def __init__(self, config: LimitsConfig, factors: tuple[float, float], fleet: Fleet) -> None:
@@ -235,13 +225,9 @@ class DelayLine:
         self._rings: dict[str, Tensor] = {}
 
     def __call__(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
-        """Stores a value, and returns that of ``delay`` steps ago, or of step 0, ``[N, k]``.
+        """Stores the value ``[N, k]`` of this step, and returns that of ``delay`` steps ago, or of step 0.
 
-        Args:
-            name: name of the value.
-            value: value at this step, ``[N, k]``. A row may store its value of a step again.
-            steps: number of steps of each row's episode, int64 ``[N, 1]``.
-            delay: delay of each row, steps, int64 ``[N, 1]``.
+        ``steps`` and ``delay`` are int64 ``[N, 1]``. A row may store its value of a step again.
         """
         if name not in self._rings:
             self._rings[name] = value.new_zeros(len(value), self._size, value.shape[-1])
@@ -251,11 +237,7 @@ class DelayLine:
 
 
 class CommandDelay(Stage):
-    """Delays each row's commands by a number of control steps from a range.
-
-    Attributes:
-        steps: current delay of each row, control steps, int64 ``[N, 1]``.
-    """
+    """Delays each row's commands by ``steps``, int64 ``[N, 1]``, drawn from a range of numbers of control steps."""
 
     def __init__(self, latency: tuple[int, int], num_envs: int, device: torch.device) -> None:
         self._latency, self._line = latency, DelayLine(latency[1])
@@ -268,7 +250,6 @@ class CommandDelay(Stage):
         return self.delayed(command, state.steps)
 
     def delayed(self, command: Tensor, steps: Tensor) -> Tensor:
-        """Stores a command and returns the delayed one: 0 before the first one has arrived."""
         return self._line("command", command, steps, self.steps).masked_fill(steps < self.steps, 0.0)
 
 
@@ -329,7 +310,6 @@ class Localization(Stage):
         return SensedPose(position, yaw)
 
     def _localized(self, state: StepState, begins: Tensor, moves: Tensor) -> SensedPose:
-        """Adds the drifting error, and the one that jumps."""
         config, dt, keys, steps = self._config, state.truth.rover.dt, state.keys, state.steps
         deviations = dt.new_tensor((config.drift, config.drift, config.drift_heading))
         severity = self._randomization.severity_of(keys)
@@ -352,9 +332,8 @@ class SensorDelays(Stage):
     """Tells when lidars scan, and how late scans, poses and other sensors arrive.
 
     A scan has a stamp, and so has a pose. So the robot knows where it was when it scanned, as with ROS's tf: a scan
-    waits for the pose of its time, and is never newer than the pose.
-
-    Scans are timed so that they arrive at steps that are multiples of their period, at which policies decide.
+    waits for the pose of its time, and is never newer than the pose. Scans are timed so that they arrive at steps that
+    are multiples of their period, at which policies decide.
 
     Args:
         randomization: ranges of the delays and of the period, and the share of lost scans.
@@ -364,8 +343,7 @@ class SensorDelays(Stage):
         live: simulator of a live rover, whose stamps tell where scans were taken. ``None``: not live.
 
     Attributes:
-        scan: current delay of the scans of each row, control steps, int64 ``[N, 1]``.
-        state: current delay of its other sensors, control steps, int64 ``[N, 1]``.
+        scan, state: delays of the scans and of the other sensors, control steps, int64 ``[N, 1]``.
         scan_step: step at which the last scan was taken that is not lost, int64 ``[N, 1]``.
         known: pose that is known: x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``.
     """
@@ -418,14 +396,13 @@ class SensorDelays(Stage):
         state.scan_pose = relative_pose(known, self._scan)
 
     def late(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
-        """Returns a value as it arrives: see :class:`DelayLine`."""
         return self._line(name, value, steps, delay)
 
 
 def relative_pose(known: Tensor, scan: Tensor) -> Tensor:
-    """Returns the pose of a scan relative to a known one: ahead, left and up (m), pitch, roll, and the turn (rad).
+    """Returns the pose of a scan relative to a known one, both ``[N, 6]`` as in :class:`SensorDelays`.
 
-    Both are x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``. Pitch and roll are those of the scan.
+    It is ahead, left and up (m), pitch and roll of the scan, and the turn (rad).
     """
     (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
     pitch, roll = scan[:, 3:5].split(1, -1)

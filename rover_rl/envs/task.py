@@ -63,12 +63,9 @@ class PositionHistory:
         self._positions = torch.zeros(num_envs, window, 2, device=device)
 
     def displacement(self, position: Tensor, steps: Tensor, active: Tensor | None = None) -> Tensor:
-        """Stores a position and returns its distance from the oldest one, ``[N, 1]``, m; inf until the buffer is full.
+        """Stores positions ``[N, 2]`` of ``active`` rows, and returns their distance from the oldest ones, ``[N, 1]``.
 
-        Args:
-            position: current position, ``[N, 2]``, m.
-            steps: number of steps in the episode, including this one, int64 ``[N, 1]``.
-            active: rows that store their position, bool ``[N, 1]``. ``None`` means all rows.
+        It is inf until the buffer is full. ``steps`` are those of the episode, including this one, int64 ``[N, 1]``.
         """
         slot = ((steps - 1) % self._window).squeeze(-1)
         if active is not None:
@@ -80,12 +77,9 @@ class PositionHistory:
 
 
 def target_info(position: Tensor, yaw: Tensor, goal: Tensor) -> Tensor:
-    """Returns distance (m) and angle relative to the heading (rad, in (-pi, pi]) of the goal, ``[N, 2]``.
+    """Returns distance (m) and angle relative to the heading (rad, in (-pi, pi]) of goals, ``[N, 2]``.
 
-    Args:
-        position: position of the rover, ``[N, 2]``, m.
-        yaw: heading of the rover, ``[N, 1]``, rad.
-        goal: position of the goal, ``[N, 2]``, m.
+    ``position`` and ``goal`` are ``[N, 2]`` (m), and ``yaw`` is ``[N, 1]`` (rad).
     """
     offset = goal - position
     distance = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
@@ -121,8 +115,8 @@ def compute_terminations(
         config: thresholds.
 
     Returns:
-        Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only if no event ended the episode), and
-        the deciding :class:`StepEvent`, int64 ``[N, 1]``.
+        Events, bool ``[N, 7]`` as in :data:`EVENTS` (a goal counts only if no event ended the episode), and the
+        deciding :class:`StepEvent`, int64 ``[N, 1]``.
     """
     low, high = bounds
     endings = torch.cat(
@@ -150,15 +144,9 @@ def with_threshold(config: EnvConfig, fleet: Fleet) -> EnvConfig:
 
 
 class Navigation:
-    """Sets goals, and computes the outcome of each step from ``StepState.reference``.
+    """Sets goals from a ``placement``, and computes the outcome of each step from ``StepState.reference``.
 
-    Args:
-        config: description of the environment.
-        placement: source of goals and of the bounds of each row's world.
-        fleet: robots of the rows, whose outlines tell collisions if the task states no threshold.
-
-    Attributes:
-        length: number of steps after which an episode is truncated.
+    ``length`` is the number of steps after which an episode is truncated.
     """
 
     def __init__(self, config: EnvConfig, placement: Placement, fleet: Fleet) -> None:
@@ -171,13 +159,9 @@ class Navigation:
         self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
     def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, first: bool) -> None:
-        """Begins new episodes after a reset: sets goals and clears counters and the outcome in the state.
+        """Begins episodes in the rows of ``mask``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters.
 
-        Args:
-            state: state of the environment after the reset of these rows.
-            mask: rows that begin an episode, bool ``[N, 1]``.
-            goal: goals, ``[N, 2]``, m. ``None`` draws them.
-            first: whether this is the first reset since the simulator was built.
+        ``first`` is whether this is the first reset since the simulator was built.
         """
         zeros, reference = torch.zeros_like(state.keys), state.reference
         if goal is None:
@@ -229,7 +213,6 @@ class Navigation:
         self._end(state)
 
     def _in_collision(self, reference: Perception) -> Tensor:
-        """Returns which rovers are in collision, bool ``[N, 1]``."""
         if self._task.collision_from == "contact":
             # RoverEnv refuses simulators without contacts for this task.
             assert reference.rover.contact is not None
@@ -240,7 +223,6 @@ class Navigation:
         return reference.readings.amin(-1, keepdim=True) < self._threshold
 
     def _set_next_goals(self, state: StepState, reached: Tensor) -> None:
-        """Draws new goals for the rows that ``reached`` theirs, bool ``[N, 1]``."""
         # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
         if reached.device.type == "cpu" and not reached.any():
             return
@@ -251,7 +233,6 @@ class Navigation:
         state.target, state.goals = torch.where(reached, target, state.target), state.goals + reached
 
     def _end(self, state: StepState) -> None:
-        """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""
         terminated = state.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
             terminated = terminated | state.outcome.get("goal_reached")

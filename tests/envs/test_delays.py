@@ -145,6 +145,6 @@ def test_imperfections_by_name():
     assert imperfect(config, "late").randomization.scan_latency == (8, 8)  # 150 ms
     assert imperfect(config, "jumps").pose.source == "localized"
     assert imperfect(config, "harsh").limits.apply
-    assert Randomization.typical() == IMPERFECTIONS["typical"](0.05).randomization
+    assert Randomization.typical() == IMPERFECTIONS["typical"](0.05)["randomization"]
     with pytest.raises(ValueError, match="unknown imperfection 'latte', perhaps 'late'"):
         imperfect(config, "latte")

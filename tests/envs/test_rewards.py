@@ -11,8 +11,8 @@ from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardConfig, contract_reward, make_env
 from rover_rl.envs.rewards import (
+    ConfiguredComponent,
     MoverContactPenalty,
-    MoverProximityPenalty,
     RewardComponent,
     pays_for_goals,
     reward_components,
@@ -143,11 +143,9 @@ def test_a_contact_with_a_mover_costs_by_whose_fault_it_is():
 
 
 def test_closeness_and_haste_near_movers_cost():
-    penalty = MoverProximityPenalty(
-        RewardConfig(
-            intrusion_penalty=-0.1, haste_penalty=-0.4, risk_penalty=-1.0, intrusion_distance=1.0, risk_distance=0.25
-        )
-    )
+    penalties = {"intrusion_penalty": -0.1, "haste_penalty": -0.4, "risk_penalty": -1.0}
+    config = RewardConfig(**penalties, intrusion_distance=1.0, risk_distance=0.25)
+    penalty = ConfiguredComponent(config, "mover_proximity")
     results = met([0.0, 1.0, -1.0, 1.0, 1.0], [False] * 5, [0.5, 0.5, 0.5, 0.2, math.inf], [0.0] * 5)
     assert component([penalty._step(*results)], "mover_proximity") == [[-0.05, -0.25, -0.25, -1.4, 0.0]]
 

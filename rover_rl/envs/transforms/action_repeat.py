@@ -27,12 +27,6 @@ class ActionRepeat(Transform):
 
     Append transforms that count actions or sum rewards over an episode after this one.
 
-    Args:
-        repeat: number of steps per action.
-
-    Raises:
-        ValueError: if ``repeat`` is less than 1.
-
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))
         >>> env.rollout(3)["next", "outcome", "steps"][0].squeeze(-1)
@@ -80,7 +74,6 @@ class ActionRepeat(Transform):
         return tensordict_reset.set("outcome", outcome.set("goals", torch.zeros_like(outcome.get("steps"))))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds the number of goals to ``outcome``."""
         steps = observation_spec["outcome", "steps"]
         observation_spec[_GOALS] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         return observation_spec

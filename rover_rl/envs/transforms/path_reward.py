@@ -27,11 +27,8 @@ class PathReward(Transform):
 
     The contract rewards progress in a straight line, which is zero in front of a wall, so that a rover learns to stop
     there. The reward uses the map of the world, the policy does not. The transform adds ``path_length``, the length of
-    the remaining path, float32 ``[N, 1]``, m. In this length, a meter right beside an obstacle counts as five.
-
-    Args:
-        env (rover_rl.RoverEnv): environment whose worlds and robot determine the paths.
-        weight: reward per meter.
+    the remaining path for worlds and robot of ``env``, float32 ``[N, 1]``, m. In this length, a meter right beside an
+    obstacle counts as five.
     """
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
@@ -54,7 +51,6 @@ class PathReward(Transform):
         return length.reshape(*observation.batch_size, 1)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds ``path_length``."""
         shape = (*observation_spec.shape, 1)
         observation_spec["path_length"] = Unbounded(shape=shape, device=observation_spec.device)
         return observation_spec
@@ -66,9 +62,6 @@ class RouteReward(Transform):
     A rover that sees the end of a dead end loses at once what the way around costs. Unlike :class:`PathReward`, it
     needs no map of the world and no shortest paths on it, which take longer to compute than the physics if episodes are
     in many worlds. The environment needs the sensor ``route``. Steps without a route get no reward.
-
-    Args:
-        weight: reward per meter.
     """
 
     def __init__(self, weight: float) -> None:

@@ -58,7 +58,6 @@ class StepClock(Transform):
         return call
 
     def _now(self) -> Any:
-        """Returns the time in seconds, or a new event of the device."""
         if self._events is not None:
             event = torch.get_device_module(self._device).Event(enable_timing=True)
             event.record()
@@ -68,7 +67,6 @@ class StepClock(Transform):
         return time.perf_counter()
 
     def _add(self, index: int, started: Any) -> None:
-        """Adds the time since ``started`` to a value, or keeps the events that it is between."""
         if self._events is None:
             self._values[index] += self._now() - started
         else:
@@ -108,7 +106,6 @@ class StepClock(Transform):
         return tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds ``clock``."""
         shape = observation_spec.shape
         leaf = Unbounded(shape=(*shape, 1), dtype=torch.float64, device=observation_spec.device)
         observation_spec[_KEY] = Composite({name: leaf.clone() for name in NAMES}, shape=shape)

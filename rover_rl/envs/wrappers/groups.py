@@ -24,22 +24,12 @@ class GroupedRovers(EnvBase):
     the entries of the observation, ``action``, ``reward``, ``outcome``, the ends of its episode, and ``mask``: whether
     it drives in the step to come. A rover whose episode has ended stays where it is, with a reward of 0, until the
     group's has ended. ``done``, ``terminated`` and ``truncated`` of a group ``[G, 1]`` are true once all of its rovers
-    are done, all terminated, or some truncated. Then, the group begins an episode together.
+    are done, all terminated, or some truncated, or with ``done_on_any``, once one is. Then, the group begins an episode
+    together. ``group_map`` are the names of the agents of each of TorchRL's groups: ``{"rovers": ["rover_0", ...]}``.
 
     ``reset(start=..., goal=...)`` sets start poses ``[G, agents, 3]`` and goals ``[G, agents, 2]``.
 
-    Args:
-        env: ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        done_on_any: whether a group is done once one of its rovers is.
-
-    Attributes:
-        base_env: the ``RoverEnv`` under the transforms.
-        agents: number of rovers of a group.
-        group_map: names of the agents of each of TorchRL's groups: ``{"rovers": ["rover_0", ...]}``.
-
-    Raises:
-        TypeError: if ``env`` has another type.
-        ValueError: if ``env`` has no batch.
+    ``env`` is a ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one (:attr:`base_env`).
 
     Example:
         >>> import rover_rl
@@ -96,7 +86,7 @@ class GroupedRovers(EnvBase):
         begins = torch.ones_like(self._ended[:, :1]) if mask is None else mask.reshape(-1, 1)
         places = {"start": start, "goal": goal}
         given = {key: value.reshape(-1, value.shape[-1]) for key, value in places.items() if value is not None}
-        root = None if self._root is None else self._root.set("_reset", self._in_rows(begins.expand_as(self._ended)))
+        root = None if self._root is None else self._root.set("_reset", begins.expand_as(self._ended).reshape(-1, 1))
         self._root = self.env.reset(root, **given)
         self._ended = self._ended & ~begins
         return self._pack(self._root)
@@ -108,7 +98,7 @@ class GroupedRovers(EnvBase):
         if (active := tensordict.get("_step", None)) is not None:
             drives = drives & active.reshape(-1, 1)
         self._root.set("action", tensordict.get(("rovers", "action")).flatten(0, 1))
-        self._root.set("_step", self._in_rows(drives))
+        self._root.set("_step", drives.reshape(-1, 1))
         result = self.env.step(self._root)
         result.pop("_step", None)
         self._root = self.env.step_mdp(result)
@@ -117,7 +107,6 @@ class GroupedRovers(EnvBase):
         return self._pack(after)
 
     def _pack(self, rows: TensorDictBase) -> TensorDictBase:
-        """Returns the entries of all rows under ``"rovers"``, and the ends of the groups' episodes."""
         keys = {*self.env.observation_spec.keys(), *self.env.full_reward_spec.keys(), *ENDS} & {*rows.keys()}
         rovers = rows.select(*keys).unflatten(0, (*self.batch_size, self.agents))
         rovers.set("mask", ~self._ended)
@@ -128,10 +117,6 @@ class GroupedRovers(EnvBase):
         ends = {"done": done, "terminated": terminated, "truncated": done & ~terminated}
         return TensorDict({"rovers": rovers, **ends}, self.batch_size, device=self.device)
 
-    def _in_rows(self, mask: Tensor) -> Tensor:
-        return mask.reshape(-1, 1)
-
     def close(self, *, raise_if_closed: bool = False) -> None:
-        """Releases the simulator. Idempotent."""
         self.env.close(raise_if_closed=raise_if_closed)
         super().close(raise_if_closed=raise_if_closed)

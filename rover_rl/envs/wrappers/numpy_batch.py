@@ -137,7 +137,6 @@ class NumpyBatch:
         return _flat(self._started("total_steps")["outcome", "total_steps"])
 
     def observation(self) -> Observation:
-        """Current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
         return self.entry(EncodedObservation.KEY) if self._flat else {key: self.entry(key) for key in self._keys}
 
     def entry(self, key: str) -> NDArray[np.float32]:
@@ -233,7 +232,6 @@ class NumpyBatch:
 
 
 def pop_options(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Removes the options of :class:`NumpyBatch` from arguments, and returns them."""
     options = signature(NumpyBatch).parameters.keys() - {"env"}
     return {key: arguments.pop(key) for key in [*arguments] if key in options}
 
@@ -249,7 +247,6 @@ def base_env(env: EnvBase) -> RoverEnv:
 
 
 def row_of(observation: Observation, row: int) -> Observation:
-    """Returns a copy of one row of an observation."""
     if isinstance(observation, np.ndarray):
         return observation[row].copy()
     return {key: value[row].copy() for key, value in observation.items()}
@@ -268,5 +265,4 @@ def _box(spec: TensorSpec) -> spaces.Box:
 
 
 def _flat(column: Tensor) -> NDArray[Any]:
-    """Copies ``[N, 1]``, or ``[1]`` of an unbatched environment, to an array ``[N]``."""
     return column.reshape(-1).numpy(force=True).copy()

@@ -21,24 +21,14 @@ except ImportError as error:
 
 
 class RoverParallelEnv(ParallelEnv):
-    """Wraps the rovers of one group as a ``ParallelEnv`` of PettingZoo.
+    """Wraps the rovers of one group, ``"rover_0"`` and so on, as a ``ParallelEnv`` of PettingZoo.
 
     Observations, actions, rewards and ``info`` of an agent are those of :class:`~rover_rl.GymWrapper`. A rover whose
-    episode has ended leaves :attr:`agents`, and stays where it is until the next reset, seen by the others.
+    episode has ended leaves ``agents``, and stays where it is until the next reset, seen by the others.
 
-    Args:
-        env: ``RoverEnv`` with ``num_envs`` equal to ``agents``, or a ``TransformedEnv`` of one.
-        **options: options of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. The default of ``time_limit`` is
-            ``"truncated"``.
-
-    Attributes:
-        possible_agents: names of all rovers: ``"rover_0"`` and so on.
-        agents: names of the rovers whose episodes have not ended.
-        base_env: the ``RoverEnv`` under the transforms.
-
-    Raises:
-        TypeError: if ``env`` has another type, or an option does not exist.
-        ValueError: if there is not one group, or an option is out of range.
+    ``env`` is a ``RoverEnv`` with ``num_envs`` equal to ``agents``, or a ``TransformedEnv`` of one (:attr:`base_env`),
+    and the options are those of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. The default of ``time_limit``
+    is ``"truncated"``.
 
     Example:
         >>> import rover_rl
@@ -88,7 +78,6 @@ class RoverParallelEnv(ParallelEnv):
     def step(
         self, actions: Mapping[str, ArrayLike]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Takes one step with an action of each agent, and returns what ``GymWrapper`` does, by agent."""
         if missing := [agent for agent in self.agents if agent not in actions]:
             raise ValueError(f"each agent needs an action, {missing} have none")
         taken = np.zeros((len(self.possible_agents), *self._batch.action_space.shape), np.float32)
@@ -117,7 +106,6 @@ class RoverParallelEnv(ParallelEnv):
         return self._batch.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Releases the simulator. Idempotent."""
         self._batch.env.close()
 
     def _of_agents(self, observation: Observation) -> dict[str, Observation]:
