@@ -62,9 +62,8 @@ def check_positive(most: float, **numbers: float) -> None:
     """Raises ``ValueError`` for the first number that is NaN, not positive or above ``most``, with its name."""
     for name, number in numbers.items():
         if not 0 < number <= most:
-            raise ValueError(
-                f"{name} must be positive{'' if most == math.inf else f' and at most {most:g}'}, got {number}"
-            )
+            limit = "" if most == math.inf else f" and at most {most:g}"
+            raise ValueError(f"{name} must be positive{limit}, got {number}")
 
 
 def check_topics(**topics: Any) -> None:

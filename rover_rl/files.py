@@ -58,8 +58,7 @@ def cache_folder() -> Path:
 def written_whole(path: Path) -> Iterator[Path]:
     """Writes a file atomically: yields a temporary path next to ``path`` and renames it to ``path`` at the end.
 
-    Raises:
-        OSError: if ``path`` is a folder or cannot be written, for example on a full disk. The error names ``path``.
+    Raises ``OSError`` that names ``path`` if that is a folder or cannot be written, for example on a full disk.
     """
     # The suffix stays because it determines the format of images.
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
@@ -99,16 +98,10 @@ def check_outputs(
 ) -> None:
     """Checks, before any work, that a command writes over no input and over no file that this package did not make.
 
-    Args:
-        outputs: files that the command writes.
-        inputs: what it reads. Words that name no file are ignored.
-        force: whether the user allows it to write over such files.
-        option: option that names another place to write to.
-
-    Raises:
-        PermissionError: if the place cannot be written to.
-        ValueError: if an output is an input, or if two outputs are the same file.
-        FileExistsError: if there is a file that this package did not make.
+    ``outputs`` are files that the command writes, and ``inputs`` what it reads; words that name no file are ignored.
+    ``force`` allows it to write over such files, and ``option`` names another place to write to. Raises
+    ``PermissionError`` if the place cannot be written to, ``ValueError`` if an output is an input, or two are the same
+    file, and ``FileExistsError`` if there is a file that this package did not make.
     """
     read = [Path(word) for word in inputs if os.path.exists(word)]
     for number, path in enumerate(outputs):

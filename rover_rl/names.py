@@ -41,11 +41,8 @@ class Name(Sequence["Name"]):
     - ``maze:0-99@0.2-0.8`` is ``difficulty=(0.2, 0.8)``: each seed has its own, spread evenly
     - ``maze:7*1.6`` is ``scale=1.6``, from 0.5 to 10
 
-    A name is the sequence of the names of its seeds, which are one without a range.
-
-    Args:
-        part: registered name, ``module:attribute``, or path of a file.
-        settings: values by setting.
+    A name is the sequence of the names of its seeds, which are one without a range. ``part`` is a registered name,
+    ``module:attribute``, or the path of a file.
 
     Example:
         >>> Name.parse("my_package:canyon:7@0.3*1.6")
@@ -64,9 +61,8 @@ class Name(Sequence["Name"]):
     def parse(cls, text: str) -> Name:
         """Reads a name. Values in parentheses are literals of Python, or words; nothing is executed.
 
-        Raises:
-            ValueError: if the parentheses hold something else, a setting with a short form is out of range, or the
-                ends of a range are not in order.
+        Raises ``ValueError`` if they are something else, a setting with a short form is out of range, or the ends of a
+        range are not in order.
         """
         forms = None if _FILE.fullmatch(text) else _FORMS.fullmatch(text)
         if forms is None:

@@ -24,9 +24,8 @@ def to_plain(settings: Any) -> dict[str, Any]:
 def from_plain(data: Any, kind: type[Settings], source: str) -> Settings:
     """Creates a dataclass from its fields by name, those that are missing with their defaults.
 
-    Raises:
-        ValueError: if a field does not exist, or a value has the wrong type or is out of range. The message is one
-            sentence that names the field and ``source``, the origin of the data, such as the path of a file.
+    Raises ``ValueError`` if a field does not exist, or a value has the wrong type or is out of range: one sentence that
+    names the field and ``source``, the origin of the data, such as the path of a file.
     """
     if not isinstance(data, dict):
         raise ValueError(f"{source} must hold settings by name, got {data!r}")
@@ -88,8 +87,7 @@ def _structure_union(value: Any, hint: Any) -> Any:
 def take_numbers(settings: Any) -> None:
     """Replaces numbers of NumPy and PyTorch in the fields of a frozen dataclass by Python's. Call it first.
 
-    Raises:
-        ValueError: if a field of numbers holds something else.
+    Raises ``ValueError`` if a field of numbers holds something else.
     """
     for item in fields(settings):
         given = getattr(settings, item.name)

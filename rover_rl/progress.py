@@ -29,13 +29,12 @@ _redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected
 
 
 class _RemainingColumn(ProgressColumn):
-    """Remaining time. Empty while there is no estimate."""
-
     def __init__(self, remaining: Callable[[], float]) -> None:
         super().__init__()
         self._remaining = remaining
 
     def render(self, task: Task) -> Text:
+        # Empty while there is no estimate.
         seconds = math.ceil(self._remaining())
         return Text(f"left {timedelta(seconds=seconds)}" if seconds > 0 else "", style="progress.remaining")
 
@@ -51,8 +50,7 @@ class ProgressDisplay:
         tenths: whether lines are also printed after each tenth of the operation.
         console: console to print to; ``None``: standard output.
         interval: longest time between two lines, s.
-        estimate: whether the remaining time is estimated from the fraction that is done; not if parts of the operation
-            take a thousand times as long as others.
+        estimate: whether the remaining time is estimated; not if some parts take a thousand times as long as others.
     """
 
     def __init__(

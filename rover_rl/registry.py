@@ -21,10 +21,8 @@ from typing import Any
 class Registry:
     """Parts of one kind, by name.
 
-    Args:
-        kind: name of the kind in error messages, for example ``"world"``.
-        built_in: built-in parts by name. A value ``"module:attribute"`` is imported on first use.
-        also: text for the error message about an unknown name: what is accepted besides a name.
+    ``kind`` is its name in error messages, for example ``"world"``. A built-in part ``"module:attribute"`` is imported
+    on first use. ``also`` says what is accepted besides a name.
 
     Installed packages add parts with entry points in the group ``rover_rl.<kind>s``, for example ``rover_rl.worlds``::
 
@@ -41,9 +39,8 @@ class Registry:
     def register(self, name: str, part: Any) -> None:
         """Registers a part, or its ``"module:attribute"``, which is imported on first use."""
         if not re.fullmatch(r"[\w.-]+", name):
-            raise ValueError(
-                f"the name of a {self._kind} must consist of letters, digits, '_', '-' and '.', got {name!r}"
-            )
+            allowed = "letters, digits, '_', '-' and '.'"
+            raise ValueError(f"the name of a {self._kind} must consist of {allowed}, got {name!r}")
         if self._parts.get(name, part) is not part:
             raise ValueError(f"a {self._kind} named {name!r} already exists; choose another name")
         self._parts[name] = part

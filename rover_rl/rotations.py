@@ -65,12 +65,9 @@ def euler_to_matrix(angles: Tensor) -> Tensor:
     The columns point forward, left and up.
     """
     (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
-    rows = (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+    forward, left = (cy * cp, sy * cp, -sp), (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
+    up = (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
+    return torch.stack([torch.stack(column, -1) for column in (forward, left, up)], -1)
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
@@ -103,12 +100,7 @@ def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
     """Returns the quaternion of rotation ``b`` followed by rotation ``a``, both ``[..., 4]``."""
     ax, ay, az, aw = a.unbind(-1)
     bx, by, bz, bw = b.unbind(-1)
-    return torch.stack(
-        (
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ),
-        -1,
-    )
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return torch.stack((x, y, z, aw * bw - ax * bx - ay * by - az * bz), -1)

@@ -23,9 +23,7 @@ def parse_xml(data: bytes) -> Element:
 
     As in TinyXML 2, a prefix such as ``gz:`` is part of the name and needs no declaration, space and comments may come
     before the declaration, a comment may hold ``--``, and an entity that XML does not define stays as it is written.
-
-    Raises:
-        ValueError: if it is not XML, or declares entities. The message is one sentence.
+    Raises ``ValueError`` if it is not XML, or declares entities.
     """
     try:
         text = data.decode("utf-8-sig")

@@ -51,7 +51,7 @@ else:
     RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
 SCAN_POSE = "scan_pose"
-"""Name of the pose at which the scan was taken, which an environment has if asked for, or if its scans can be late."""
+"""Sensor of the pose at which the scan was taken. An environment has it if asked for, or if its scans can be late."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 MAX_RATE = 1000.0
@@ -71,8 +71,8 @@ _TURN = 2 * math.pi + 0.01
 class Settings:
     """Base of the parts of a description, which are frozen dataclasses: checks their numbers and choices.
 
-    The numbers in ``positive`` must be positive, and those in ``not_negative`` at least 0, all at most ``most``, but
-    for ``None``. Numbers of NumPy and PyTorch become Python's.
+    Those in ``positive`` and ``not_negative`` are so, at most ``most``, or ``None``. Numbers of NumPy and PyTorch
+    become Python's.
     """
 
     positive: ClassVar[tuple[str, ...]] = ()
@@ -100,8 +100,7 @@ class LidarConfig(Settings):
     max_range: float = 12.0
     """Maximum of a reading, m. Larger ranges are clipped."""
     period: int = 1
-    """Number of steps from one scan to the next, in simulation. With 4, the lidar scans at 5 Hz, and readings stay
-    the same in between. Fewer scans take less time."""
+    """Number of steps from one scan to the next, in simulation: 4 is 5 Hz. Fewer scans take less time."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -113,8 +112,8 @@ class PoseConfig(Settings):
     """Pose that the sensors report, from which the target is computed. Events and rewards know the true pose.
 
     - ``truth``: the true pose, as in the original environment.
-    - ``odometry``: dead reckoning from the start of the episode, by the speed of the wheels and the attitude of the
-      IMU. It drifts where wheels slip, and with the noise of both.
+    - ``odometry``: dead reckoning by the speed of the wheels and the attitude of the IMU. It drifts where wheels slip,
+      and with the noise of both.
     - ``localized``: the true pose with an error that drifts and jumps, as that of a localization does.
     - ``either``: each episode draws odometry or localized.
     """
@@ -155,31 +154,26 @@ class ActionConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        speeds = [speed for speed in (self.min_speed, self.max_speed) if speed is not None]
+        low, high = self.min_speed, self.max_speed
+        speeds = [speed for speed in (low, high) if speed is not None]
         if not all(map(math.isfinite, speeds)) or (len(speeds) == 2 and not speeds[0] < speeds[1]):
-            raise ValueError(
-                f"min_speed must be less than max_speed, both finite, got {self.min_speed} and {self.max_speed}"
-            )
+            raise ValueError(f"min_speed must be less than max_speed, both finite, got {low} and {high}")
         if not 0 < self.max_turn <= math.pi:
             raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
 
     def for_robot(self, robot: RobotLike, gain: float = 2.0) -> ActionConfig:
         """Returns the bounds for a robot, whose heading PID has a proportional ``gain``, 1/s.
 
-        Those of several robots are those of the fastest one, and of the one that turns fastest. The others drive and
-        turn at most as fast as they can.
+        Those of several robots are those of the fastest one, and of the one that turns fastest.
         """
         from rover_rl.robots import get_robots
 
         robots = get_robots(robot)
         most = max(robot.drive.max_speed for robot in robots)
+        low, high = -most if self.min_speed is None else self.min_speed, self.max_speed
         turn = max(robot.drive.fastest_turn(robot.wheels) for robot in robots)
-        return replace(
-            self,
-            min_speed=-most if self.min_speed is None else self.min_speed,
-            max_speed=most if self.max_speed is None else self.max_speed,
-            max_turn=min(self.max_turn, turn / gain) if gain > 0 else self.max_turn,
-        )
+        turn = min(self.max_turn, turn / gain) if gain > 0 else self.max_turn
+        return replace(self, min_speed=low, max_speed=most if high is None else high, max_turn=turn)
 
 
 @dataclass(frozen=True)
@@ -194,8 +188,7 @@ class TaskConfig(Settings):
     """Lidar reading below which the rover is in collision, m. None is the robot's: 0.3 m for Rover Zero, as in the
     contract, and for a robot that states none, in each direction, what its outline takes and 5 cm."""
     collision_window: int = 15
-    """Number of consecutive steps in collision above which the rover is jammed, which ends the episode. 0 ends it
-    at the first."""
+    """Number of consecutive steps in collision above which a jam ends the episode. 0 ends it at the first."""
     flip_threshold: float = 1.48
     """Absolute roll or pitch above which the rover is flipped, rad."""
     stuck_window: int = 600
@@ -242,21 +235,19 @@ class RewardConfig(Settings):
     out_of_bounds_penalty: float = -10.0
     """Reward for leaving the world's bounds (too_far_away_penilty in the contract)."""
     clearance_penalty: float = 0.0
-    """Reward for each step with a lidar reading of 0. It falls linearly to nothing at the clearance distance. 0
-    leaves the component out."""
+    """Reward for each step with a lidar reading of 0, falling linearly to nothing at the clearance distance."""
     clearance_distance: float = 0.5
     """Lidar reading below which the clearance penalty applies, m."""
     action_rate_penalty: float = 0.0
-    """Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the component out."""
+    """Reward for each squared change of the action between steps, (m/s)^2 + rad^2."""
     mover_contact_penalty: float = 0.0
-    """Reward for each step in contact with a mover that the rover drove into: it was not standing still before.
-    This and the next four leave their components out if all of them are 0."""
+    """Reward for each step in contact with a mover that the rover drove into: it was not standing still before."""
     struck_penalty: float = 0.0
     """Reward for each step in contact with a mover that ran into the standing rover."""
     intrusion_penalty: float = 0.0
-    """Reward for each step at a mover. It falls linearly to nothing at the intrusion distance."""
+    """Reward for each step at a mover, falling linearly to nothing at the intrusion distance."""
     haste_penalty: float = 0.0
-    """Reward for each step at 1 m/s at a mover, in proportion to the speed. It falls in the same way."""
+    """Reward for each step at 1 m/s at a mover, in proportion to the speed, falling in the same way."""
     risk_penalty: float = 0.0
     """Reward for each step within the risk distance of a mover."""
     intrusion_distance: float = 1.2
@@ -284,14 +275,10 @@ class HeadingGains(Settings):
 
 @dataclass(frozen=True)
 class LimitsConfig(Settings):
-    """Limits of the commands: those that ``rover-rl drive`` applies to a live rover, in simulation too.
-
-    ``rover-rl drive`` applies by default what a policy was trained with, if ``apply``, else the defaults below. In
-    simulation, the drive of the robot lags besides.
-    """
+    """Limits of the commands, as ``rover-rl drive`` applies them to a live rover. In simulation, its drive lags too."""
 
     apply: bool = False
-    """Limit the commands in simulation, too."""
+    """Limit the commands in simulation, too. ``rover-rl drive`` then uses the limits below by default."""
     max_speed: float | None = None
     """Largest speed, m/s. None: that of the robot."""
     max_yaw_rate: float | None = None
@@ -311,10 +298,10 @@ class LimitsConfig(Settings):
 class GuardConfig(Settings):
     """Emergency brake: limits the speed so that the rover stops before what the scan shows in its way.
 
-    The way is the arc of the command, swept by the outline of the robot. Of the free distance ``d`` on it, the rover
-    may use what is left by obstacles that come towards it at ``approach`` until it stands, as in the protective
+    The way is the arc of the command, swept by the outline of the robot. The largest speed ``v`` uses up the free
+    distance ``d`` on it, less what obstacles that come towards the rover take until it stands, as in the protective
     separation distance of ISO/TS 15066: ``d = v reaction + v^2 / (2 deceleration) + approach (reaction + v /
-    deceleration)`` for the largest speed ``v``.
+    deceleration)``.
     """
 
     deceleration: float = 0.0
@@ -372,11 +359,11 @@ class Randomization(Settings):
     severity: tuple[float, float] = _UNCHANGED
     """Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization."""
     lidar_view: tuple[float, float] | None = None
-    """Range of the angle that the lidar sees, centered on straight ahead, rad. It is never more than that of the
-    robot. None: that of the robot. Beams outside of it have no return."""
+    """Range of the angle that the lidar sees, centered on straight ahead, rad, never more than that of the robot, which
+    is None. Beams outside of it have no return."""
     dead_sectors: int = 0
-    """Largest number of sectors in which the lidar sees nothing, as behind a part of the robot or dirt. Each
-    episode has from 0 to this many, in any direction. At most 16."""
+    """Largest number of sectors, at most 16, in which the lidar sees nothing, as behind a part of the robot or dirt.
+    Each episode has from 0 to this many, in any direction."""
     dead_sector_width: tuple[float, float] = (0.1, 0.6)
     """Range of the width of each of these sectors, rad."""
     lidar_min_range: tuple[float, float] = (0.0, 0.0)
@@ -409,22 +396,11 @@ class Randomization(Settings):
     @classmethod
     def typical(cls, dt: float = CONTROL_DT) -> Randomization:
         """Returns typical ranges for a skid-steer rover with low-cost sensors, with delays in steps of ``dt``, s."""
-        return cls(
-            friction=(0.7, 1.3),
-            chassis_mass=(0.9, 1.3),
-            motor_torque=(0.7, 1.0),
-            latency=(0, round(0.1 / dt)),
-            range_noise=0.01,
-            dropout=0.01,
-            odometry_noise=0.02,
-            imu_noise=0.01,
-            scan_latency=(0, round(0.1 / dt)),
-            state_latency=(0, round(0.05 / dt)),
-            lost_scans=0.01,
-            odometry_scale=(0.98, 1.02),
-            yaw_bias=(-math.radians(0.1), math.radians(0.1)),
-            severity=(0.0, 1.0),
-        )
+        late, bias = (0, round(0.1 / dt)), math.radians(0.1)
+        noise = cls(range_noise=0.01, dropout=0.01, odometry_noise=0.02, imu_noise=0.01, lost_scans=0.01)
+        noise = replace(noise, odometry_scale=(0.98, 1.02), yaw_bias=(-bias, bias), severity=(0.0, 1.0))
+        noise = replace(noise, latency=late, scan_latency=late, state_latency=(0, round(0.05 / dt)))
+        return replace(noise, friction=(0.7, 1.3), chassis_mass=(0.9, 1.3), motor_torque=(0.7, 1.0))
 
     def severity_of(self, keys: Tensor) -> Tensor | float:
         """Returns the factors of noise and errors, ``[N, 1]``, of episodes with random ``keys``, or that of all."""
@@ -455,11 +431,8 @@ class EnvConfig(Settings):
     """Description of an environment: world, robot, sensors, task, reward and simulator.
 
     ``make_env(EnvConfig(...))`` builds the environment. Training stores the description in the run's folder and in the
-    checkpoint, so that the lidar, robot and task of a policy are known. Worlds, robots, sensors, rewards and backends
-    can be your own, named as ``module:attribute``.
-
-    Raises:
-        ValueError: if ``outcome_from`` is unknown, or a part has another type.
+    checkpoint. Worlds, robots, sensors, rewards and backends can be your own, named as ``module:attribute``. A setting
+    out of range raises ``ValueError``.
     """
 
     world: WorldLike = "inspect"
@@ -470,7 +443,7 @@ class EnvConfig(Settings):
     """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
     several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
     robot_options: RobotSettings = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf(max_speed=1.5)"."""
+    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -487,7 +460,7 @@ class EnvConfig(Settings):
     """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns components.
     Several rewards are added up: "contract my_package:TiltPenalty"."""
     contract_reward: RewardConfig = field(default_factory=RewardConfig)
-    """Parameters of the contract's reward."""
+    """Parameters of the contract's reward. Components whose penalties are 0 are left out."""
     heading_gains: HeadingGains = field(default_factory=HeadingGains)
     """Gains of the heading PID."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
@@ -562,10 +535,8 @@ class EnvConfig(Settings):
     def of(cls, *args: Any, **settings: Any) -> EnvConfig:
         """Creates a description from an ``EnvConfig``, from settings, or from the contract's arguments.
 
-        ``None`` is the default of a setting.
-
-        Raises:
-            TypeError: if there are arguments besides an ``EnvConfig``, or one is unknown, or given by two names.
+        ``None`` is the default of a setting. Raises ``TypeError`` if there are arguments besides an ``EnvConfig``, or
+        one is unknown, or given by two names.
 
         Example:
             >>> EnvConfig.of(world_n="maze", lidar_points=16) == EnvConfig(world="maze", lidar=LidarConfig(points=16))
@@ -601,14 +572,13 @@ class EnvConfig(Settings):
 
     @property
     def world_names(self) -> tuple[str, ...]:
-        return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
+        return tuple(map(name_of_part, self.worlds))
 
     def fitted(self) -> EnvConfig:
         """Returns the description with worlds that are wide enough for the robot, where their names leave that open.
 
-        ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
-        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named. Worlds
-        of several robots stay: see :class:`~rover_rl.sims.free_space.fitting.RobotGroups`.
+        ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does. A
+        live rover is in the world that is named. Worlds of several robots are fitted to each of them later.
         """
         backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
         if self.robot == EnvConfig.robot or backend == "ros2" or names_several(self.robot):
@@ -651,25 +621,14 @@ class EnvConfig(Settings):
         return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 
-PARTS: dict[str, Any] = {
-    item.name: item.default_factory
-    for item in fields(EnvConfig)
-    if isinstance(item.default_factory, type)  # type: ignore[misc]
-}
+_factories = {item.name: item.default_factory for item in fields(EnvConfig)}
+PARTS: dict[str, Any] = {name: kind for name, kind in _factories.items() if isinstance(kind, type)}
 """Types of the parts of :class:`EnvConfig`."""
-
+_TOPICS = ("scan_topic", "imu_topic", "cmd_vel_topic", "camera_topic")
 CONTRACT = {
-    "size": "size",
-    "length": "length",
-    "scan_topic": "connection.scan_topic",
-    "imu_topic": "connection.imu_topic",
-    "cmd_vel_topic": "connection.cmd_vel_topic",
-    "camera_topic": "connection.camera_topic",
-    "world_n": "world",
-    "connection_check_timeout": "connection.timeout",
-    "lidar_points": "lidar.points",
-    "max_lidar_range": "lidar.max_range",
-    "lidar_beams": "lidar.beams",
+    **{"size": "size", "length": "length", **{name: f"connection.{name}" for name in _TOPICS}},
+    **{"world_n": "world", "connection_check_timeout": "connection.timeout"},
+    **{"lidar_points": "lidar.points", "max_lidar_range": "lidar.max_range", "lidar_beams": "lidar.beams"},
 }
 """Settings by the names of the contract's ten arguments, in their order, and of one more that goes with them."""
 
@@ -712,8 +671,8 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
 
     The lidar readings (number and range), robot, action bounds and heading gains must be equal, and the environment
     must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ. A
-    policy that was made for several robots may drive any robot, whose limits bound its actions. One whose
-    ``Randomization`` has a ``lidar_view`` may drive its robot with a lidar of any view in that range.
+    policy made for several robots may drive any robot, whose limits bound its actions. One whose ``Randomization`` has
+    a ``lidar_view`` may drive its robot with a lidar of any view in that range.
     """
     for what, expected, actual in _pairs(made_for, env):
         if expected != actual:
@@ -759,8 +718,7 @@ def name_of_part(part: Any) -> str:
 def plain_env(config: EnvConfig) -> dict[str, Any]:
     """Converts a description to plain data for YAML and JSON.
 
-    Raises:
-        ValueError: if the world, robot, reward or a sensor is an object. Only names can be written.
+    Raises ``ValueError`` if the world, robot, reward or a sensor is an object. Only names can be written.
     """
     objects = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
     for name, kind in objects.items():
@@ -780,10 +738,8 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
 def env_from_plain(data: Any, source: str) -> EnvConfig:
     """Creates a description from plain data, the inverse of :func:`plain_env`. Missing settings get their defaults.
 
-    ``source`` is the origin of the data for error messages, for example the path of a file.
-
-    Raises:
-        ValueError: if a setting does not exist, or a value has the wrong type or is out of range.
+    ``source`` is the origin of the data, such as a file. Raises ``ValueError`` if a setting does not exist, or a value
+    has the wrong type or is out of range.
     """
     if not isinstance(data, dict) or not isinstance(data.get("backend"), dict):
         return from_plain(data, EnvConfig, source)

@@ -26,19 +26,13 @@ class ObservationEncoder(nn.Module):
     a policy could hardly use them. The scales are constants, so that a policy needs no running statistics. Each sensor
     encodes its values: see :meth:`rover_rl.Sensor.encode`.
 
-    Args:
-        keys: entries of the observation to read.
-        lidar_points: number of readings in ``lidar``.
-        north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
-            when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
-        sensors: sensors of one's own, whose entries ``keys`` may name.
+    ``keys`` are the entries of the observation to read, which may be those of ``sensors`` of one's own. ``north_up``
+    adds lidar and target in map orientation: rotated by the yaw, so that they do not change when the rover turns in
+    place; it needs ``lidar``, ``imu`` and ``target``. An unknown key or sensor raises ``ValueError``.
 
     Attributes:
         features: number of features.
         sensors: sensors that encode the entries, by key.
-
-    Raises:
-        ValueError: for an unknown key or sensor, or ``north_up`` without the keys that it requires.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))

@@ -107,16 +107,10 @@ class GroupPlacement(Placement):
         places = torch.zeros(count, 2, device=device) if taken is None else taken.contiguous().clone()
         chosen = torch.zeros(count, dtype=torch.int32, device=device)
         with wp.ScopedStream(stream_of(device)):
-            inputs = [
-                wp.from_torch(candidates[..., :2].contiguous(), dtype=wp.vec2),
-                wp.from_torch(allowed.contiguous()),
-                wp.from_torch(numbers),
-                self._agents,
-                self._spacing,
-                wp.from_torch(places, dtype=wp.vec2),
-                wp.from_torch(chosen),
-            ]
-            wp.launch(choose_apart, count // self._agents, inputs, device=wp.device_from_torch(device))
+            drawn_from = wp.from_torch(candidates[..., :2].contiguous(), dtype=wp.vec2)
+            given = [drawn_from, wp.from_torch(allowed.contiguous()), wp.from_torch(numbers), self._agents]
+            results = [self._spacing, wp.from_torch(places, dtype=wp.vec2), wp.from_torch(chosen)]
+            wp.launch(choose_apart, count // self._agents, given + results, device=wp.device_from_torch(device))
         index = chosen[rows].long()[:, None, None].expand(-1, 1, candidates.shape[-1])
         return scattered(candidates.gather(1, index).squeeze(1), rows, count)
 

@@ -93,14 +93,9 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
 
     For a window, use ``gymnasium.wrappers.HumanRendering``, or ``gymnasium.make(..., render_mode="human")``.
 
-    Args:
-        env: ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` of one, for example from
-            :func:`rover_rl.make_env`.
-        **options: options of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`.
-
-    Attributes:
-        base_env: the ``RoverEnv`` under the transforms.
-        reward_config: parameters of the contract's reward. ``None`` if this class has not added it.
+    ``env`` is a ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` of one (:attr:`base_env`). The
+    options are those of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. ``reward_config`` are the parameters
+    of the contract's reward, and ``None`` if this class has not added it.
 
     Example:
         >>> import rover_rl
@@ -213,10 +208,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         self._pass_message("pose", msg)
 
     def lidar_callback(self, msg: Any) -> None:
-        """Passes a ``sensor_msgs/LaserScan`` to a live backend, which ignores a malformed one with a warning.
-
-        Raises ``RuntimeError`` if the backend is a simulator, which generates its own sensor data.
-        """
+        """Passes a ``sensor_msgs/LaserScan`` to a live backend, which ignores a malformed one with a warning."""
         self._pass_message("scan", msg)
 
     def imu_callback(self, msg: Any) -> None:
@@ -238,9 +230,8 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
 class RoverEnv(GymWrapper):
     """Drop-in replacement for the original environment: same positional arguments, methods and attributes.
 
-    Args:
-        *args: the contract's ten arguments.
-        **kwargs: options of :class:`GymWrapper`, and settings of :class:`rover_rl.RoverEnv` except ``num_envs``.
+    It takes the contract's ten arguments, settings of :class:`rover_rl.RoverEnv` except ``num_envs``, and options of
+    :class:`GymWrapper`.
 
     Example:
         >>> env = RoverEnv(world_n="maze", length=500)
@@ -259,19 +250,14 @@ class RoverEnv(GymWrapper):
 class GymVectorWrapper(VectorEnv[Any, Any, Any]):
     """Wraps a :class:`rover_rl.RoverEnv` of any number of rovers as a ``gymnasium.vector.VectorEnv``.
 
-    Row ``i`` is bit-identical to a :class:`GymWrapper` of one rover with seed ``seed + i``.
-    ``infos`` contains the entries of its ``info`` as arrays ``[N]``, each with a mask under ``"_" + key``. It does not
-    contain ``reward``, because TorchRL's ``GymWrapper`` would use an info of that name instead of the reward.
+    Row ``i`` is bit-identical to a :class:`GymWrapper` of one rover with seed ``seed + i``. ``infos`` contains the
+    entries of its ``info`` as arrays ``[N]``, each with a mask under ``"_" + key``, but not ``reward``, because
+    TorchRL's ``GymWrapper`` would use an info of that name instead of the reward.
 
-    Args:
-        env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        autoreset_mode: time at which rows whose episode ended are reset, as defined by Gymnasium: in the next step,
-            which ignores their action (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
-            ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).
-        **options: options of :class:`GymWrapper`.
-
-    Attributes:
-        base_env: the ``RoverEnv`` under the transforms.
+    ``env`` and the other options are as in :class:`GymWrapper`. ``autoreset_mode`` says when rows whose episode ended
+    are reset, as defined by Gymnasium: in the next step, which ignores their action (``NEXT_STEP``); in the same step,
+    with ``final_obs`` and ``final_info`` in ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})``
+    (``DISABLED``).
 
     Example:
         >>> import rover_rl
@@ -292,11 +278,8 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.render_mode = self._batch.render_mode
-        self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": self._batch.frames_per_second,
-            "autoreset_mode": self.autoreset_mode,
-        }
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": self._batch.frames_per_second}
+        self.metadata["autoreset_mode"] = self.autoreset_mode
         self._ended = np.zeros(self.num_envs, np.bool_)
 
     def reset(
@@ -304,15 +287,10 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins the next episode in all rows, or in those of a mask.
 
-        Args:
-            seed: seed ``s`` of row 0, with ``s + i`` in row ``i``; or the list ``[s, s + 1, ...]``. ``None`` continues
-                with the current seeds.
-            options: ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and ``"reset_mask"``
-                (bool ``[N]``, rows to reset), all optional.
-
-        Raises:
-            ValueError: if seeds are out of range or not consecutive, a seed is given for some rows only, or an option
-                is unknown or has the wrong shape.
+        ``seed`` is the seed ``s`` of row 0, with ``s + i`` in row ``i``, the list ``[s, s + 1, ...]``, or ``None`` for
+        the current seeds. Options are ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and
+        ``"reset_mask"`` (bool ``[N]``, rows to reset). Raises ``ValueError`` if seeds are out of range or not
+        consecutive, a seed is given for some rows only, or an option is unknown or has the wrong shape.
         """
         options = dict(options or {})
         rows = self._reset_mask(options.pop("reset_mask", None))

@@ -28,43 +28,13 @@ def _typical(dt: float) -> Changes:
 
 
 def _harsh(dt: float) -> Changes:
-    noise = Randomization(
-        friction=(0.5, 1.5),
-        chassis_mass=(0.8, 1.6),
-        motor_torque=(0.5, 1.0),
-        latency=(0, round(0.15 / dt)),
-        range_noise=0.04,
-        dropout=0.08,
-        odometry_noise=0.05,
-        imu_noise=0.02,
-        scan_latency=(0, round(0.2 / dt)),
-        state_latency=(0, round(0.2 / dt)),
-        lost_scans=0.1,
-        odometry_scale=(0.95, 1.05),
-        yaw_bias=(-radians(0.3), radians(0.3)),
-        limits=(0.5, 1.0),
-        severity=(0.0, 1.0),
-    )
+    late, bias = (0, round(0.2 / dt)), radians(0.3)
+    noise = Randomization(range_noise=0.04, dropout=0.08, odometry_noise=0.05, imu_noise=0.02, lost_scans=0.1)
+    noise = replace(noise, odometry_scale=(0.95, 1.05), yaw_bias=(-bias, bias), severity=(0.0, 1.0))
+    noise = replace(noise, latency=(0, round(0.15 / dt)), scan_latency=late, state_latency=late, limits=(0.5, 1.0))
+    noise = replace(noise, friction=(0.5, 1.5), chassis_mass=(0.8, 1.6), motor_torque=(0.5, 1.0))
     pose = PoseConfig("either", drift=0.08, drift_heading=0.03, jump=0.12, jump_rate=1.0, jump_heading=radians(4))
     return {"randomization": noise, "pose": pose, "limits": LimitsConfig(apply=True)}
-
-
-def _late(dt: float) -> Changes:
-    late = (round(0.15 / dt),) * 2
-    return {"randomization": Randomization(scan_latency=late, state_latency=late)}
-
-
-def _jumps(dt: float) -> Changes:
-    return {"pose": PoseConfig("localized", 0, 0, jump=0.1, jump_rate=1.0, jump_heading=radians(3))}
-
-
-def _odometry(dt: float) -> Changes:
-    drift = Randomization(odometry_scale=(1.03, 1.03), yaw_bias=(radians(0.1),) * 2)
-    return {"randomization": drift, "pose": PoseConfig("odometry")}
-
-
-def _noise(dt: float) -> Changes:
-    return {"randomization": Randomization(range_noise=0.03, dropout=0.05)}
 
 
 def _all(dt: float) -> Changes:
@@ -76,11 +46,21 @@ def _all(dt: float) -> Changes:
     return {"randomization": replace(sensors, odometry_scale=scale, yaw_bias=bias), "pose": pose}
 
 
+def _late(dt: float) -> Changes:
+    late = (round(0.15 / dt),) * 2
+    return {"randomization": Randomization(scan_latency=late, state_latency=late)}
+
+
+_JUMPS = {"pose": PoseConfig("localized", 0, 0, jump=0.1, jump_rate=1.0, jump_heading=radians(3))}
+_SCALED = Randomization(odometry_scale=(1.03, 1.03), yaw_bias=(radians(0.1),) * 2)
+_ODOMETRY = {"randomization": _SCALED, "pose": PoseConfig("odometry")}
+_NOISE = {"randomization": Randomization(range_noise=0.03, dropout=0.05)}
+
 IMPERFECTIONS: dict[str, Callable[[float], Changes]] = {
     "late": _late,
-    "jumps": _jumps,
-    "odometry": _odometry,
-    "noise": _noise,
+    "jumps": lambda dt: _JUMPS,
+    "odometry": lambda dt: _ODOMETRY,
+    "noise": lambda dt: _NOISE,
     "all": _all,
     "typical": _typical,
     "harsh": _harsh,

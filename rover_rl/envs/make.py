@@ -36,16 +36,11 @@ class RewardedEnv(TransformedEnv):
 def make_env(*args: Any, **settings: Any) -> EnvBase:
     """Creates a :class:`RoverEnv` with a reward, by default the contract's.
 
-    Args:
-        *args: an :class:`~rover_rl.envs.config.EnvConfig` and nothing else, or the contract's arguments.
-        **settings: settings of ``EnvConfig``, or arguments of the contract: ``lidar=LidarConfig(points=16)`` or
-            ``lidar_points=16``. The ``reward`` is ``"contract"``; ``"task"`` (1 per goal); name or
-            ``"module:attribute"`` of your own reward; a :class:`~rover_rl.envs.config.RewardConfig`; a
-            :class:`~rover_rl.envs.rewards.RewardComponent`; or a sequence of these, for example
-            ``[*contract_reward(), TiltPenalty()]``.
-
-    Raises:
-        ValueError, TypeError: if the reward is unknown, or as :class:`RoverEnv`.
+    It takes an :class:`~rover_rl.envs.config.EnvConfig`, or its settings and arguments of the contract:
+    ``lidar=LidarConfig(points=16)`` or ``lidar_points=16``. The ``reward`` is ``"contract"``; ``"task"`` (1 per goal);
+    name or ``"module:attribute"`` of your own reward; a :class:`~rover_rl.envs.config.RewardConfig`; a
+    :class:`~rover_rl.envs.rewards.RewardComponent`; or a sequence of these: ``[*contract_reward(), TiltPenalty()]``.
+    An unknown reward raises ``ValueError``.
 
     Example:
         >>> env = make_env(world="maze", num_envs=4, seed=0, lidar=LidarConfig(points=16))

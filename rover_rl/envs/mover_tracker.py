@@ -26,12 +26,8 @@ STATE = 17
 class Tracks(NamedTuple):
     """What moves around each rover.
 
-    Attributes:
-        position: centers in the world, ``[N, TRACKS, 2]``, m.
-        velocity: velocities in the world, ``[N, TRACKS, 2]``, m/s.
-        radius: radii, ``[N, TRACKS]``, m.
-        moves: which tracks exist and move, bool ``[N, TRACKS]``.
-        readings: which lidar readings belong to one that moves, bool ``[N, points]``.
+    Centers (m), velocities (m/s) and radii (m) in the world, ``[N, TRACKS, ...]``, and which tracks exist and move. Of
+    the lidar's ``readings``, bool ``[N, points]``: which belong to one that moves.
     """
 
     position: Tensor
@@ -60,11 +56,7 @@ class MoverTracker:
       behind people, beams must also pass where it was.
 
     It is a Warp kernel with a thread for each row. The tracks are one tensor, which a policy keeps as its memory.
-
-    Args:
-        robot: robot that carries the lidar, or the robots of the rows.
-        lidar: settings of the lidar.
-        interval: time from one scan to the next, s.
+    ``robot`` carries the ``lidar``, or are the robots of the rows, and scans are ``interval`` (s) apart.
     """
 
     def __init__(self, robot: Robot | Fleet, lidar: LidarConfig, interval: float) -> None:
@@ -83,17 +75,12 @@ class MoverTracker:
         rows: Tensor | None = None,
         due: Tensor | None = None,
     ) -> tuple[Tensor, Tracks]:
-        """Adds a scan.
+        """Adds a scan, and returns the next state, and what moves: nothing in rows that are not due.
 
-        Args:
-            state: tracks before, ``[N, TRACKS * STATE]``; zeros without any.
-            observation: observation, ``[N]`` each, with ``lidar``, ``pose`` and ``imu``, and with ``scan_pose`` if
-                scans can be late, and ``lidar_mask`` if beams can be hidden.
-            rows: numbers of the rows among those of different robots; ``None``: all of them.
-            due: which of the scans are added, bool ``[N]``; ``None``: all.
-
-        Returns:
-            The next state, and what moves: nothing in rows that are not due.
+        ``state`` are the tracks before, ``[N, TRACKS * STATE]``; zeros without any. The ``observation``, ``[N]``, has
+        ``lidar``, ``pose`` and ``imu``, ``scan_pose`` if scans can be late, and ``lidar_mask`` if beams can be hidden.
+        ``rows`` are the numbers of the rows among those of different robots, and ``due`` says which of the scans are
+        added, bool ``[N]``; ``None``: all.
         """
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow

@@ -24,72 +24,58 @@ Track = wp.types.vector(length=STATE, dtype=wp.float32)
 
 FIRST, COUNT, NEAR, SIZE, WIDTH = map(wp.constant, range(5))
 """Numbers of a cluster: its first reading, their number, the least range, its radius and its width."""
-RIGHT, LEFT, CENTER_X, CENTER_Y, OWNER, NEAREST, COST = map(wp.constant, range(5, 12))
-"""Whether the edges of the first and of the last reading are real, its center, its track, and which one is nearest by
-how much."""
-CLUSTER = wp.constant(12)
-"""Numbers of a cluster."""
+RIGHT, LEFT, CENTER_X, CENTER_Y, OWNER, NEAREST, COST, CLUSTER = map(wp.constant, range(5, 13))
+"""Whether the edges of the first and of the last reading are real, its center, its track, which one is nearest by how
+much, and the number of these numbers."""
 Cluster = wp.types.vector(length=CLUSTER, dtype=wp.float32)
 NOBODY, TOO_WIDE = wp.constant(-1.0), wp.constant(-2.0)
 """Owners of clusters without a track, and of those that are too wide for one."""
 
-VALLEY = wp.constant(0.15)
-"""Depth of the valley of ranges between two objects close to each other, m."""
-MARGIN = wp.constant(0.3)
-"""Distance from the largest range within which no edge is real, m."""
-WIDEST = wp.constant(1.6)
-"""Largest extent of a cluster that is tracked, m. Walls are larger."""
-SMALLEST, LARGEST = wp.constant(0.1), wp.constant(0.8)
-"""Least and largest radius of a track, m."""
+VALLEY, MARGIN, WIDEST = map(wp.constant, (0.15, 0.3, 1.6))
+"""Depth of the valley of ranges between two objects close to each other, distance from the largest range within which
+no edge is real, and largest extent of a cluster that is tracked (walls are larger), m."""
+SMALLEST, LARGEST, SLIM = map(wp.constant, (0.1, 0.8, 0.4))
+"""Least and largest radius of a track, and the one below which it may be a person with two legs, m."""
 CIRCLE, ESTIMATE = wp.constant(0.05), wp.constant(0.1)
 """Standard deviations of the distance of readings from a circle, and of the first estimate of its center, m."""
-SLIM = wp.constant(0.4)
-"""Radius below which a track may be a person with two legs, m."""
-LEG, LEG_DEPTH, DEPTH = wp.constant(0.3), wp.constant(0.1), wp.constant(0.65)
+LEG, LEG_DEPTH, DEPTH = map(wp.constant, (0.3, 0.1, 0.65))
 """Largest width of a leg, distance of the center of legs from the mean of their readings (m), and that of the center of
 another slim object, in radii."""
 STANCE, NEIGHBORS = wp.constant(0.6), wp.constant(4)
 """Largest distance of the legs of a person, m, and how many clusters aside the other leg may be."""
-WALKED = wp.constant(0.005)
-"""Share of scans with two legs from which on a track is a person."""
-LEGGED, NARROWS, RADIUS_GAIN = wp.constant(0.3), wp.constant(0.02), wp.constant(0.1)
-"""Share of scans with two legs from which on the radius is theirs, by how much it falls at most from scan to scan (m),
-and least share of the radius of a new cluster in that of another track."""
+WALKED, LEGGED, NARROWS, RADIUS_GAIN = map(wp.constant, (0.005, 0.3, 0.02, 0.1))
+"""Shares of scans with two legs from which on a track is a person, and from which on the radius is theirs; by how much
+it falls at most from scan to scan (m), and least share of the radius of a new cluster in that of another track."""
 TWIN, TWIN_SPEED = wp.constant(0.35), wp.constant(0.6)
 """Distance (m) and difference of the velocities (m/s) of two tracks below which they follow one person."""
 NOISE, BEAM_NOISE, PART_NOISE, PAIR_NOISE, LEG_NOISE = map(wp.constant, (0.03, 0.2, 0.1, 0.03, 0.1))
 """Standard deviation of the center of a cluster: the least (m), and what is added in distances of two beams, for a
 hidden edge, for two legs, and for a slim track without two legs (m)."""
-ACCELERATION = wp.constant(1.0)
-"""Standard deviation of the acceleration of a track, m/s^2."""
+ACCELERATION, FASTEST, TOP = map(wp.constant, (1.0, 1.5, 3.0))
+"""Standard deviations of the acceleration of a track (m/s^2) and of the velocity of a new one, and speed above which a
+track is an error (m/s)."""
 TURN = wp.constant(3.5)
 """Error of a prediction, in standard deviations, above which an object has turned."""
-FASTEST, TOP = wp.constant(1.5), wp.constant(3.0)
-"""Standard deviation of the velocity of a new track, and speed above which a track is an error, m/s."""
-NEAR_GATE, WIDE, GATE = wp.constant(0.25), wp.constant(2.0), wp.constant(0.9)
+NEAR_GATE, WIDE, GATE, UNLIKE = map(wp.constant, (0.25, 2.0, 0.9, 0.5))
 """Largest distance of a track from its cluster: what is always allowed (m), what is added in standard deviations of the
-predicted position, and the limit (m)."""
-UNLIKE = wp.constant(0.5)
-"""What a difference of the radii counts in a distance."""
-LOST, DOUBT, HIDDEN = wp.constant(0.3), wp.constant(0.5), wp.constant(0.17)
+predicted position, and the limit (m). What a difference of the radii counts in a distance."""
+LOST, DOUBT, HIDDEN = map(wp.constant, (0.3, 0.5, 0.17))
 """Time without a cluster after which a track ends, s, and how fast it passes for what may lie between two beams, and
 for what is behind something else."""
 UNKNOWN = wp.constant(0.35)
 """Standard deviation of the position of a track above which it does not count, m."""
-SURE, CERTAIN, CONSISTENT = wp.constant(2.0), wp.constant(1.0), wp.constant(3.0)
+SURE, CERTAIN, CONSISTENT = map(wp.constant, (2.0, 1.0, 3.0))
 """What a track that begins to move needs: number of scans, speed in standard deviations, and largest misfit."""
 SLOWEST, STILL = wp.constant(0.3), wp.constant(0.2)
 """Speed from which a track begins to move, and below which it rests, m/s."""
-WAY, WAY_SHARE, FORGET = wp.constant(0.12), wp.constant(0.3), wp.constant(2.0)
+WAY, WAY_SHARE, FORGET = map(wp.constant, (0.12, 0.3, 2.0))
 """Least way of a track that begins to move: m, and what is added in distances of two beams. Its start follows it in the
 third time, s."""
 MOSTLY = wp.constant(0.5)
 """Share of the scans in which both edges were real, above which an object needs not have left its start."""
-CLOSE, SPARE = wp.constant(6.0), wp.constant(8)
-"""Distance up to which clusters start tracks first, m, and number of tracks that are left for them."""
-FAR = wp.constant(1.0e4)
-"""Distance of what does not exist, m."""
-
+CLOSE, SPARE, FAR = wp.constant(6.0), wp.constant(8), wp.constant(1.0e4)
+"""Distance up to which clusters start tracks first, m, number of tracks that are left for them, and distance of what
+does not exist, m."""
 GAP, WIDENING = wp.constant(0.15), wp.constant(1.2)
 """Distance of neighboring readings below which they belong together, m, and what is added in distances of two beams."""
 STRAIGHT, STRETCH = wp.constant(0.06), wp.constant(4.0)
@@ -112,8 +98,7 @@ class Scans:
         angles: angle of the first reading, and that between two, rad.
         most: range from which on a reading has not met anything, m.
         dt: time since the last scan, s.
-        points: memory for the ends of the readings, ``[N, P]``.
-        labels: memory for the clusters of the readings, ``[N, P]``.
+        points, labels: memory for the ends of the readings, and for their clusters, ``[N, P]``.
     """
 
     due: wp.array[wp.bool]
@@ -132,17 +117,19 @@ class Scans:
 
 @wp.struct
 class Scan:
-    """A scan of a row: readings (m), their ends in the world (m), their clusters, and where the lidar is and looks."""
+    """A scan of a row: readings (m), their ends in the world (m), their clusters, and where the lidar is and looks.
+
+    ``count`` is the number of readings, ``half`` are cosine and sine of half the angle between two beams, ``most`` is
+    the largest range that counts (m), and the others are the angle between two beams and that of the first one, and the
+    heading (rad).
+    """
 
     ranges: wp.array[float]
     points: wp.array[wp.vec2]
     labels: wp.array[int]
     origin: wp.vec2
-    # Number of readings.
     count: int
-    # Cosine and sine of half the angle between two beams.
     half: wp.vec2
-    # Largest range that counts, m, angle between two beams and that of the first one, and heading, rad.
     most: float
     spacing: float
     offset: float
@@ -707,14 +694,9 @@ def follow(
 ):
     """Adds a scan to the tracks of each row that is ``due``; thread ``i``.
 
-    Args:
-        scans: scans of all rows.
-        befores: tracks before, ``[N, TRACKS]``.
-        clusters: memory for the clusters, ``[N, P]``.
-        seens: memory for the clusters of the tracks, ``[N, 2, TRACKS]``.
-        states: tracks, the result.
-        moves: which tracks move, the result.
-        readings: which readings belong to one that moves, the result, ``[N, P]``.
+    ``befores`` and ``states`` are the tracks before and after, ``[N, TRACKS]``. ``moves`` says which of them move, and
+    ``readings``, ``[N, P]``, which readings belong to one that moves. ``clusters``, ``[N, P]``, and ``seens``, those of
+    the tracks, ``[N, 2, TRACKS]``, are memory.
     """
     i = wp.tid()
     if not scans.due[i]:

@@ -36,13 +36,9 @@ class Prediction(Stage):
 
     On a slope, the way is that of the pitch at the time ``t - d``.
 
-    Args:
-        fleet: robots of the rows.
-        dt: duration of a control step, s.
-        most: longest delay of the sensors, steps. The robot knows how old their messages are.
-        latency: range of the delay of commands, steps, in whose middle the robot takes its own to be.
-        delays: delays of the sensors.
-        live: simulator of a live rover, which limits its commands, and whose stamps tell ages. ``None``: not live.
+    ``most`` is the longest delay of the sensors, steps; the robot knows how old their messages are. ``latency`` is the
+    range of the delay of commands, steps, in whose middle the robot takes its own to be. A ``live`` rover limits its
+    commands itself, and its stamps tell ages.
     """
 
     def __init__(

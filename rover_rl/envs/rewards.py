@@ -32,11 +32,8 @@ _LAST_ACTION = "last_action"
 class RewardComponent(Transform):
     """Base class of reward components. The value is written to ``("reward_components", name)``.
 
-    Subclasses define ``name``, ``phases`` and :meth:`value`.
-
-    Attributes:
-        name: name of the component.
-        phases: events in which the component is active. Empty means every step.
+    Subclasses define :meth:`value`, ``name``, and ``phases``, the events in which the component is active, if it is not
+    so in every step.
 
     Example:
         >>> class TiltPenalty(RewardComponent):
@@ -78,9 +75,9 @@ class RewardComponent(Transform):
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         # TorchRL copies the specs of the environment for all transforms, and again in each transform. The copies in the
         # components would take most of the time of the first reset.
-        output_spec["full_observation_spec"] = self.transform_observation_spec(output_spec["full_observation_spec"])
-        output_spec["full_reward_spec"] = self.transform_reward_spec(output_spec["full_reward_spec"])
-        output_spec["full_done_spec"] = self.transform_done_spec(output_spec["full_done_spec"])
+        for kind in ("observation", "reward", "done"):
+            key = f"full_{kind}_spec"
+            output_spec[key] = getattr(self, f"transform_{kind}_spec")(output_spec[key])
         return output_spec
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
@@ -146,10 +143,9 @@ SHAPING: dict[str, tuple[tuple[StepEvent, ...], Value]] = {
 """Components that are not a part of the contract, in every step.
 
 - ``clearance``: ``clearance_penalty * max(0, 1 - d / D)`` with the nearest reading ``d`` of the observation and the
-  ``clearance_distance`` ``D``. This is the form of C. Chen, Y. Liu, S. Kreiss, A. Alahi, "Crowd-robot interaction",
-  ICRA 2019 (arXiv:1809.08835): ``-0.1 + d / 2`` for ``d < 0.2``, that is a penalty of -0.1 and a distance of 0.2 m.
-  There, ``d`` is the gap between two bodies; here it is measured from the lidar, so that ``D`` must exceed the distance
-  from the lidar to the outline of the rover.
+  ``clearance_distance`` ``D`` (C. Chen, Y. Liu, S. Kreiss, A. Alahi, "Crowd-robot interaction", ICRA 2019,
+  arXiv:1809.08835). There, ``d`` is the gap between two bodies; here it is measured from the lidar, so that ``D`` must
+  exceed the distance from the lidar to the outline of the rover.
 - ``mover_proximity``: ``(intrusion_penalty + haste_penalty |v|) max(0, 1 - d / D) + risk_penalty [d < risk_distance]``
   with the distance ``d`` from the center of the rover to the surface of the nearest mover, the ``intrusion_distance``
   ``D``, and the speed ``v`` of the wheels; 0 in worlds without movers. People keep others out of 1.2 m (Hall, "The
@@ -174,10 +170,8 @@ class ActionRatePenalty(ConfiguredComponent):
     """Penalty for changes of the action between steps. Not a part of the contract.
 
     The value is ``action_rate_penalty * |a_t - a_(t-1)|^2`` in every step but the first of an episode, with actions in
-    m/s and rad, and the change of the heading offset wrapped to (-pi, pi]. This is the action rate penalty of
-    N. Rudin, D. Hoeller, P. Reist, M. Hutter, "Learning to walk in minutes using massively parallel deep reinforcement
-    learning", CoRL 2021 (arXiv:2109.11978).
-
+    m/s and rad, and the change of the heading offset wrapped to (-pi, pi] (N. Rudin, D. Hoeller, P. Reist, M. Hutter,
+    "Learning to walk in minutes using massively parallel deep reinforcement learning", CoRL 2021, arXiv:2109.11978).
     The transform adds ``last_action``, the action of the last step, ``[N, 2]``, 0 after a reset. An action that
     :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` repeats changes once.
     """
@@ -208,10 +202,9 @@ class ActionRatePenalty(ConfiguredComponent):
 
 
 class MoverContactPenalty(ConfiguredComponent):
-    """Penalty for contacts with movers, by whose fault they are. Not a part of the contract.
+    """Penalty for contacts with movers, by whose fault they are, or 0 without movers. Not a part of the contract.
 
-    A rover whose wheels turned by less than 0.05 m/s before the step has been run into. In worlds without movers, the
-    value is 0.
+    A rover whose wheels turned by less than 0.05 m/s before the step has been run into.
     """
 
     name = "mover_contact"
@@ -283,10 +276,8 @@ def register_reward(name: str, reward: Any) -> None:
     """Registers a reward under a new name, for ``make_env``, ``EnvConfig`` and ``--reward``.
 
     It is a :class:`RewardComponent` class or object, a list of them, a :class:`RewardConfig`, a function without
-    arguments that returns one of these, or ``"module:attribute"`` of any of these.
-
-    Raises:
-        ValueError: if the name is taken, or has other characters than letters, digits, ``_``, ``-`` and ``.``.
+    arguments that returns one of these, or ``"module:attribute"`` of any of these. Raises ``ValueError`` if the name is
+    taken, or has other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
     _REGISTRY.register(name, reward)
 
@@ -298,13 +289,9 @@ def reward_names() -> list[str]:
 def reward_components(reward: Any, contract: RewardConfig | None = None) -> list[Transform]:
     """Creates the components of a reward. The list is empty for the reward of the bare task.
 
-    Args:
-        reward: name in :func:`reward_names`, ``"module:attribute"`` of your own reward, a :class:`RewardConfig`, a
-            :class:`RewardComponent`, or a sequence of these, which are added up.
-        contract: parameters of the contract's reward. ``None`` uses the contract's.
-
-    Raises:
-        ValueError: if the reward is unknown or of another type.
+    ``reward`` is a name in :func:`reward_names`, ``"module:attribute"`` of your own reward, a :class:`RewardConfig`, a
+    :class:`RewardComponent`, or a sequence of these, which are added up; else, this raises ``ValueError``. ``contract``
+    are the parameters of the contract's reward.
 
     Example:
         >>> [component.name for component in reward_components("contract")][:2]

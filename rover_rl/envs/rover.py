@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts
@@ -50,8 +50,8 @@ class RoverEnv(EnvBase):
     ``close()`` releases the simulator. The next ``reset()`` builds a new one, as TorchRL's ``ParallelEnv`` does, and
     continues with the next episodes.
 
-    ``RoverEnv(config)`` takes an :class:`EnvConfig`, whose reward has no effect. ``RoverEnv(...)`` takes its settings,
-    or the ten arguments of the original environment: ``RoverEnv(world_n="maze", lidar_points=16)``.
+    It takes an :class:`EnvConfig`, whose reward has no effect, its settings, or the ten arguments of the original
+    environment: ``RoverEnv(world_n="maze", lidar_points=16)``.
 
     Attributes:
         config: description of the environment.
@@ -62,10 +62,8 @@ class RoverEnv(EnvBase):
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
 
-    Raises:
-        ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
-            points, a number is out of range, or the task needs contacts that the backend does not report.
-        TypeError: if there are arguments besides an ``EnvConfig``, or one is unknown or given by both of its names.
+    Raises ``ValueError`` if a name is unknown, a number is out of range, the device is not available, or the backend
+    cannot do what the task needs, and ``TypeError`` for an argument that is unknown or given by both of its names.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -130,12 +128,12 @@ class RoverEnv(EnvBase):
 
     def _make_specs(self) -> None:
         config, batch_size, device = self.config, self.batch_size, self.device
-        bounds = {key: each.bounds for key, each in self.sensors.items()}
         action = specs.action_bounds(config.bounded_action)
         nested = {"outcome": specs.outcome_spec(batch_size, device, len(self.pool) > 1, self._simulation.has_movers)}
         if config.privileged:
             nested["privileged"] = specs.vectors_spec(privileged.FEATURES, batch_size, device)
-        self.observation_spec = specs.observation_spec(bounds, nested, batch_size, device)
+        entries = {key: specs.bounded_spec(each.bounds, batch_size, device) for key, each in self.sensors.items()}
+        self.observation_spec = Composite({**entries, **nested}, shape=batch_size, device=device)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)

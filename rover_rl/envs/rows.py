@@ -68,15 +68,14 @@ class RowWorlds:
     """The world of each row of a batch: one for life, or another one for each episode.
 
     Worlds without a range are assigned to equal blocks of rows. If there is a range of seeds, as in ``"maze:*"``, or a
-    :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world of the pool. The draw depends on the seed of
-    the row, the number of the episode and the weights of the worlds only.
+    :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world of the pool by the seed of the row, the number
+    of the episode and the weights of the worlds only.
 
-    If there are no more worlds than rows to draw from, the pool is resident: all of its worlds are in slots of the
-    table from :meth:`open` on, and rows change worlds on the device, without the host. Of a larger pool, the worlds
-    that rows are in have slots.
+    If the pool has no more worlds than rows, it is resident: all worlds are in slots of the table from :meth:`open` on,
+    and rows change worlds on the device, without the host. Of a larger pool, the worlds that rows are in have slots.
 
     Args:
-        source: worlds.
+        source: worlds. ``ValueError`` if one is unknown, or there are more worlds than rows.
         keys: random keys of the first episodes, ``[N, 1]``.
         agents: number of consecutive rows that share a world, and the keys that draw it.
         is_drawn: whether episodes draw their worlds. ``None``: as above.
@@ -86,9 +85,6 @@ class RowWorlds:
         index: index of each row's world in the pool, int64 ``[N, 1]``.
         table: world and slot of each row, for those who hold data of worlds.
         preparing: makes a context in which the thread of :meth:`open` prepares worlds, for the simulator's kernels.
-
-    Raises:
-        ValueError: if a world is unknown, or there are more worlds than rows.
     """
 
     def __init__(self, source: WorldSource, keys: Tensor, agents: int = 1, is_drawn: bool | None = None) -> None:
@@ -168,11 +164,12 @@ class RowWorlds:
 
     def set_weights(self, weights: Tensor) -> None:
         """Sets the weights of the worlds, ``[len(pool)]``, in later draws. The next episodes have theirs already."""
-        count = len(self.pool)
+        count, drawn_from = (
+            len(self.pool),
+            "a range of worlds, as in 'maze:*', or a WorldPool, from which episodes draw",
+        )
         if not self.is_drawn:
-            raise ValueError(
-                "weights are for a range of worlds, as in 'maze:*', or a WorldPool, from which episodes draw"
-            )
+            raise ValueError(f"weights are for {drawn_from}")
         if weights.shape != (count,):
             raise ValueError(f"weights must have the shape {(count,)}, one for each world, got {(*weights.shape,)}")
         # On the CPU, where sums are the same each time.

@@ -8,23 +8,13 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from rover_rl.envs import stages
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.emergency_brake import EmergencyBrake
 from rover_rl.envs.prediction import Prediction
 from rover_rl.envs.rows import Episodes, RowRobots, RowWorlds
 from rover_rl.envs.sensors.base import Sensor, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, LivePooling
-from rover_rl.envs.stages import (
-    CommandDelay,
-    DriveBounds,
-    Localization,
-    Perception,
-    RowLimits,
-    SensorDelays,
-    Stage,
-    StepState,
-    scans_with_period,
-)
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims import make_simulator
 from rover_rl.sims.backends import make_scanner
@@ -113,23 +103,22 @@ class Simulation:
     def _init_stages(self, config: EnvConfig, robots: RowRobots) -> None:
         noise, period, fleet, live = config.randomization, config.lidar.period, robots.fleet, self.simulator.live
         rows, device, dt = len(fleet), self._device, self.simulator.control_dt
-        self.stages: list[Stage] = [Localization(config.pose, noise)]
-        self.delays, self._scans = None, scans_with_period(period)
+        self.stages: list[stages.Stage] = [stages.Localization(config.pose, noise)]
+        self.delays, self._period = None, period
         if config.late_scans:
-            self.delays = SensorDelays(noise, period, rows, device, live)
-            self._scans = self.delays.scans
+            self.delays = stages.SensorDelays(noise, period, rows, device, live)
             self.stages.append(self.delays)
         if robots.are_several:
-            self.stages.append(DriveBounds(fleet))
+            self.stages.append(stages.DriveBounds(fleet))
         if config.guard.deceleration:
             self.stages.append(EmergencyBrake(config.guard, fleet, self._lidar.angles, self.delays))
         # A live rover limits its commands itself.
         if config.limits.apply and live is None:
-            self.stages.append(RowLimits(config.limits, noise.limits, fleet))
+            self.stages.append(stages.RowLimits(config.limits, noise.limits, fleet))
         most = noise.state_latency[1] + (0 if live is None else math.ceil(MAX_AGE / dt))
         if config.compensate_delay and most and self.delays is not None:
             self.stages.append(Prediction(fleet, dt, most, noise.latency, self.delays, live))
-        self.command_delay = CommandDelay(noise.latency, rows, device)
+        self.command_delay = stages.CommandDelay(noise.latency, rows, device)
         if noise.latency[1]:
             self.stages.append(self.command_delay)
 
@@ -156,9 +145,8 @@ class Simulation:
         if sideways and live:
             raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
         if config.compensate_delay and live and not config.late_scans:
-            raise ValueError(
-                f"compensate_delay needs sensors=({SCAN_POSE!r},) with a live rover, whose scans can be late"
-            )
+            needed = f"sensors=({SCAN_POSE!r},)"
+            raise ValueError(f"compensate_delay needs {needed} with a live rover, whose scans can be late")
         if agents > 1 and len(fleet.robots) > 1:
             raise ValueError(f"agents={agents} need one robot for all rows, got {len(fleet.robots)} robots")
         robot = next((robot for robot in fleet.robots if not robot.drive.sideways), None)
@@ -166,12 +154,12 @@ class Simulation:
             drive = type(robot.drive).__name__
             raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")
 
-    def reset(self, state: StepState, mask: Tensor, poses: Tensor) -> None:
+    def reset(self, state: stages.StepState, mask: Tensor, poses: Tensor) -> None:
         """Places the rovers of ``mask`` (bool ``[N, 1]``) at ``poses`` ``[N, 3]``, and writes their true state."""
         rows = mask.squeeze(-1).to(self.simulator.device)
         self._perceive(state, self.simulator.reset(rows, poses.to(rows.device)), rows, mask)
 
-    def step(self, state: StepState, command: Tensor, episodes: Episodes) -> None:
+    def step(self, state: stages.StepState, command: Tensor, episodes: Episodes) -> None:
         """Advances the ``active`` rovers and the movers around them, and writes their true state."""
         active, device = state.active, self.simulator.device
         if self.has_movers:
@@ -185,20 +173,23 @@ class Simulation:
             rover = self.simulator.step(command.to(device), rows)
         self._perceive(state, rover, rows, active)
 
-    def _perceive(self, state: StepState, rover: RoverState, rows: Tensor | None, moved: Tensor | None) -> None:
+    def _perceive(self, state: stages.StepState, rover: RoverState, rows: Tensor | None, moved: Tensor | None) -> None:
         """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same."""
         if self._agents > 1:
             self.movers.follow(rover, moved, state.steps == 0)
-        scanning = self._scans(state.keys, state.steps)
-        if scanning is None:
-            scanning = rows
-        else:
-            scanning = scanning.to(self.simulator.device)
-            scanning = scanning if rows is None else scanning & rows
+        due = None
+        if self.delays is not None:
+            due = self.delays.scans(state.keys, state.steps)
+        elif self._period > 1:
+            due = (state.steps % self._period == 0).squeeze(-1)
+        scanning = rows
+        if due is not None:
+            due = due.to(self.simulator.device)
+            scanning = due if rows is None else due & rows
         ranges = self._lidar.scan(scanning)
         if self.simulator.device != self._device:
             rover, ranges = rover.to(self._device), ranges.to(self._device)
-        state.truth = truth = Perception(rover, ranges, self.pooling)
+        state.truth = truth = stages.Perception(rover, ranges, self.pooling)
         if self.has_movers:
             distance, speed = self.movers.nearest(truth.position)
             touched = rover.mover_contact

@@ -37,10 +37,8 @@ def action_bounds(action: ActionConfig) -> Bounds:
     assert action.min_speed is not None
     assert action.max_speed is not None
     sideways = (action.max_sideways,) if action.max_sideways else ()
-    return Bounds(
-        low=(action.min_speed, -action.max_turn, *(-side for side in sideways)),
-        high=(action.max_speed, action.max_turn, *sideways),
-    )
+    low = (action.min_speed, -action.max_turn, *(-side for side in sideways))
+    return Bounds(low, (action.max_speed, action.max_turn, *sideways))
 
 
 ACTION = action_bounds(ActionConfig())
@@ -50,14 +48,6 @@ ACTION = action_bounds(ActionConfig())
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: Device) -> Bounded:
     low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
-
-
-def observation_spec(
-    bounds: Mapping[str, Bounds], nested: Mapping[str, Composite], batch_size: Sequence[int], device: Device
-) -> Composite:
-    """Creates the spec of the observation: entries with the bounds of their sensors, and nested ones."""
-    entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
-    return Composite({**entries, **nested}, shape=batch_size, device=device)
 
 
 def vectors_spec(features: Mapping[str, int], batch_size: Sequence[int], device: Device) -> Composite:

@@ -41,8 +41,7 @@ class Perception:
     def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
         self.rover, self.ranges = rover, ranges
         self.euler = quaternion_to_euler(rover.orientation)
-        self.yaw = self.euler[:, 2:]
-        self.position = rover.position[:, :2]
+        self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
         self.readings = pooling(ranges)
 
 
@@ -54,52 +53,34 @@ class SensedPose(NamedTuple):
 
 
 class StepState:
-    """State of the environment between two steps.
+    """State of the environment between two steps. Tensors are int64 or bool ``[N, 1]``, unless stated otherwise.
 
     This is a plain object because ``EnvBase`` is a ``torch.nn.Module``, in which assigning attributes is slow.
     """
 
-    keys: Tensor
-    """Random keys of the episodes, int64 ``[N, 1]``."""
-    active: Tensor | None = None
-    """Rows that take the step, bool ``[N, 1]``. ``None``: all."""
-    truth: Perception
-    """True state of the rovers."""
-    sensed: Perception
-    """State by their sensors. The same object as ``truth`` if there is no sensor noise."""
-    reference: Perception
-    """The one of ``truth`` and ``sensed`` that events and rewards are computed from."""
-    pose: SensedPose
-    """Pose by the sensors, without delay."""
-    known: SensedPose
-    """Pose that the robot knows, which may be late, or predicted."""
+    keys: Tensor  #: Random keys of the episodes.
+    active: Tensor | None = None  #: Rows that take the step. ``None``: all.
+    truth: Perception  #: True state of the rovers.
+    sensed: Perception  #: State by their sensors: that of ``truth`` if there is no sensor noise.
+    reference: Perception  #: The one of ``truth`` and ``sensed`` that events and rewards are computed from.
+    pose: SensedPose  #: Pose by the sensors, without delay.
+    known: SensedPose  #: Pose that the robot knows, which may be late, or predicted.
     scan_pose: Tensor | None = None
     """Where the last known scan was taken, ``[N, 6]``, relative to the known pose. ``None`` if nothing reads it."""
-    predicted: Mapping[str, Tensor] = {}
-    """Entries of the observation that are predicted and not read."""
-    goal: Tensor
-    """Position of the goal, ``[N, 2]``, m."""
-    target: Tensor
-    """Distance (m) and relative angle (rad) of the goal from ``reference``, ``[N, 2]``, unclipped."""
-    goals: Tensor
-    """Number of goals set in the episode, int64 ``[N, 1]``."""
-    collision_steps: Tensor
-    """Number of consecutive steps in collision, int64 ``[N, 1]``."""
-    steps: Tensor
-    """Number of steps in the episode, int64 ``[N, 1]``."""
-    total_steps: Tensor
-    """Number of steps of the row since it was last seeded, int64 ``[N, 1]``."""
-    world: Tensor | None = None
-    """Index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one."""
+    predicted: Mapping[str, Tensor] = {}  #: Entries of the observation that are predicted and not read.
+    goal: Tensor  #: Position of the goal, ``[N, 2]``, m.
+    target: Tensor  #: Distance (m) and relative angle (rad) of the goal from ``reference``, ``[N, 2]``, unclipped.
+    goals: Tensor  #: Number of goals set in the episode.
+    collision_steps: Tensor  #: Number of consecutive steps in collision.
+    steps: Tensor  #: Number of steps in the episode.
+    total_steps: Tensor  #: Number of steps of the row since it was last seeded.
+    world: Tensor | None = None  #: Index of each row's world in the pool. ``None`` if there is only one.
     world_steps: Tensor | None = None
     """Number of steps since the worlds of groups changed, at which episodes are truncated. ``None``: ``steps``."""
-    movers: Mapping[str, Tensor] = {}
-    """Entries of ``outcome`` on movers. Empty if no world has any."""
-    outcome: TensorDict
-    """Events and measurements of the last step."""
-    terminated: Tensor
-    truncated: Tensor
-    """Whether the last step ended the episode, bool ``[N, 1]``."""
+    movers: Mapping[str, Tensor] = {}  #: Entries of ``outcome`` on movers. Empty if no world has any.
+    outcome: TensorDict  #: Events and measurements of the last step.
+    terminated: Tensor  #: Whether the last step ended the episode by an event.
+    truncated: Tensor  #: Whether it did so by the length of the episode.
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self.steps = self.total_steps = self.goals = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
@@ -122,11 +103,6 @@ class Stage:
 
     def read(self, state: StepState) -> None:
         """Changes the readings in the state after a step or reset."""
-
-
-def scans_with_period(period: int) -> Callable[[Tensor, Tensor], Tensor | None]:
-    """Returns a function of keys and steps that tells which rows scan, bool ``[N]``; ``None`` for all."""
-    return lambda keys, steps: None if period == 1 else (steps % period == 0).squeeze(-1)
 
 
 def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
@@ -154,8 +130,7 @@ class HeadingController:
         self, num_envs: int, gains: HeadingGains | None = None, device: torch.device | str | None = None
     ) -> None:
         self.gains = gains or HeadingGains()
-        self._error = torch.zeros(num_envs, 1, device=device)
-        self._integral = torch.zeros(num_envs, 1, device=device)
+        self._error = self._integral = torch.zeros(num_envs, 1, device=device)
 
     def reset(self, mask: Tensor) -> None:
         self._error = self._error.masked_fill(mask, 0.0)
@@ -322,8 +297,7 @@ class Localization(Stage):
         jumps = rng.to_unit(rng.random_bits(keys, _JUMPS, steps, 1)) < 1 - (-config.jump_rate * dt).exp()
         drift = torch.where(begins, drawn, drift)
         offset = torch.where(begins | (moves & jumps), offset, last_offset)
-        self._error = drift, offset
-        error = drift + offset
+        self._error, error = (drift, offset), drift + offset
         shift = pad(error[:, :2], (0, 1))
         return SensedPose(state.sensed.rover.position + shift, wrap_angle(state.sensed.yaw + error[:, 2:]))
 
@@ -356,24 +330,23 @@ class SensorDelays(Stage):
         self._randomization, self._live = randomization, live
         self._line = DelayLine(max(randomization.scan_latency[1], randomization.state_latency[1]))
         self._periods = randomization.scan_period or (period, period)
-        zeros = torch.zeros(rows, 1, dtype=torch.int64, device=device)
-        self.scan = self.state = self.scan_step = zeros
-        self._period = zeros + period
+        self.scan = self.state = self.scan_step = torch.zeros(rows, 1, dtype=torch.int64, device=device)
+        self._period = self.scan + period
         self._scan_pose = torch.zeros(rows, 6, device=device)
 
     def begin(self, mask: Tensor, keys: Tensor) -> None:
-        ranges = self._randomization
-        self.state = rng.whole_between(rng.random_bits(keys, _STATE_LATENCY, 0, 1), ranges.state_latency)
-        scan = rng.whole_between(rng.random_bits(keys, _SCAN_LATENCY, 0, 1), ranges.scan_latency)
-        self.scan = torch.maximum(scan, self.state)
-        self._period = rng.whole_between(rng.random_bits(keys, _SCAN_PERIOD, 0, 1), self._periods)
+        def drawn(stream: int, ends: tuple[int, int]) -> Tensor:
+            return rng.whole_between(rng.random_bits(keys, stream, 0, 1), ends)
+
+        self.state = drawn(_STATE_LATENCY, self._randomization.state_latency)
+        self.scan = torch.maximum(drawn(_SCAN_LATENCY, self._randomization.scan_latency), self.state)
+        self._period = drawn(_SCAN_PERIOD, self._periods)
 
     def scans(self, keys: Tensor, steps: Tensor) -> Tensor:
         """Returns which rows scan after ``steps`` steps of their episodes, int64 ``[N, 1]``: bool ``[N]``."""
         share = self._randomization.lost_scans * self._randomization.severity_of(keys)
         lost = rng.to_unit(rng.random_bits(keys, _LOST_SCANS, steps, 1)) < share
-        due = ((steps + self.scan) % self._period == 0) & ~lost
-        taken = due | (steps == 0)
+        taken = ((steps + self.scan) % self._period == 0) & ~lost | (steps == 0)
         self.scan_step = torch.where(taken, steps, self.scan_step)
         return taken.squeeze(-1)
 
@@ -391,20 +364,15 @@ class SensorDelays(Stage):
         self.tell(self.known, state)
 
     def tell(self, known: Tensor, state: StepState) -> None:
-        """Writes a pose ``[N, 6]`` as the known one, and the pose of the scan relative to it."""
-        state.known = SensedPose(known[:, :3], known[:, 5:])
-        state.scan_pose = relative_pose(known, self._scan)
+        """Writes a pose ``[N, 6]`` as the known one, and the pose of the scan relative to it.
+
+        That is ahead, left and up (m), pitch and roll of the scan, and the turn (rad).
+        """
+        state.known, scan = SensedPose(known[:, :3], known[:, 5:]), self._scan
+        (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
+        cos, sin = known[:, 5:].cos(), known[:, 5:].sin()
+        ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
+        state.scan_pose = torch.cat((ahead, left, dz, scan[:, 3:5], wrap_angle(turn)), -1)
 
     def late(self, name: str, value: Tensor, steps: Tensor, delay: Tensor) -> Tensor:
         return self._line(name, value, steps, delay)
-
-
-def relative_pose(known: Tensor, scan: Tensor) -> Tensor:
-    """Returns the pose of a scan relative to a known one, both ``[N, 6]`` as in :class:`SensorDelays`.
-
-    It is ahead, left and up (m), pitch and roll of the scan, and the turn (rad).
-    """
-    (dx, dy, dz), turn = (scan[:, :3] - known[:, :3]).split(1, -1), scan[:, 5:] - known[:, 5:]
-    pitch, roll = scan[:, 3:5].split(1, -1)
-    cos, sin = known[:, 5:].cos(), known[:, 5:].sin()
-    return torch.cat((cos * dx + sin * dy, cos * dy - sin * dx, dz, pitch, roll, wrap_angle(turn)), -1)

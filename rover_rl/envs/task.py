@@ -104,31 +104,19 @@ def compute_terminations(
 ) -> tuple[Tensor, Tensor]:
     """Computes the events of a step, and the one that decides it.
 
-    Args:
-        position: position of the rover, ``[N, 2]``, m.
-        tilt: roll and pitch, ``[N, 2]``, rad.
-        distance: distance to the goal, ``[N, 1]``, m.
-        displacement: displacement over the stuck window, ``[N, 1]``, m.
-        collision_steps: number of consecutive steps in collision, including this one, ``[N, 1]``.
-        invalid: rows whose action was not finite, bool ``[N, 1]``.
-        bounds: lower and upper corners of the bounds of each row's world, ``[N, 2]`` each, m.
-        config: thresholds.
+    ``position`` is ``[N, 2]`` (m), ``tilt`` are roll and pitch, ``[N, 2]`` (rad), ``distance`` is that to the goal (m),
+    ``displacement`` that over the stuck window (m), ``collision_steps`` the number of consecutive steps in collision,
+    including this one, and ``invalid`` are rows whose action was not finite, ``[N, 1]`` each. ``bounds`` are the lower
+    and upper corners of each row's world, ``[N, 2]`` each (m).
 
-    Returns:
-        Events, bool ``[N, 7]`` as in :data:`EVENTS` (a goal counts only if no event ended the episode), and the
-        deciding :class:`StepEvent`, int64 ``[N, 1]``.
+    Returns the events, bool ``[N, 7]`` as in :data:`EVENTS` (a goal counts only if no event ended the episode), and the
+    deciding :class:`StepEvent`, int64 ``[N, 1]``.
     """
     low, high = bounds
-    endings = torch.cat(
-        (
-            invalid,
-            (tilt.abs() > config.flip_threshold).any(-1, keepdim=True),
-            collision_steps > config.collision_window,
-            ((position < low) | (position > high)).any(-1, keepdim=True),
-            displacement < config.stuck_threshold,
-        ),
-        -1,
-    )
+    flipped = (tilt.abs() > config.flip_threshold).any(-1, keepdim=True)
+    outside = ((position < low) | (position > high)).any(-1, keepdim=True)
+    jammed, stuck = collision_steps > config.collision_window, displacement < config.stuck_threshold
+    endings = torch.cat((invalid, flipped, jammed, outside, stuck), -1)
     goal = (distance < config.success_distance) & ~endings.any(-1, keepdim=True)
     events = torch.cat((endings, goal, collision_steps > 0), -1)
     phase = torch.nn.functional.pad(events, (0, 1), value=True).to(torch.uint8).argmax(-1, keepdim=True)

@@ -51,7 +51,7 @@ class Step(NamedTuple):
 class NumpyBatch:
     """Resets, steps and renders a :class:`~rover_rl.RoverEnv` with NumPy arrays.
 
-    Spaces are those of one row, after the transforms.
+    Spaces are those of one row, after the transforms. An option out of range raises ``ValueError``.
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
@@ -68,10 +68,6 @@ class NumpyBatch:
         reward_scale: factor of the reward, whose components are between -0.03 and 100. 0.05 is a good value.
         scale_observations: whether an observation is one vector of float32 features of about [-1, 1], instead of a
             dictionary in meters and radians: that of ``ObservationEncoder.of``, which leaves out the pose.
-
-    Raises:
-        TypeError: if ``env`` has another type.
-        ValueError: if an option is out of range.
     """
 
     @with_torch_defaults
@@ -101,9 +97,7 @@ class NumpyBatch:
         self.reward_config: RewardConfig | None = None
         if isinstance(env, TransformedEnv):
             if reward is not None:
-                raise ValueError(
-                    "a TransformedEnv has its reward already: leave out reward=, or give the bare RoverEnv"
-                )
+                raise ValueError("a TransformedEnv has its reward already: leave out reward=, or give a bare RoverEnv")
             env = TransformedEnv(env, Compose(*transforms)) if transforms else env
         else:
             reward = "contract" if reward is None else reward
@@ -206,16 +200,11 @@ class NumpyBatch:
         self._actions += active
         if self._most is not None:
             truncated = truncated | (active & (self._actions >= self._most))
-        world = outcome.get("world", None)
-        info: dict[str, NDArray[Any]] = {
-            "steps": _flat(outcome.get("steps")),
-            **({} if world is None else {"world": _flat(world)}),
-            "total_steps": self.total_steps,
-            "reward": reward.copy(),
-            "goals": self._goals.copy(),
-            "is_success": self._goals > 0,
-            **events,
-        }
+        info: dict[str, NDArray[Any]] = {"steps": _flat(outcome.get("steps"))}
+        if (world := outcome.get("world", None)) is not None:
+            info["world"] = _flat(world)
+        info |= {"total_steps": self.total_steps, "reward": reward.copy()}
+        info |= {"goals": self._goals.copy(), "is_success": self._goals > 0, **events}
         return Step(self.observation(), reward, terminated, truncated, info)
 
     def _started(self, what: str) -> TensorDictBase:

@@ -46,12 +46,8 @@ class RoverParallelEnv(ParallelEnv):
         options.setdefault("time_limit", "truncated")
         self._batch = NumpyBatch(env, **options)
         self.base_env, self.render_mode = self._batch.base_env, self._batch.render_mode
-        self.metadata = {
-            "name": "rover_rl",
-            "render_modes": ["rgb_array"],
-            "render_fps": self._batch.frames_per_second,
-            "is_parallelizable": True,
-        }
+        self.metadata = {"name": "rover_rl", "render_modes": ["rgb_array"], "is_parallelizable": True}
+        self.metadata["render_fps"] = self._batch.frames_per_second
         self.possible_agents = [f"rover_{number}" for number in range(agents)]
         self.agents: list[str] = []
         self._row_of = {agent: row for row, agent in enumerate(self.possible_agents)}
