@@ -17,9 +17,9 @@ from gymnasium import spaces
 
 from rover_rl.robots import get_robot
 from rover_rl.rotations import matrix_to_quaternion
+from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world
 from rover_rl.sims.bullet.rover import load_rovers
-from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.worlds import get_world
 

@@ -29,7 +29,7 @@ LAYERS = (
         "native",
     ),
     ("worlds", "robots"),
-    ("sims.rover_state", "sims.sensor_report", "sims.settings", "sims.shapes", "sims.simulated_drives"),
+    ("sims.rover_state", "sims.sensor_report", "sims.settings", "sims.simulated_drives"),
     (
         "sims.base",
         "sims.command_limiter",
@@ -37,6 +37,7 @@ LAYERS = (
         "sims.movers",
         "sims.rays",
         "sims.rendering",
+        "sims.world_groups",
         "sims.scenes",
     ),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),

@@ -5,32 +5,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rover_rl.sims.backends import (
-    BACKENDS,
-    Backend,
-    BackendLike,
-    backend_names,
-    make_scanner,
-    make_simulator,
-    register_backend,
-)
-from rover_rl.sims.settings import Connection
+from rover_rl.sims.backends import Backend, backend_names, make_scanner, make_simulator, register_backend
 
 if TYPE_CHECKING:
     from rover_rl.sims.base import RoverState, Simulator
 
-__all__ = [
-    "BACKENDS",
-    "Backend",
-    "BackendLike",
-    "Connection",
-    "RoverState",
-    "Simulator",
-    "backend_names",
-    "make_scanner",
-    "make_simulator",
-    "register_backend",
-]
+__all__ = ["Backend", "RoverState", "Simulator", "backend_names", "make_scanner", "make_simulator", "register_backend"]
 
 
 def __getattr__(name: str) -> Any:

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from rover_rl.worlds import World
 
 BACKENDS: dict[str, str] = {
-    name: f"rover_rl.sims.{name}.settings:{name.capitalize()}Settings" for name in ("bullet", "mujoco", "ros2", "warp")
+    "bullet": "rover_rl.sims.bullet:BulletSettings",
+    "mujoco": "rover_rl.sims.mujoco:MujocoSettings",
+    "ros2": "rover_rl.sims.ros2.settings:Ros2Settings",
+    "warp": "rover_rl.sims.warp:WarpSettings",
 }
 """Settings classes of the built-in backends, by name."""
 _OPTIONS = {"ros2": ("connection",), "warp": ("device",)}
@@ -27,7 +30,6 @@ _OPTIONS = {"ros2": ("connection",), "warp": ("device",)}
 
 BackendLike: TypeAlias = Any
 """A backend: its name, its settings, or a :class:`Backend` object."""
-
 _REGISTRY = Registry("backend", BACKENDS)
 _MAKE = "make(worlds=, robot=, connection=, device=)"
 _REQUIRED = "close control_dt device features live num_envs reset robot_connected state step".split()  # noqa: SIM905
@@ -58,19 +60,15 @@ class Backend(Protocol):
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> Simulator:
-        """Builds the simulator. See :func:`make_simulator`."""
+        """Builds the simulator: see :func:`make_simulator`."""
         ...
 
 
 def register_backend(name: str, backend: Any) -> None:
     """Registers a backend under a name, for ``RoverEnv``, ``EnvConfig`` and ``--backend``.
 
-    Args:
-        name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        backend: :class:`Backend` object, a class or function that makes one, or the ``"module:attribute"`` of any.
-
-    Raises:
-        ValueError: if the name is taken or has other characters.
+    The backend is a :class:`Backend` object, a class or function that makes one, or the ``"module:attribute"`` of any.
+    Raises ``ValueError`` if the name is taken, or has other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
     _REGISTRY.register(name, backend)
 
@@ -83,8 +81,7 @@ def backend_names() -> list[str]:
 def find_settings(name: str) -> Any:
     """Returns the settings class of a backend, or the :class:`Backend` registered under the name.
 
-    Raises:
-        ValueError: if the name is unknown.
+    Raises ``ValueError`` if the name is unknown.
     """
     return _REGISTRY.find(name)
 
@@ -145,11 +142,7 @@ def make_simulator(
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:
     """Creates the lidar of the rovers in a simulator: the simulator's own, or one that casts rays in their worlds.
 
-    Args:
-        simulator: simulator of the rovers.
-        worlds: world of each rover.
-        robot: robot that carries the lidar at its ``lidar_position``.
-        beams: number of beams, equally spaced over a full turn.
+    The robot carries it at its ``lidar_position``. The beams are equally spaced over a full turn.
 
     Example:
         >>> worlds, robot = [get_world("maze")], get_robot("rover_zero")
@@ -168,14 +161,19 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
 def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
     """Returns the settings of a backend, or the :class:`Backend`, without building a simulator.
 
-    The arguments are those of :func:`make_simulator`.
-
-    Raises:
-        ValueError: if the backend or the preset is unknown.
+    The arguments are those of :func:`make_simulator`. Raises ``ValueError`` if the backend or the preset is unknown.
     """
     if physics is not None and not isinstance(backend, str):
         raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
-    settings = _settings(backend, physics) if isinstance(backend, str) else backend
+    settings = backend
+    if isinstance(backend, str):
+        settings = find_settings(backend)
+        if physics is not None:
+            if not hasattr(settings, "preset"):
+                raise ValueError(f"backend {backend!r} has no presets for its physics, got physics={physics!r}")
+            settings = settings.preset(physics)
+        elif isinstance(settings, type) or isfunction(settings):
+            settings = _REGISTRY.call(backend, settings)
     if not isinstance(settings, Backend) and name_of(settings) not in BACKENDS:
         source = f" under the name {backend!r}" if isinstance(backend, str) else ""
         raise ValueError(
@@ -183,15 +181,6 @@ def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
             f"returns a Simulator, got {settings!r}{source}"
         )
     return settings
-
-
-def _settings(name: str, physics: str | None) -> Any:
-    kind = find_settings(name)
-    if physics is None:
-        return _REGISTRY.call(name, kind) if isinstance(kind, type) or isfunction(kind) else kind
-    if not hasattr(kind, "preset"):
-        raise ValueError(f"backend {name!r} has no presets for its physics, got physics={physics!r}")
-    return kind.preset(physics)
 
 
 def _make_custom(backend: Backend, arguments: dict[str, Any]) -> Simulator:

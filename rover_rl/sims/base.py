@@ -33,11 +33,8 @@ class Scanner(Protocol):
     def scan(self, rows: Tensor | None = None) -> Tensor:
         """Scans from where the rovers are, and returns the ranges, ``[N, beams]``, m, in a new tensor.
 
-        ``inf`` means no return, 0 a beam that starts inside a solid.
-
-        Args:
-            rows: rovers whose lidar scans, bool ``[N]``. The others keep their last scan. ``None``: all. A real lidar
-                has its own period.
+        ``inf`` means no return, 0 a beam that starts inside a solid. ``rows`` are the rovers whose lidar scans, bool
+        ``[N]``; ``None``: all. The others keep their last scan. A real lidar has its own period.
         """
         ...
 
@@ -46,12 +43,13 @@ class LiveRover(Protocol):
     """What a real rover has and a simulated one does not: messages, which have an age, and what is in them.
 
     A ``topic`` of ``None`` is that of the connection.
+
+    Attributes:
+        last_command: forward speed (m/s) and yaw rate (rad/s) of the last command, within the limits.
     """
 
     @property
-    def last_command(self) -> tuple[float, float]:
-        """Forward speed (m/s) and yaw rate (rad/s) of the last command, within the limits."""
-        ...
+    def last_command(self) -> tuple[float, float]: ...
 
     def follow_clock(self) -> None:
         """Begins to read the clock that the stamps of the messages are of."""
@@ -81,9 +79,9 @@ class LiveRover(Protocol):
         ...
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Latest depth image in a size (rows and columns), ``[rows, columns]``, m.
+        """Latest depth image in a size (rows and columns), m: ``inf`` without a return, 0 for what is lost or too near.
 
-        ``inf`` is a pixel without a return, and 0 one that is lost or too close. Before the first image, all are lost.
+        Before the first image, all pixels are lost.
         """
         ...
 
@@ -105,8 +103,7 @@ class LiveRover(Protocol):
                 columns to the right.
             yaw: direction that is ahead, ``[]``, rad.
             cell: distance between two neighbors, m.
-            topic: topic of an elevation map, or of a point cloud.
-            layer: layer of the elevation map.
+            topic: topic of an elevation map with ``layer``, or of a point cloud.
             mount: position of the lidar whose frame the point cloud is in, in the frame of the robot, m.
         """
         ...
@@ -141,14 +138,9 @@ class Simulator:
         return True
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Places the selected rovers on the ground, at rest. The other rovers do not change.
+        """Places the rovers of ``mask`` (bool ``[N]``) on the ground, at rest, and returns the state of all rovers.
 
-        Args:
-            mask: rovers to reset, bool ``[N]``.
-            poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
-
-        Returns:
-            The state of all rovers.
+        ``poses`` are x, y (m) and yaw (rad), ``[N, 3]``. The other rovers do not change.
         """
         raise NotImplementedError
 
@@ -207,10 +199,10 @@ class Simulator:
         raise NotImplementedError
 
     def enter_robots(self, mask: Tensor) -> None:
-        """Gives the rovers of ``mask`` (bool ``[N]``) their robots of the fleet. The caller resets these rovers next.
+        """Gives the rovers of ``mask`` (bool ``[N]``) their robots of the fleet, with the dynamics of these.
 
         Feature ``"robots"``: the simulator is built with a :class:`~rover_rl.robots.fleet.Fleet`, whose rows change
-        robots. Their dynamics are those of the robot description again.
+        robots. The caller resets these rovers next.
         """
         raise NotImplementedError
 

@@ -11,7 +11,7 @@ from rover_rl.robots import Robot
 
 
 class CommandLimits(NamedTuple):
-    """Limits of commands in both directions: speed, m/s; yaw rate, rad/s; their rates of change, m/s^2 and rad/s^2."""
+    """Limits of commands in both directions: m/s, rad/s, m/s^2 and rad/s^2."""
 
     speed: float
     yaw_rate: float
@@ -35,12 +35,7 @@ class CommandLimiter:
 
     On a drive without lag, the yaw rate of the heading PID changes its sign in nearly every step. Two measures prevent
     that: the yaw rate changes only as fast as the robot's drive does in training, and a change of the turning direction
-    requires a desired yaw rate of at least ``min_reversal``. With less, the rover stops turning.
-
-    Args:
-        min_reversal: smallest yaw rate that changes the turning direction, rad/s.
-        rows: number N of rovers.
-        device: device of the commands.
+    requires a desired yaw rate of at least ``min_reversal`` (rad/s). With less, the rover stops turning.
 
     Example:
         >>> limits = torch.tensor([CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)])

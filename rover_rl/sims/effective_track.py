@@ -25,14 +25,8 @@ def measured_track(robot: Robot, backend: str = "warp") -> float:
 
     It is the speed of the right wheels minus that of the left ones over the yaw rate. A skid-steer robot whose drive
     has this ``separation`` turns as fast as it is commanded. It does not depend on friction or speed, but on the place
-    of the center of mass and on how the ground carries the wheels.
-
-    Args:
-        robot: robot with a :class:`~rover_rl.robots.drives.SkidSteer` drive.
-        backend: simulator.
-
-    Raises:
-        ValueError: if the robot has another drive, or does not turn.
+    of the center of mass and on how the ground carries the wheels. Raises ``ValueError`` if the robot has another drive
+    than :class:`~rover_rl.robots.drives.SkidSteer`, or does not turn.
 
     Example:
         >>> from rover_rl.robots import get_robot

@@ -30,13 +30,9 @@ _TOLERANCE = 1e-6
 
 
 class RayCaster:
-    """Casts rays in the worlds of the rows of a batch.
+    """Casts rays in the worlds of the rows of a batch. Rovers are not in the scenes.
 
-    The scene of a world is built when a row first needs it. The range of a ray depends on its row's world alone. Rovers
-    are not in the scenes.
-
-    Args:
-        worlds: world of each row.
+    The scene of a world is built when a row first needs it. The range of a ray depends on its row's world alone.
     """
 
     def __init__(self, worlds: WorldTable) -> None:
@@ -87,11 +83,7 @@ def aimed_rays(rover: RoverState, mount: Sequence[float], directions: Tensor) ->
 class RayScanner:
     """Lidar of a simulator that has none of its own: see :class:`~rover_rl.sims.base.Scanner`.
 
-    Args:
-        simulator: simulator of the rovers.
-        worlds: world of each row.
-        robot: robot that carries the lidar.
-        beams: number of beams, equally spaced over a full turn.
+    The ``robot`` carries it, and its beams are equally spaced over a full turn.
     """
 
     def __init__(self, simulator: Simulator, worlds: WorldTable, robot: Robot, beams: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -70,10 +70,8 @@ class RoverState(TensorClass):
 class Dynamics:
     """Scale factors of the dynamics of simulated rovers, relative to the robot description. Float32 ``[N]`` each.
 
-    Attributes:
-        friction: factor of all friction coefficients.
-        chassis_mass: factor of the mass and inertia of the chassis. The wheels keep theirs.
-        motor_torque: factor of the maximum torque of the wheel motors.
+    They are those of all friction coefficients, of mass and inertia of the chassis without its wheels, and of the
+    maximum torque of the wheel motors.
     """
 
     friction: Tensor
@@ -99,8 +97,3 @@ def no_forces(fields: Collection[Force], count: int, wheels: int) -> dict[Force,
     """Zeros of each of the fields, float32 ``[count, k]``, for robots with so many wheels."""
     sizes: dict[Force, int] = {"contact_force": 2 * len(SIDES), "wheel_torque": wheels}
     return {field: np.zeros((count, size), np.float32) for field, size in sizes.items() if field in fields}
-
-
-def of_rows(forces: Mapping[Force, np.ndarray], rows: slice) -> dict[Force, np.ndarray]:
-    """Views of consecutive rows."""
-    return {field: values[rows] for field, values in forces.items()}

@@ -62,14 +62,10 @@ class ElevationMap(NamedTuple):
 class SensorReport(NamedTuple):
     """What arrives from the sensors of one rover in a step.
 
-    Attributes:
-        time: time of the step, s.
-        state: pose and velocities as the sensors tell them, ``[1]``, with the stamp of their time.
-        ranges: scan, ``[beams]``, m; ``None`` if none has arrived.
-        scan_stamp: time of the scan, s.
-        images: images of each kind by the topic of the camera; ``None``: that of the connection.
-        points: points of each 3D lidar in its frame, ``[planes, beams, 3]``, m, by its topic; NaN for no return.
-        ground: elevation map of each height scan, by its topic.
+    It has the time of the step (s), pose and velocities as the sensors tell them (``[1]``, with the stamp of their
+    time), the scan (``[beams]``, m; ``None`` if none has arrived) and its time (s), images of each kind, points of each
+    3D lidar in its frame (``[planes, beams, 3]``, m; NaN for no return) and an elevation map of each height scan, by
+    the topic of the sensor. ``None`` is that of the connection.
     """
 
     time: float

@@ -76,10 +76,7 @@ def at_rate(settings: Any, rate: float) -> Any:
     """Returns the settings of a simulator at another control rate, Hz.
 
     A control step has so many physics steps that none lasts longer than before. ``substep_multiple`` of a class of
-    settings is a number that divides theirs.
-
-    Raises:
-        ValueError: if the settings have no field ``control_dt``.
+    settings is a number that divides theirs. Raises ``ValueError`` if the settings have no field ``control_dt``.
     """
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
     if "control_dt" not in names:

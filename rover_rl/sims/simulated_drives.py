@@ -33,10 +33,7 @@ class SimulatedDrives:
     def advance(self, commands: Tensor, active: Tensor | None) -> Joints:
         """Advances the drives and clocks by one control step, and returns the targets of the joints for this step.
 
-        Args:
-            commands: forward speed (m/s), yaw rate (rad/s) and, for a drive that moves sideways, optionally the speed
-                to the left (m/s), ``[N, 2]`` or ``[N, 3]``.
-            active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
+        The arguments are those of :meth:`Simulator.step`.
         """
         if self._kinematics.sideways and commands.shape[-1] == 2:
             commands = pad(commands, (0, 1))
@@ -60,9 +57,7 @@ class SimulatedDrives:
         Args:
             body: position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
                 (rad), ``[N, 7 + M + S]``.
-            contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
-            mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
-            reports: fields that the simulator was asked for, ``[N, k]`` each.
+            contact, mover_contact, reports: fields of the state. ``None`` if the simulator does not know.
         """
         twist = self.odometry(Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :]))
         optional = {"contact": contact, "mover_contact": mover_contact}

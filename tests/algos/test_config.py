@@ -6,7 +6,7 @@ import pytest
 
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.workers import default_workers
-from rover_rl.sims.warp.settings import WarpSettings
+from rover_rl.sims.warp import WarpSettings
 
 PPO, SAC = training_config("ppo"), training_config("sac")
 ROUTE = ("lidar", "imu", "route")

@@ -9,7 +9,6 @@ import pytest
 
 from rover_rl import RoverEnv, make_env
 from rover_rl.sims.bullet import BulletSettings
-from rover_rl.sims.bullet.settings import PRESETS
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.warp import WarpSettings
 
@@ -55,11 +54,11 @@ def test_unknown_presets_raise_with_the_allowed_names(backend: Any, message: str
         RoverEnv(backend=backend, physics="exact")
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
+@pytest.mark.parametrize("name", list(BulletSettings.presets))
 def test_a_preset_is_selected_by_name_and_has_a_control_rate_of_20_hz(name: str) -> None:
     env = make_env(world_n="maze", num_envs=2, physics=name)
     settings = env.base_env.simulator.settings
-    assert settings == PRESETS[name]
+    assert settings == BulletSettings(**BulletSettings.presets[name])
     assert settings.control_dt == settings.substep * settings.substeps == 0.05
     env.rollout(3)
     env.close()

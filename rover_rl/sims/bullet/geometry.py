@@ -3,37 +3,43 @@
 from __future__ import annotations
 
 import math
+import threading
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rover_rl.native.bullet import pybullet
-from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.shapes import make_hull, make_mesh, terrain_strips
-from rover_rl.worlds import Solids, World
-from rover_rl.worlds.region import expanded
+from rover_rl.sims.bullet import BulletSettings
+from rover_rl.worlds import Solids, Terrain, World
+from rover_rl.worlds.region import Area, expanded
 
 STATIC, ROVERS = 1, 2
 """Collision groups. Rovers collide with the world and not with one another."""
-
 GROUND_MARGIN = 3.0
-"""Width of the ground mesh beyond a world's bounds, m."""
-
+"""Width of the ground mesh beyond a world's bounds, where episodes end, m."""
+MESH_CELLS = 60_000
+"""Maximum number of cells in one strip of a terrain mesh. Bullet accepts at most 524,288 indices per mesh."""
 GROUND_TURN = math.pi / 8
 """Rotation of the ground's frame about the vertical, rad. See :func:`friction_scales`."""
-
 _STRETCH = 0.35
 """Largest logarithmic stretch of the friction directions. See :func:`friction_scales`.
 
 A larger one makes friction rounder: its direction is off by 13 degrees (root mean square over the directions of slip)
 with 0, and by 5 degrees with 0.35. But a rover on a slope creeps faster.
 """
-
 _TILT = 1.0
 """Additional vertical stretch of the unmirrored friction directions. See :func:`friction_scales`."""
-
 _CALIBRATION = 0.975
 """Factor with which climbing, braking and sliding agree with Coulomb's law (``python -m benchmarks law``)."""
+
+# PyBullet's createCollisionShape never releases the lists that are passed to it, neither those of vertices and indices,
+# nor the list of each vertex. The same lists, filled in place, serve all shapes: only the empty lists of the largest
+# one so far remain in memory. A thread that uses them holds the lock.
+_LOCK = threading.Lock()
+_ROWS: list[list[float]] = []
+_VERTICES: list[list[float]] = []
+_INDICES: list[int] = []
 
 
 def connect(settings: BulletSettings) -> int:
@@ -68,17 +74,14 @@ def load_world(client: int, world: World, settings: BulletSettings) -> tuple[lis
 
 
 def _add_ground(client: int, world: World) -> list[int]:
-    """Adds the ground for wheel contacts: a plane or triangle meshes, each in the frame of :func:`_ground_frame`.
-
-    A mesh reaches :data:`GROUND_MARGIN` beyond the world's bounds, where episodes end. Returns the ids of the bodies.
-    """
+    """Adds the ground for wheel contacts: a plane or triangle meshes, each in the frame of :func:`_ground_frame`."""
     terrain = world.terrain
     if terrain.is_flat:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         return [_add_static(client, plane, _ground_frame(np.array((0.0, 0.0, 1.0))), terrain.heights[0, 0].item())]
     bodies = []
     # A heightfield would align with the axes of the rotated frame, so the ground is a mesh.
-    for strip in terrain_strips(terrain, expanded(world.bounds, GROUND_MARGIN)):
+    for strip in _strips(terrain, expanded(world.bounds, GROUND_MARGIN)):
         vertices, faces = (part.numpy() for part in terrain.mesh(*strip))
         a, b, c = (vertices[faces[:, corner]] for corner in range(3))
         frame = _ground_frame(np.cross(b - a, c - a).sum(0))
@@ -100,7 +103,6 @@ def _add_static(client: int, shape: int, frame: Rotation, height: float = 0.0) -
 
 
 def _add_obstacles(client: int, world: World) -> list[int]:
-    """Adds obstacles for contacts with rovers, as convex hulls. Returns the ids of their bodies."""
     bodies = []
     for obstacle in world.obstacles:
         # Vertices relative to the body keep their precision far from the origin.
@@ -119,21 +121,59 @@ def set_contact(client: int, body: int, link: int, friction: float, settings: Bu
 
 
 def add_mesh_bodies(client: int, world: World, reach: float) -> None:
-    """Adds terrain and obstacles as concave triangle meshes, the targets of the lidar rays.
+    """Adds terrain and obstacles as concave triangle meshes, the targets of the lidar rays of length ``reach`` (m).
 
-    Args:
-        client: Bullet client.
-        world: world whose geometry is added.
-        reach: length of the rays, m. Terrain that no ray reaches from the ground of :func:`load_world` is left out.
+    Terrain that no ray reaches from the ground of :func:`load_world` is left out.
     """
     area = expanded(world.bounds, GROUND_MARGIN + reach)
-    meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain, area)]
+    meshes = [world.terrain.mesh(*strip) for strip in _strips(world.terrain, area)]
     if world.obstacles:
         solids = Solids.of(world.obstacles)
         meshes.append((solids.vertices, solids.faces))
     for vertices, faces in meshes:
         shape = make_mesh(client, vertices.numpy(), faces.numpy())
         pybullet.createMultiBody(0, shape, physicsClientId=client)
+
+
+def _strips(terrain: Terrain, area: Area) -> list[tuple[slice, slice]]:
+    """Splits the part of a terrain that covers an area into strips, which share their borders: rows and columns."""
+    rows, columns = terrain.covering(area)
+    step, last = max(1, MESH_CELLS // (columns.stop - columns.start)), rows.stop - 1
+    return [(slice(row, min(row + step, last) + 1), columns) for row in range(rows.start, last, step)]
+
+
+def make_hull(client: int, vertices: np.ndarray) -> int:
+    """Creates the convex hull of ``vertices [V, 3]`` (m) as a collision shape. Returns its id."""
+    return _make(client, vertices)
+
+
+def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray, *, smooth: bool = False) -> int:
+    """Creates a concave mesh of ``vertices [V, 3]`` (m) and triangles ``[F, 3]`` as a collision shape. Returns its id.
+
+    ``smooth`` corrects the normals of contacts at edges: without it, an edge within a plane of triangles stops a body
+    that slides over it now and then. Rays do not need it.
+    """
+    flags = pybullet.GEOM_FORCE_CONCAVE_TRIMESH | (pybullet.GEOM_CONCAVE_INTERNAL_EDGE if smooth else 0)
+    return _make(client, vertices, faces.ravel().tolist(), flags=flags)
+
+
+def _make(client: int, vertices: np.ndarray, indices: list[int] | None = None, **options: Any) -> int:
+    with _LOCK:
+        try:
+            _ROWS.extend([] for _ in range(len(vertices) - len(_ROWS)))
+            _VERTICES[:] = _ROWS[: len(vertices)]
+            # Column by column: a list of each point would wake the garbage collector again and again.
+            for row, values in zip(_VERTICES, zip(*vertices.T.tolist(), strict=True), strict=True):
+                row[:] = values
+            if indices is not None:
+                _INDICES[:], options["indices"] = indices, _INDICES
+            options |= {"vertices": _VERTICES, "physicsClientId": client}
+            return pybullet.createCollisionShape(pybullet.GEOM_MESH, **options)
+        finally:
+            for row in _VERTICES:
+                row.clear()
+            _VERTICES.clear()
+            _INDICES.clear()
 
 
 def friction_scales(substeps: int) -> list[tuple[float, float, float]]:
@@ -150,11 +190,10 @@ def friction_scales(substeps: int) -> list[tuple[float, float, float]]:
     - ``b / a = t^2`` for several ``t`` between ``exp(-_STRETCH)`` and ``exp(_STRETCH)`` adds directions in between.
     - All scales are divided by the mean support of the parallelograms, ``2 / pi`` times the lengths of their sides.
 
-    In the plane of the ground's frame, ``c`` has no effect. On ground that is inclined to it, ``S`` turns
-    directions out of the tangent plane, so that friction also acts on the normal force. Mirrored directions stay
-    close to the plane of the frame, ``c = (a + b) / 2``: an uphill force presses the wheel into the ground, which
-    strengthens friction. The other directions would stay in the tangent plane with the same ``c``. Twice as large,
-    it turns them to the other side, which weakens friction by about as much.
+    In the plane of the ground's frame, ``c`` has no effect. On ground that is inclined to it, ``S`` turns directions
+    out of the tangent plane, so that friction also acts on the normal force. Mirrored directions stay close to the
+    plane of the frame, ``c = (a + b) / 2``: an uphill force presses the wheel into the ground, which strengthens
+    friction. With twice that, the other directions turn to the other side, which weakens friction by about as much.
     """
     pairs = substeps // 2
     # From outside in: consecutive steps stretch in different directions.

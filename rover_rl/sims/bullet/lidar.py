@@ -6,8 +6,6 @@ In the client of the physics, the broad phase would also test every ray against 
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from operator import itemgetter
 
 import numpy as np
@@ -24,26 +22,18 @@ RAYS_PER_CALL = 1024
 A result has ten Python objects per ray. The results of a small call stay in the processor's cache, which makes reading
 and freeing them 20 % cheaper. With 16,384 rays or more, ``rayTestBatch`` returns nothing and raises no error.
 """
-
 RAYS_PER_BLOCK = 8192
 """Rays whose start and end points are computed at once."""
 
 _fraction = itemgetter(2)
 
 
-class Lidar:
-    """Lidar that scans the static geometry of one world.
-
-    Args:
-        world: world to scan.
-        robot: robot that defines the position and range of the lidar.
-        angles: direction of each beam in the rover's frame, ``[beams]``, rad.
-    """
+class BulletLidar:
+    """Lidar that scans the static geometry of one world with beams at ``angles [beams]`` (rad) from straight ahead."""
 
     def __init__(self, world: World, robot: Robot, angles: np.ndarray) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
-        self._mount = np.array(robot.lidar_position)
-        self._range = robot.lidar_range
+        self._mount, self._range = np.array(robot.lidar_position), robot.lidar_range
         add_mesh_bodies(self.client, world, self._range)
         self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
         self._solids = SolidTest(world)
@@ -51,34 +41,27 @@ class Lidar:
         rovers = max(1, RAYS_PER_BLOCK // len(angles))
         self._starts, self._ends = np.empty((2, rovers, len(angles), 3))
 
-    def scan(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Scans from the given poses.
-
-        Args:
-            position: positions of the base frames, ``[k, 3]``, m.
-            rotation: rotation matrices of the base frames, ``[k, 3, 3]``.
-
-        Returns:
-            Ranges ``[k, beams]``, m: ``inf`` where a beam hits nothing, 0 for all beams of a lidar inside a solid.
-        """
-        origins = position + (rotation * self._mount).sum(-1)
-        ranges = self._range * self._cast(origins, rotation)
+    def scan(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+        """Scans from base frames at positions ``[k, 3]`` (m), with rotation matrices ``[k, 3, 3]``."""
+        origins = position + (orientation * self._mount).sum(-1)
+        fractions = np.empty((len(origins), self._directions.shape[1]))
+        rovers, collects = len(self._starts), gc.isenabled()
+        # The garbage collector would traverse the short-lived tuples of a scan without freeing any.
+        gc.disable()
+        try:
+            for first in range(0, len(origins), rovers):
+                block = slice(first, first + rovers)
+                self._cast(origins[block], orientation[block], fractions[block].reshape(-1))
+        finally:
+            if collects:
+                gc.enable()
+        ranges = self._range * fractions
         ranges[ranges >= self._range] = np.inf
         ranges[self._solids.contains(origins)] = 0.0
         return ranges
 
-    def _cast(self, origins: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Returns the fraction of each ray that is free, 1 if it hits nothing: ``[k, beams]``."""
-        fractions = np.empty((len(origins), self._directions.shape[1]))
-        rovers = len(self._starts)
-        with _gc_paused():
-            for first in range(0, len(origins), rovers):
-                block = slice(first, first + rovers)
-                self._cast_block(origins[block], rotation[block], fractions[block].reshape(-1))
-        return fractions
-
-    def _cast_block(self, origins: np.ndarray, rotation: np.ndarray, fractions: np.ndarray) -> None:
-        """Writes ``fractions [k * beams]`` for at most as many rovers as the ray buffers hold."""
+    def _cast(self, origins: np.ndarray, rotation: np.ndarray, fractions: np.ndarray) -> None:
+        """Writes the free fraction of each ray of at most as many rovers as the buffers hold, ``[k * beams]``."""
         starts, ends = self._starts[: len(origins)], self._ends[: len(origins)]
         ahead, left = self._directions
         starts[...] = origins[:, None]
@@ -92,15 +75,3 @@ class Lidar:
             if len(hits) != len(starts[call]):
                 raise RuntimeError(f"Bullet returned {len(hits)} of {len(starts[call])} lidar rays")
             fractions[call] = np.fromiter(map(_fraction, hits), np.float64, len(hits))
-
-
-@contextmanager
-def _gc_paused() -> Iterator[None]:
-    """Pauses the garbage collector, which would traverse the short-lived tuples of a scan without freeing any."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

@@ -7,14 +7,14 @@ the links of the rover of its row alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from rover_rl.native.bullet import pybullet
+from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.geometry import set_contact
-from rover_rl.sims.bullet.rover import is_touching
-from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.bullet.rover import links_of
 from rover_rl.sims.movers.near import NearParts, turned
 from rover_rl.worlds.movers import Part
 
@@ -23,18 +23,11 @@ _FAR = 1e4
 
 
 class MoverBodies:
-    """Bodies of the parts of movers near the rovers of one world.
-
-    Args:
-        rovers: client and body of each rover.
-        parts: parts of the movers of the world.
-        settings: settings of the physics.
-    """
+    """Bodies of the parts of movers near the ``rovers`` (client and body) of one world."""
 
     def __init__(self, rovers: Sequence[tuple[int, int]], parts: Sequence[Part], settings: BulletSettings) -> None:
         self._rovers, self._parts, self._settings = rovers, parts, settings
-        client, body = rovers[0]
-        self._links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
+        self._links = links_of(*rovers[0])
         # Shapes by client, kind and size, and bodies by row and part.
         self._shapes: dict[tuple, int] = {}
         self._bodies: dict[tuple[int, int], int] = {}
@@ -73,26 +66,17 @@ class MoverBodies:
             pybullet.resetBasePositionAndOrientation(self._bodies[pair], place, orientation, client)
             pybullet.resetBaseVelocity(self._bodies[pair], velocity, (0.0, 0.0, turn), client)
 
-    def feel(self, client: int, touched: np.ndarray) -> None:
-        """Sets which rovers of a client touch a part now, in ``touched`` (bool ``[count]``)."""
-        for row, part in self._pairs.get(client, ()):
-            if not touched[row]:
-                touched[row] = is_touching(*self._rovers[row], self._bodies[row, part])
-
-    def near(self, client: int) -> Iterator[tuple[int, int]]:
-        """Yields the rows and bodies of the parts near the rovers of a client."""
-        return ((row, self._bodies[row, part]) for row, part in self._pairs.get(client, ()))
+    def near(self, client: int) -> list[tuple[int, int]]:
+        """Returns the rows and bodies of the parts near the rovers of a client."""
+        return [(row, self._bodies[row, part]) for row, part in self._pairs.get(client, ())]
 
     def _add(self, row: int, part: int) -> int:
-        """Adds the body of a part of a row. Returns its id."""
         client, rover = self._rovers[row]
-        shape = self._shape(client, self._parts[part])
+        shape, awake = self._shape(client, self._parts[part]), pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
         # Far from all others until the pairs are set.
         body = pybullet.createMultiBody(0, shape, basePosition=(_FAR, _FAR, _FAR), physicsClientId=client)
         pybullet.setCollisionFilterGroupMask(body, -1, 0, 0, physicsClientId=client)
-        pybullet.changeDynamics(
-            body, -1, activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING, physicsClientId=client
-        )
+        pybullet.changeDynamics(body, -1, activationState=awake, physicsClientId=client)
         set_contact(client, body, -1, self._settings.obstacle_friction, self._settings)
         for link in self._links:
             pybullet.setCollisionFilterPair(rover, body, link, -1, 1, client)
@@ -110,11 +94,10 @@ class MoverBodies:
         key = (client, part.kind, part.size)
         if key not in self._shapes:
             length, _, height = part.size
-            if part.kind == "box":
-                form = {"shapeType": pybullet.GEOM_BOX, "halfExtents": [side / 2 for side in part.size]}
-            elif part.kind == "cylinder":
-                form = {"shapeType": pybullet.GEOM_CYLINDER, "radius": length / 2, "height": height}
-            else:
-                form = {"shapeType": pybullet.GEOM_CAPSULE, "radius": length / 2, "height": height - length}
+            form = {
+                "box": {"shapeType": pybullet.GEOM_BOX, "halfExtents": [side / 2 for side in part.size]},
+                "cylinder": {"shapeType": pybullet.GEOM_CYLINDER, "radius": length / 2, "height": height},
+                "capsule": {"shapeType": pybullet.GEOM_CAPSULE, "radius": length / 2, "height": height - length},
+            }[part.kind]
             self._shapes[key] = pybullet.createCollisionShape(**form, physicsClientId=client)
         return self._shapes[key]

@@ -1,4 +1,4 @@
-"""Body of a rover in Bullet, from a URDF that is written for it.
+"""Body of a rover in Bullet, from a URDF that is written for it, and what it feels.
 
 Bullet has no friction that acts in one direction of a turning wheel. A mecanum wheel is a sphere instead, between which
 and the base is a free joint along the roller on the ground::
@@ -6,51 +6,50 @@ and the base is a free joint along the roller on the ground::
     base -> free joint about the roller's axle -> small link -> motor about +y -> sphere
 
 The sphere rolls freely across the roller's axle and is driven along it. The free joint is turned back to zero after
-each physics step (:meth:`RoverPhysics.step`), since a roller on the ground does not turn with the wheel.
+each physics step (``BulletGroup.step``), since a roller on the ground does not turn with the wheel.
 """
 
 from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rover_rl.files import errors_name
 from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
 from rover_rl.robots.shapes import WEIGHTLESS, Mass
+from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.geometry import ROVERS, STATIC, set_contact
-from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.rover_state import SIDES, Force, by_side
 
 _LINK_SHARE = 1e-3
 """Mass and inertia of the small link, relative to those of the wheel."""
-_DISTANCE, _NORMAL_FORCE = 8, 9
-"""Indices of the distance (m, negative for a penetration) and the normal force (N) in a contact point of PyBullet."""
+_NORMAL, _DISTANCE, _NORMAL_FORCE = 7, 8, 9
+"""Indices in a contact point of PyBullet: the normal toward the first body, the distance (m, negative for a
+penetration) and the normal force (N)."""
+_TORQUE = 3
+"""Index of the torque of the motor in the state of a joint, N m."""
 
 
 def load_rovers(client: int, robot: Robot, settings: BulletSettings, count: int) -> list[int]:
     """Loads rovers without damping and sleeping. Returns the ids of their bodies."""
-    flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     bodies = []
+    flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
+    awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
+    undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "activationState": awake}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rover.urdf"
         with errors_name(path):
             path.write_text(rover_urdf(robot), encoding="utf-8")
         for _ in range(count):
             body = pybullet.loadURDF(str(path), flags=flags, physicsClientId=client)
-            for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
-                pybullet.changeDynamics(
-                    body,
-                    link,
-                    linearDamping=0.0,
-                    angularDamping=0.0,
-                    jointDamping=0.0,
-                    activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-                    physicsClientId=client,
-                )
+            for link in links_of(client, body):
+                pybullet.changeDynamics(body, link, **undamped, physicsClientId=client)
                 # In the call above, the friction would not apply to the wheels.
                 set_contact(client, body, link, 1.0, settings)
             clear_contacts(client, body)
@@ -83,10 +82,9 @@ def rover_urdf(robot: Robot) -> str:
         if roller is not None or not wheels.width:
             shape = f'<geometry><sphere radius="{wheels.radius}"/></geometry>'
         if carrier >= 0:
-            links += [
-                _link(small, robot.knuckle or WEIGHTLESS),
-                _joint(drive.steering[carrier], "continuous", "base", hub, (0, 0, 1), small, robot.steering_limits),
-            ]
+            joint, limits = drive.steering[carrier], robot.steering_limits
+            links += [_link(small, robot.knuckle or WEIGHTLESS)]
+            links += [_joint(joint, "continuous", "base", hub, (0, 0, 1), small, limits)]
         elif roller is not None:
             axis = (math.cos(roller), math.sin(roller), 0)
             light = Mass.of(_LINK_SHARE * robot.wheel.mass, np.zeros(3), _LINK_SHARE * np.array(robot.wheel.inertia))
@@ -109,15 +107,7 @@ def _box(center: Iterable[float], size: Iterable[float]) -> str:
     return f'<collision><origin xyz="{_text(center)}"/><geometry><box size="{_text(size)}"/></geometry></collision>'
 
 
-def _joint(
-    name: str,
-    kind: str,
-    parent: str,
-    place: Iterable[float],
-    axis: Iterable[float] = (0, 1, 0),
-    child: str = "",
-    limits: tuple[float, float] | None = None,
-) -> str:
+def _joint(name, kind, parent, place, axis=(0, 1, 0), child: str = "", limits=None) -> str:
     ends = f'<parent link="{parent}"/><child link="{child or name}"/>'
     limit = ""
     if limits is not None:
@@ -130,30 +120,89 @@ def _text(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
+def roller_joint(wheel: str) -> str:
+    return f"{wheel} roller"
+
+
+def links_of(client: int, body: int) -> range:
+    return range(-1, pybullet.getNumJoints(body, physicsClientId=client))
+
+
 def bounding_box(client: int, body: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns the lower and upper corner ``[3]`` (m) of a new rover in its base frame, which is that of the world."""
-    links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
-    low, high = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links]).transpose(1, 0, 2)
+    boxes = [pybullet.getAABB(body, link, physicsClientId=client) for link in links_of(client, body)]
+    low, high = np.array(boxes).transpose(1, 0, 2)
     return low.min(0), high.max(0)
 
 
 def clear_contacts(client: int, body: int) -> None:
     """Removes a rover's contacts, which Bullet would keep over a reset to a nearby pose."""
-    for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+    for link in links_of(client, body):
         # Setting the filter, even to its current value, makes Bullet recompute the link's overlapping pairs.
         pybullet.setCollisionFilterGroupMask(body, link, ROVERS, STATIC, physicsClientId=client)
 
 
-def is_touching(client: int, rover: int, obstacle: int) -> bool:
-    """Returns whether the surfaces of a rover and an obstacle overlap, or a force acts between them.
+def feel(rovers: Sequence[tuple[int, int]], pairs: Iterable[tuple[int, int]], touched: np.ndarray) -> None:
+    """Sets which of the ``rovers`` (client and body) touch, in ``touched``, from pairs of a row and a body near it.
 
-    Bullet also keeps contact points of surfaces up to 2 cm apart. With a ``contact_threshold`` above 0, a force may act
-    just before the surfaces meet.
+    They touch if their surfaces overlap, or a force acts between them. Bullet also keeps contact points of surfaces up
+    to 2 cm apart. With a ``contact_threshold`` above 0, a force may act just before the surfaces meet.
     """
-    points = pybullet.getContactPoints(rover, obstacle, physicsClientId=client)
-    return any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
+    for row, body in pairs:
+        if not touched[row]:
+            client, rover = rovers[row]
+            points = pybullet.getContactPoints(rover, body, physicsClientId=client)
+            touched[row] = any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
 
 
-def roller_joint(wheel: str) -> str:
-    """Returns the name of the free joint of a wheel."""
-    return f"{wheel} roller"
+class Meters:
+    """Measures the fields ``reports``, ``[count, k]`` each, of the ``rovers`` (client and body) in one world.
+
+    ``wheels`` are the joints with motors, and ``inertial`` is the orientation of the inertial frame, which Bullet
+    states, in the base frame, (x, y, z, w).
+    """
+
+    def __init__(
+        self,
+        reports: Mapping[Force, np.ndarray],
+        rovers: Sequence[tuple[int, int]],
+        wheels: Sequence[int],
+        inertial: np.ndarray,
+        substeps: int,
+    ) -> None:
+        self._reports, self._rovers, self._wheels = reports, rovers, wheels
+        self._to_base, self._substeps = Rotation.from_quat(inertial).inv(), substeps
+        self._pushes: list[tuple[int, int, Sequence[float], Sequence[float]]] = []
+        self._torques = np.zeros((len(rovers), len(wheels)))
+
+    def read(self, client: int, obstacles: Iterable[tuple[int, int]], movers: Iterable[tuple[int, int]]) -> None:
+        """Reads what acts in a physics step that a client has just taken, from rows and bodies that may touch."""
+        if "contact_force" in self._reports:
+            for column, pairs in ((0, obstacles), (len(SIDES), movers)):
+                for row, body in pairs:
+                    rover = self._rovers[row][1]
+                    points = pybullet.getContactPoints(rover, body, physicsClientId=client)
+                    points = [point for point in points if point[_NORMAL_FORCE] > 0.0]
+                    orientation = pybullet.getBasePositionAndOrientation(rover, client)[1] if points else ()
+                    for point in points:
+                        push = [point[_NORMAL_FORCE] * part for part in point[_NORMAL]]
+                        self._pushes.append((row, column, push, orientation))
+        if "wheel_torque" in self._reports:
+            for row, (own, rover) in enumerate(self._rovers):
+                if own == client:
+                    states = pybullet.getJointStates(rover, self._wheels, client)
+                    self._torques[row] += [state[_TORQUE] for state in states]
+
+    def finish(self, moved: np.ndarray) -> None:
+        """Writes the means over a control step to the arrays, for the rovers ``moved``."""
+        if "contact_force" in self._reports:
+            forces = np.zeros((len(self._rovers), 2 * len(SIDES)))
+            if self._pushes:
+                rows, columns, pushes, orientations = (np.array(part) for part in zip(*self._pushes, strict=True))
+                turned = (Rotation.from_quat(orientations) * self._to_base).apply(pushes, inverse=True)
+                places = rows[:, None], columns[:, None] + np.arange(len(SIDES))
+                np.add.at(forces, places, by_side(turned[:, :2]) / self._substeps)
+            self._reports["contact_force"][moved] = forces[moved]
+        if "wheel_torque" in self._reports:
+            self._reports["wheel_torque"][moved, : len(self._wheels)] = self._torques[moved] / self._substeps
+        self._pushes, self._torques = [], np.zeros_like(self._torques)

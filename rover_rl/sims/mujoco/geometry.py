@@ -20,29 +20,29 @@ MuJoCo casts a ray against all triangles along the infinite line, but skips geom
 """
 BASE_THICKNESS = 1.0
 """Thickness of the ground below its lowest point, m."""
-
 _QUARTER_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """Rotation by 90 degrees about the vertical, quaternion (w, x, y, z)."""
 
 
 def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the ground for contacts, named ``"ground"``: an infinite plane if it is flat, a height field otherwise.
+    """Adds the ground for contacts, ``"ground"``: an infinite plane if it is flat, else a height field with a margin.
 
-    A height field covers :data:`GROUND_MARGIN` beyond the world's bounds. Outside the terrain, the height of its edge
-    continues, as in :meth:`Terrain.height_at`. ``options`` are further attributes of the geom.
+    Outside the terrain, the height of its edge continues, as in :meth:`Terrain.height_at`. ``options`` are further
+    attributes of the geom.
     """
     terrain = world.terrain
     if terrain.is_flat:
         height = terrain.heights[0, 0].item()
         _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, name="ground", pos=(0, 0, height), size=(0, 0, 1), **options)
         return
-    columns, rows = (
-        np.arange(
+    ends = [
+        (
             math.floor((low - GROUND_MARGIN - start) / terrain.cell),
-            math.ceil((high + GROUND_MARGIN - start) / terrain.cell) + 1,
+            math.ceil((high + GROUND_MARGIN - start) / terrain.cell),
         )
         for (low, high), start in zip(world.bounds, terrain.origin, strict=True)
-    )
+    ]
+    columns, rows = (np.arange(first, last + 1) for first, last in ends)
     last_row, last_column = (count - 1 for count in terrain.heights.shape)
     heights = terrain.heights.double().numpy()[np.ix_(rows.clip(0, last_row), columns.clip(0, last_column))]
     lowest, rise = heights.min(), max(float(np.ptp(heights)), 1e-3)
@@ -50,13 +50,8 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     # the diagonals agree: the height field's x axis is the world's y axis, and its y axis the world's negative x axis.
     data = heights.T[::-1]
     width, depth = ((axis[-1] - axis[0]) * terrain.cell for axis in (columns, rows))
-    spec.add_hfield(
-        name="ground",
-        nrow=data.shape[0],
-        ncol=data.shape[1],
-        size=(depth / 2, width / 2, rise, BASE_THICKNESS),
-        userdata=((data - lowest) / rise).ravel().tolist(),
-    )
+    values, size = ((data - lowest) / rise).ravel().tolist(), (depth / 2, width / 2, rise, BASE_THICKNESS)
+    spec.add_hfield(name="ground", nrow=data.shape[0], ncol=data.shape[1], size=size, userdata=values)
     x, y = (start + terrain.cell * (k[0] + k[-1]) / 2 for start, k in zip(terrain.origin, (columns, rows), strict=True))
     field = {"name": "ground", "hfieldname": "ground", "pos": (x, y, lowest), "quat": _QUARTER_TURN}
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
@@ -105,13 +100,10 @@ def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
 def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.ndarray, **options: Any) -> None:
     # Vertices relative to their center keep their precision, as MuJoCo stores them in single precision.
     center = vertices.mean(0)
-    spec.add_mesh(
-        name=name,
-        uservert=(vertices - center).ravel().tolist(),
-        userface=faces.ravel().tolist(),
-        # The mesh of the ground has no volume.
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
+    points, triangles = (vertices - center).ravel().tolist(), faces.ravel().tolist()
+    # The mesh of the ground has no volume.
+    inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=inertia)
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
 
 

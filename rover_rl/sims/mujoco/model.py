@@ -1,6 +1,6 @@
 """MuJoCo model of a rover in a world, with contacts and motors that obey Coulomb's law.
 
-:class:`~rover_rl.sims.mujoco.settings.MujocoSettings` gives the reasons for the choices here.
+:class:`~rover_rl.sims.mujoco.MujocoSettings` gives the reasons for the choices here.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ import numpy as np
 
 from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
-from rover_rl.robots.drives import Drive
 from rover_rl.robots.shapes import Mass
+from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
-from rover_rl.sims.mujoco.parts import add_parts
-from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.rover_state import Force
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
@@ -38,12 +36,6 @@ MOTOR_RATE = 200.0
 """Rate at which the motors correct the speed of a wheel, 1/s."""
 SHAFT_INERTIA = 1e4
 """Moment of inertia of a shaft, kg m^2. Its speed, set in each control step, changes by at most 0.1 mrad/s."""
-
-_GROUND, _OBSTACLES = 1, 2
-"""Collision groups, bits of ``contype`` of static geoms and of ``conaffinity`` of the rover's geoms."""
-_AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
-"""Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
-_HINGE = mujoco.mjtJoint.mjJNT_HINGE
 STEERING_RATE = 2.0
 """Rate at which a steering joint turns to its target, per physics step: the fastest that is stable with a margin."""
 STEERING_INERTIA = 1.5e-4
@@ -51,12 +43,21 @@ STEERING_INERTIA = 1.5e-4
 give way to the friction of its wheel. Gears of real joints have that much."""
 MAX_FELT = 16
 """Largest number of contacts with obstacles whose force is measured, and of those with movers."""
+PART_INERTIA = 1e6
+"""Inertia of a part along and about each axis, kg and kg m^2. A rover of 10 kg slows it by 10 um/s per m/s."""
 LINK_SHARE = 1e-3
 """Mass and inertia of the link between a wheel and its steering or roller joint, relative to those of the wheel."""
 
+_GROUND, _OBSTACLES = 1, 2
+"""Collision groups, bits of ``contype`` of static geoms and of ``conaffinity`` of the rover's geoms."""
+_AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+"""Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
+_BODY = mujoco.mjtObj.mjOBJ_XBODY
+
 
 def make_model(
-    world: World, robot: Robot, settings: MujocoSettings, parts: Sequence[Part] = (), reports: Collection[Force] = ()
+    robot: Robot, settings: MujocoSettings, world: World, parts: Sequence[Part] = (), reports: Collection[Force] = ()
 ) -> mujoco.MjModel:
     """Creates the model of one rover in a world, with ``parts`` of movers, which measures the fields ``reports``.
 
@@ -72,20 +73,16 @@ def make_model(
     _set_options(spec.option, settings)
     # The properties of static geoms apply to all contacts, as they have a higher priority than the rover's.
     static = {"condim": 3, "priority": 1, "conaffinity": 0}
+    solid = {**static, "contype": _OBSTACLES, "friction": (settings.obstacle_friction, 0, 0)}
     add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
     # A contact sensor tells obstacles from the ground by their body. It changes the order of the contacts, and with it
     # the last bits of a drive.
     body = spec.worldbody.add_body(name="obstacles") if "contact_force" in reports else None
-    add_obstacles(spec, world, body=body, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
+    add_obstacles(spec, world, body=body, **solid)
     _add_rover(spec, robot, settings)
-    _add_contact_sensors(spec, with_movers=bool(parts))
-    if "contact_force" in reports:
-        _add_force_sensors(spec, ["obstacles", "movers"] if parts else ["obstacles"])
-    if "wheel_torque" in reports:
-        for wheel in range(len(robot.drive.wheels)):
-            _add_torque_sensor(spec, wheel)
+    _add_sensors(spec, bool(parts), reports, len(robot.drive.wheels))
     if parts:
-        add_parts(spec, parts, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
+        _add_parts(spec, parts, **solid)
     model = spec.compile()
     _scale_to_mass(model, settings)
     return model
@@ -122,40 +119,42 @@ def _add_rover(spec: mujoco.MjSpec, robot: Robot, settings: MujocoSettings) -> N
     base.add_freejoint()
     _set_inertia(base, robot.chassis)
     for box in robot.boxes:
-        kind = mujoco.mjtGeom.mjGEOM_BOX
-        base.add_geom(
-            type=kind,
-            pos=box.center,
-            size=np.array(box.size) / 2,
-            condim=3,
-            contype=0,
-            conaffinity=_GROUND | _OBSTACLES,
-        )
+        form = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": box.center, "size": np.array(box.size) / 2}
+        base.add_geom(condim=3, contype=0, conaffinity=_GROUND | _OBSTACLES, **form)
     shafts = [spec.worldbody.add_body(name=f"shaft {motor}") for motor in range(len(robot.drive.motors))]
     for shaft in shafts:
         _set_moments(shaft, 1.0, SHAFT_INERTIA, SHAFT_INERTIA)
     for index, motor in enumerate(robot.drive.motor_of_wheel):
-        wheel = _add_wheel(spec, base, index, robot)
-        _add_tires(spec, wheel, index, robot, settings)
+        _add_wheel(spec, base, index, robot, settings)
         if motor >= 0:
-            _add_motor(spec, index, motor, robot.drive.torque)
+            # Dry friction of at most the torque of the motor couples a wheel to the shaft.
+            clutch = spec.add_tendon(name=f"motor {index}", frictionloss=robot.drive.torque)
+            clutch.wrap_joint(f"wheel {index}", 1.0)
+            clutch.wrap_joint(f"shaft {motor}", -1.0)
+            clutch.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
+            clutch.solimp_friction = _impedance(MOTOR_IMPEDANCE)
     # After the wheels, so that the order of the coordinates is that of make_model().
     for motor, shaft in enumerate(shafts):
         shaft.add_joint(name=f"shaft {motor}", type=_HINGE, axis=(0, 1, 0))
 
 
-def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot) -> Any:
-    """Adds the body of a wheel, on a steering joint or on the free joint of its rollers if it has one."""
+def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:
+    """Adds a wheel, on a steering joint or on the free joint of its rollers if it has one.
+
+    Its shapes are the full width for obstacles, and the tread for the ground.
+    """
     parent, place, drive = base, {"pos": robot.wheels.hubs[index]}, robot.drive
     turn, spin, mass = robot.wheel.inertia[0][0], robot.wheel.inertia[1][1], robot.wheel.mass
     joint: dict[str, Any] = {}
+    # The direction of the rollers, rad; None for a tire.
+    roller = drive.rollers[index] if drive.rollers else None
     if robot.wheels.steering and robot.wheels.steering[index] >= 0:
         least = STEERING_INERTIA * robot.mass
         joint = {"name": drive.steering[robot.wheels.steering[index]], "axis": (0, 0, 1)}
         joint["armature"] = max(0.0, least - turn)
         _add_servo(spec, joint["name"], max(least, turn))
-    elif (angle := _roller(drive, index)) is not None:
-        joint = {"name": f"roller {index}", "axis": (math.cos(angle), math.sin(angle), 0)}
+    elif roller is not None:
+        joint = {"name": f"roller {index}", "axis": (math.cos(roller), math.sin(roller), 0)}
     if joint:
         parent = base.add_body(name=f"carrier {index}", **place)
         _set_moments(parent, LINK_SHARE * mass, LINK_SHARE * turn, LINK_SHARE * turn)
@@ -164,7 +163,16 @@ def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot) -> Any:
     wheel = parent.add_body(name=f"wheel {index}", **place)
     _set_moments(wheel, mass, turn, spin)
     wheel.add_joint(name=f"wheel {index}", type=_HINGE, axis=(0, 1, 0))
-    return wheel
+    radius, half = robot.wheels.radius, robot.wheels.width / 2
+    cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
+    sphere = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (radius, 0, 0), "condim": 3, "contype": 0}
+    body, tread = ({**cylinder, "size": (radius, side, 0)} if half else sphere for side in (half, half / math.sqrt(3)))
+    wheel.add_geom(conaffinity=_OBSTACLES, **body)
+    wheel.add_geom(name=f"tread {index}", conaffinity=0, **(tread if roller is None else sphere))
+    # Only explicit pairs have a reference of their own for friction.
+    pair = {"name": f"tread {index}", "geomname1": "ground", "geomname2": f"tread {index}", "condim": 3}
+    pair["friction"] = (settings.ground_friction, settings.ground_friction, 0, 0, 0)
+    spec.add_pair(solimp=_impedance(IMPEDANCE), solreffriction=_rate(SLIP_RATE, IMPEDANCE), **pair)
 
 
 def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float) -> None:
@@ -174,11 +182,6 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float) -> None:
     rate = STEERING_RATE / spec.option.timestep
     servo.gainprm[0] = inertia * rate**2
     servo.biasprm[1:3] = -inertia * rate**2, -2 * inertia * rate
-
-
-def _roller(drive: Drive, index: int) -> float | None:
-    """Returns the direction of the rollers of a wheel, rad; ``None`` for a tire."""
-    return drive.rollers[index] if drive.rollers else None
 
 
 def _set_moments(body: Any, mass: float, turn: float, spin: float) -> None:
@@ -192,75 +195,31 @@ def _set_inertia(body: Any, mass: Mass) -> None:
     body.fullinertia = np.array(mass.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:
-    """Adds the shapes of a wheel: the full width for obstacles, and the tread for the ground."""
-    radius, half = robot.wheels.radius, robot.wheels.width / 2
-    friction = settings.ground_friction
-    cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
-    sphere = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (radius, 0, 0), "condim": 3, "contype": 0}
-    body, tread = ({**cylinder, "size": (radius, side, 0)} for side in (half, half / math.sqrt(3)))
-    wheel.add_geom(conaffinity=_OBSTACLES, **(body if half else sphere))
-    wheel.add_geom(
-        name=f"tread {index}", conaffinity=0, **(tread if half and _roller(robot.drive, index) is None else sphere)
-    )
-    # Only explicit pairs have a reference of their own for friction.
-    spec.add_pair(
-        name=f"tread {index}",
-        geomname1="ground",
-        geomname2=f"tread {index}",
-        condim=3,
-        friction=(friction, friction, 0, 0, 0),
-        solimp=_impedance(IMPEDANCE),
-        solreffriction=_rate(SLIP_RATE, IMPEDANCE),
-    )
-
-
-def _add_motor(spec: mujoco.MjSpec, wheel: int, motor: int, torque: float) -> None:
-    """Couples a wheel to the shaft of its motor by dry friction of at most the torque of the motor."""
-    clutch = spec.add_tendon(name=f"motor {wheel}", frictionloss=torque)
-    clutch.wrap_joint(f"wheel {wheel}", 1.0)
-    clutch.wrap_joint(f"shaft {motor}", -1.0)
-    clutch.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
-    clutch.solimp_friction = _impedance(MOTOR_IMPEDANCE)
-
-
-def _add_contact_sensors(spec: mujoco.MjSpec, with_movers: bool) -> None:
-    """Adds sensors: the number of contacts of the rover, the number of those with the ground, and of those with movers.
+def _add_sensors(spec: mujoco.MjSpec, with_movers: bool, reports: Collection[Force], wheels: int) -> None:
+    """Adds sensors: the numbers of contacts of the rover, of those with the ground and with movers, and the reports.
 
     They do not act on the rover. With sensors, the states of a rollout come with the contacts of every physics step.
     """
-    base = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": "base"}
-    ground = {"reftype": mujoco.mjtObj.mjOBJ_GEOM, "refname": "ground"}
+    contact = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": _BODY, "objname": "base"}
+    field = mujoco.mjtConDataField
     # Data, a bit field; no reduction; number of contacts with data, which does not limit the number found.
-    parameters = (1 << mujoco.mjtConDataField.mjCONDATA_FOUND.value, 0, 1)
-    sensors = [("contacts", {}), ("ground contacts", ground)]
+    counted = (1 << field.mjCONDATA_FOUND.value, 0, 1)
+    spec.add_sensor(name="contacts", intprm=counted, **contact)
+    ground = {"reftype": mujoco.mjtObj.mjOBJ_GEOM, "refname": "ground"}
+    spec.add_sensor(name="ground contacts", intprm=counted, **ground, **contact)
     if with_movers:
-        sensors.append(("mover contacts", {"reftype": mujoco.mjtObj.mjOBJ_XBODY, "refname": "movers"}))
-    for name, with_what in sensors:
-        spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=parameters, **base, **with_what)
-
-
-def _add_force_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
-    """Adds sensors of the strongest contacts of the rover with each body: its force and its normal, three numbers each.
-
-    The force is in the frame of the contact, whose first axis is the normal.
-    """
-    fields, strongest = (mujoco.mjtConDataField.mjCONDATA_FORCE, mujoco.mjtConDataField.mjCONDATA_NORMAL), 2
-    parameters = (sum(1 << field.value for field in fields), strongest, MAX_FELT)
-    base = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": "base", "reftype": mujoco.mjtObj.mjOBJ_XBODY}
-    for body in bodies:
-        kind = mujoco.mjtSensor.mjSENS_CONTACT
-        spec.add_sensor(name=f"force of {body}", type=kind, intprm=parameters, refname=body, **base)
-
-
-def _add_torque_sensor(spec: mujoco.MjSpec, wheel: int) -> None:
-    """Adds a sensor of the torque between a wheel and what carries it, in the frame of the wheel.
-
-    No torque but that of the motor passes through the joint about the axle.
-    """
-    name = f"torque {wheel}"
-    spec.body(f"wheel {wheel}").add_site(name=name)
-    spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
+        spec.add_sensor(name="mover contacts", intprm=counted, reftype=_BODY, refname="movers", **contact)
+    if "contact_force" in reports:
+        # The strongest contacts with each body: force in the frame of the contact, along the normal first, and normal.
+        felt = (1 << field.mjCONDATA_FORCE.value | 1 << field.mjCONDATA_NORMAL.value, 2, MAX_FELT)
+        for body in ("obstacles", "movers")[: 1 + with_movers]:
+            spec.add_sensor(name=f"force of {body}", intprm=felt, reftype=_BODY, refname=body, **contact)
+    if "wheel_torque" in reports:
+        # Between a wheel and what carries it, in the frame of the wheel, about whose axle only the motor acts.
+        for name in (f"torque {wheel}" for wheel in range(wheels)):
+            spec.body(name.replace("torque", "wheel")).add_site(name=name)
+            site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": name}
+            spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TORQUE, **site)
 
 
 def _impedance(value: float) -> tuple[float, ...]:
@@ -292,3 +251,28 @@ def _scale_to_mass(model: mujoco.MjModel, settings: MujocoSettings) -> None:
     model.geom_solimp[:] = _impedance(IMPEDANCE)
     # By default, the scale is the mass of the shafts.
     model.stat.meaninertia = model.body_subtreemass[model.body("base").id]
+
+
+def _add_parts(spec: mujoco.MjSpec, slots: Sequence[Part], **options: Any) -> None:
+    """Adds a body for each of the parts ``slots``, on a common body ``"movers"``, after all other joints.
+
+    A body that MuJoCo moves from outside (``mocap``) has no velocity in contacts. These are on the joints ``"part 0
+    x"``, ``"part 0 y"``, ``"part 0 z"`` and ``"part 0"``, and so on, with so much inertia that rovers do not push them:
+    in a control step, they go on at the velocity that they have at the start. ``options`` are attributes of the geoms.
+    """
+    root = spec.worldbody.add_body(name="movers")
+    kinds, joints = mujoco.mjtGeom, mujoco.mjtJoint
+    for index, part in enumerate(slots):
+        body = root.add_body(name=f"part {index}")
+        # Gravity acts on the mass alone, which is small beside the inertia of the joints.
+        body.explicitinertial, body.mass, body.inertia, body.gravcomp = True, 1.0, (1.0, 1.0, 1.0), 1.0
+        for name, axis in zip("xyz", np.eye(3), strict=True):
+            body.add_joint(name=f"part {index} {name}", type=joints.mjJNT_SLIDE, axis=axis, armature=PART_INERTIA)
+        body.add_joint(name=f"part {index}", type=joints.mjJNT_BALL, armature=PART_INERTIA)
+        length, width, height = (side / 2 for side in part.size)
+        kind, size = {
+            "box": (kinds.mjGEOM_BOX, (length, width, height)),
+            "cylinder": (kinds.mjGEOM_CYLINDER, (length, height, 0)),
+            "capsule": (kinds.mjGEOM_CAPSULE, (length, height - length, 0)),
+        }[part.kind]
+        body.add_geom(type=kind, size=size, **options)

@@ -20,13 +20,13 @@ from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.placing import place
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.models import ModelTable
-from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.worlds import Terrain, World, hull
 from rover_rl.worlds.movers.parts import Parts

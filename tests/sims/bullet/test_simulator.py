@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from rover_rl.native.bullet import pybullet
-from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
+from rover_rl.sims.bullet.simulator import ROVERS_PER_CLIENT
 from tests.sims.driven import FLAT, drive, placed
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.warp import WarpSettings
 from tests.extras import needs_mujoco
 from tests.sims.movers.scenes import act, crowd, opened, place

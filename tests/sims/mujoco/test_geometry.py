@@ -16,7 +16,7 @@ pytest.importorskip("mujoco", reason="needs rover_rl[mujoco]")
 
 from rover_rl.native.mujoco import mujoco
 from rover_rl.sims.mujoco import MujocoSettings
-from rover_rl.sims.mujoco.lidar import Lidar, Scene
+from rover_rl.sims.mujoco.lidar import MujocoLidar, RayScene
 from rover_rl.sims.mujoco.model import make_model
 
 
@@ -31,7 +31,7 @@ def test_the_ground_of_the_wheels_and_of_the_lidar_has_the_triangles_of_the_terr
     points = torch.rand(200, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 7.6 - 3.8
     points[:, 1] = 0.9 * points[:, 1] + 1
     expected = world.height_at(points).numpy()
-    for model in (make_model(world, ROVER, MujocoSettings()), Scene(world, ROVER.lidar_range).model):
+    for model in (make_model(ROVER, MujocoSettings(), world), RayScene(world, ROVER.lidar_range).model):
         data = mujoco.MjData(model)
         # Away from the rays, which would see the rover.
         data.qpos[:3] = (0, 0, -100)[: len(data.qpos)]
@@ -79,7 +79,7 @@ def test_rays_along_the_edges_of_triangles_hit_the_ground():
     heights = torch.zeros(41, 41)
     heights[:, 30:] = 3.0
     world = World("step", Terrain(heights, 0.25))
-    lidar = Lidar(Scene(world, ROVER.lidar_range), ROVER, np.zeros(1))
+    lidar = MujocoLidar(RayScene(world, ROVER.lidar_range), ROVER, np.zeros(1))
     # Along the lines of the grid, and along the common edge of two tiles.
     positions = np.array([(0.0, y, 0.0) for y in (-1.0, -0.25, 0.0, 0.5)])
     ranges = lidar.scan(positions, np.array([(1.0, 0.0, 0.0, 0.0)] * 4))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from rover_rl.native.warp import wp
 from rover_rl.robots import get_robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.bullet.lidar import BulletLidar
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
@@ -115,7 +115,7 @@ def test_agrees_with_bullet_rays(name):
     world = get_world(name)
     position, rotation = poses(world, 64)
     angles = np.arange(640) * (2 * math.pi / 640)
-    expected = Lidar(world, ROVER, angles).scan(position.astype(float), rotation.as_matrix())
+    expected = BulletLidar(world, ROVER, angles).scan(position.astype(float), rotation.as_matrix())
     found = warp_scan(world, position, rotation, 640)
     reach = ROVER.lidar_range
     wrong = np.abs(np.minimum(found, reach) - np.minimum(expected, reach)) > 0.01

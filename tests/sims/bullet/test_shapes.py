@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rover_rl.native.bullet import disconnect, pybullet
-from rover_rl.sims.shapes import make_hull, make_mesh
+from rover_rl.sims.bullet.geometry import make_hull, make_mesh
 from rover_rl.worlds import Terrain
 
 
