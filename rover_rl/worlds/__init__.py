@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rover_rl.names import Name
 from rover_rl.registry import Registry
-from rover_rl.worlds.files import is_world_file
+from rover_rl.worlds.files.options import is_world_file
 from rover_rl.worlds.generators import (
     corridor,
     crossing,

@@ -13,7 +13,7 @@ import torch
 from rover_rl.files import errors_name, written_whole
 from rover_rl.plain import from_plain, to_plain
 from rover_rl.worlds import movers
-from rover_rl.worlds.files import ARCHIVE_SUFFIX
+from rover_rl.worlds.files.options import ARCHIVE_SUFFIX
 from rover_rl.worlds.movers import Mover
 from rover_rl.worlds.region import Area, Range, Region
 from rover_rl.worlds.solids import Solids, hull

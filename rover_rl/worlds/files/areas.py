@@ -34,7 +34,7 @@ def find_areas(
     limits: Area,
     known: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Returns the areas that the options give, and automatic ones otherwise.
+    """Returns the areas that the options give, and automatic ones otherwise, and notes on how they were found.
 
     Free ground is what the center of a rover reaches, in connected parts. The automatic area is the largest part of at
     least 4 m^2 that obstacles enclose, so that it does not touch the border of the site, else the largest part. A point
@@ -46,9 +46,6 @@ def find_areas(
         options: options with areas.
         limits: area that has ground or obstacles.
         known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
-
-    Returns:
-        Areas and regions, as arguments of :class:`rover_rl.World`, and notes on how they were found.
     """
     site, limits = Site(terrain, obstacles), overlap(limits, terrain.extent)
     notes: list[str] = []
@@ -57,16 +54,14 @@ def find_areas(
     def place(name: str) -> tuple[Area, Region | None] | None:
         """Area that an option gives: a rectangle, and a region in it if it is a polygon or a point."""
         given = getattr(options, name)
-        if given is None:
-            return None
-        if isinstance(given[0], float):
+        if given is None or (len(given) == 2 and not isinstance(given[0], float)):
+            return given and (given, None)
+        if len(given) > 2:
+            region = Region.polygon(given)
+        else:
             region = ground.around(*given)
             about = f"the free ground around ({given[0]:g}, {given[1]:g}), {region.area:.0f} m^2"
             notes.append(f"{name.partition('_')[0]} area: {about}")
-            return region.bounds, region
-        if len(given) == 2:
-            return given, None
-        region = Region.polygon(given)
         return region.bounds, region
 
     spawn, around = place("spawn_range"), limits
@@ -90,8 +85,9 @@ class _FreeGround(NamedTuple):
     """Free cells of a grid by the numbers of their connected parts, 0 for others: ``[rows, columns]``."""
 
     parts: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
+    cell: float
+    corner: tuple[float, float]
+    centers: np.ndarray
 
     @classmethod
     def of(cls, site: Site, area: Area, known: Callable[[np.ndarray], np.ndarray] | None = None) -> _FreeGround:
@@ -103,7 +99,8 @@ class _FreeGround(NamedTuple):
         free &= site.terrain.normal_at(torch.from_numpy(centers))[..., 2].numpy() >= math.cos(MAX_SLOPE)
         if known is not None:
             free &= known(centers)
-        return cls(label(free)[0], x, y)
+        cell = float(x[1] - x[0])
+        return cls(label(free)[0], cell, (float(x[0]) - cell / 2, float(y[0]) - cell / 2), centers)
 
     def largest(self) -> tuple[Region, bool]:
         """Returns the part that episodes take place in, and whether it is enclosed."""
@@ -111,27 +108,22 @@ class _FreeGround(NamedTuple):
         sizes[0] = 0
         if not sizes.any():
             raise ValueError("the world has no free ground: it is covered by obstacles or too steep")
-        enclosed = sizes * self._cell**2 >= LEAST_AREA
+        enclosed = sizes * self.cell**2 >= LEAST_AREA
         enclosed[np.concatenate((self.parts[[0, -1]].ravel(), self.parts[:, [0, -1]].ravel()))] = False
         chosen = int(np.where(enclosed, sizes, 0).argmax() if enclosed.any() else sizes.argmax())
         return self._region(chosen), bool(enclosed.any())
 
     def around(self, x: float, y: float) -> Region:
         """Returns the part at a point. Raises a ``ValueError`` if there is none."""
-        row, column = (math.floor((at - axis[0]) / self._cell + 0.5) for at, axis in ((y, self.y), (x, self.x)))
-        inside = 0 <= row < len(self.y) and 0 <= column < len(self.x)
+        column, row = (math.floor((at - low) / self.cell) for at, low in zip((x, y), self.corner, strict=True))
+        inside = 0 <= row < len(self.parts) and 0 <= column < len(self.parts[0])
         if not inside or not self.parts[row, column]:
             where = "in an obstacle, too close to one, or on steep ground" if inside else "outside of the world"
             raise ValueError(f"the point ({x:g}, {y:g}) lies {where}")
         return self._region(int(self.parts[row, column]))
 
-    @property
-    def _cell(self) -> float:
-        return float(self.x[1] - self.x[0])
-
     def _region(self, part: int) -> Region:
-        corner = float(self.x[0]) - self._cell / 2, float(self.y[0]) - self._cell / 2
-        return Region(torch.from_numpy(self.parts == part), self._cell, corner)
+        return Region(torch.from_numpy(self.parts == part), self.cell, self.corner)
 
 
 def _check(site: Site, name: str, area: Area, region: Region | None) -> None:
@@ -140,7 +132,7 @@ def _check(site: Site, name: str, area: Area, region: Region | None) -> None:
     if any(high - low < 2 * CLEARANCE for low, high in common):
         raise ValueError(f"{none} its ground is {_text(site.terrain.extent)}")
     ground = _FreeGround.of(site, common)
-    centers = torch.from_numpy(np.stack(np.meshgrid(ground.x, ground.y), -1)[ground.parts > 0])
+    centers = torch.from_numpy(ground.centers[ground.parts > 0])
     if not len(centers) or (region is not None and not region.contains(centers).any()):
         raise ValueError(f"{none} it is covered by obstacles or too steep")
 

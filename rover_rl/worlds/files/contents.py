@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,22 +47,15 @@ class Piece:
             )
 
 
-@dataclass(frozen=True)
-class Plane:
+class Plane(NamedTuple):
     """An infinite plane of ground: a point (m), the upward unit normal, and the side lengths in the file (m)."""
 
     point: np.ndarray
-    normal: np.ndarray
-    size: tuple[float, float]
-
-    @classmethod
-    def level(cls, height: float) -> Plane:
-        """Returns a horizontal plane."""
-        return cls(np.array((0.0, 0.0, height)), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
+    normal: np.ndarray = np.array((0.0, 0.0, 1.0))
+    size: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(NamedTuple):
     """Elevations on a regular grid, turned about z.
 
     Args:
@@ -81,8 +75,8 @@ class Grid:
 class Contents:
     """Everything that a reader found in a file.
 
-    ``left_out`` says what was left out and why, and ``notes`` what else a user may want to know, one sentence each. The
-    first are told as warnings. ``wrong`` has the errors of the parts that cannot be read, and are left out as well.
+    ``left_out`` says what was left out and why, as warnings do, and ``notes`` what else a user may want to know, one
+    sentence each. ``wrong`` has the errors of the parts that cannot be read, and are left out as well.
     """
 
     name: str
@@ -96,7 +90,7 @@ class Contents:
 
     @contextmanager
     def leaving_out(self, name: str = "") -> Iterator[None]:
-        """Context in which the part of a name is read, which is left out if it is wrong."""
+        """Leaves out the part that is read in this context if it is wrong."""
         try:
             yield
         except ValueError as error:

@@ -2,46 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from rover_rl.option_names import written
 from rover_rl.worlds.cache import content_key, load_arrays, store_arrays
-from rover_rl.worlds.files import optional
+from rover_rl.worlds.files import triangles as tri
 from rover_rl.worlds.files.contents import Piece
-from rover_rl.worlds.files.simplification import simplify
-from rover_rl.worlds.files.triangles import (
-    convex_hull,
-    distances,
-    face_normals,
-    flat_patches,
-    is_closed,
-    merge_triangles,
-    random_points,
-    signed_volume,
-    surface_samples,
-    volume_of,
-)
+from rover_rl.worlds.files.options import optional
 from rover_rl.worlds.solids import Solids, even_directions, hull
 
+VERSION = "3"
+"""Changes when the same mesh would give other parts."""
 FEW_VERTICES = 256
 """Number of vertices of a convex solid up to which all are kept."""
 MAX_SAMPLES = 50_000
 """Largest number of points of a surface that are compared with its convex hull."""
-THINNEST = 0.0005
-"""Thickness below which a solid is a sheet, m."""
-FLATTEST = 1e-6
-"""Thickness below which points have no volume, m."""
-CONVEX = 1.001
-"""Largest volume of the convex hull of a convex solid, by that of the solid."""
-NEARLY_CONVEX = 1.5
-"""Largest volume of the convex hull that replaces a solid, by that of the solid."""
-MAX_TRIANGLES = 170_000
-"""Largest number of triangles of all obstacles: Bullet's limit for the mesh that takes the lidar rays."""
-VERSION = "3"
-"""Changes when the same mesh would give other parts."""
+THINNEST, FLATTEST = 0.0005, 1e-6
+"""Thickness below which a solid is a sheet, and points have no volume, m."""
+CONVEX, NEARLY_CONVEX = 1.001, 1.5
+"""Largest volume of the convex hull of a convex solid, and of one that is replaced by it, by that of the solid."""
 MAX_FACES = 200_000
 TINY = 1e-10
 """Volume up to which a part is left out, m^3."""
@@ -58,7 +37,7 @@ COARSER = (1, 2, 4, 8)
 MAX_PARTS = 400
 """Largest number of prisms or plates that replace a mesh."""
 HALF_THICKNESS = 0.01
-"""Distance of both faces of a plate from an open surface, m."""
+"""Half the thickness of a plate from an open surface, m."""
 SAME_PLANE = 1e-4
 """Largest difference of the unit normals of neighboring triangles in one plane."""
 MAX_CAP = 2000
@@ -67,21 +46,11 @@ SEEN = 20
 """Largest number of points of a face from which the thickness behind it is measured."""
 
 
-def check_triangles(triangles: int) -> None:
-    """Raises a ``ValueError`` if the simulators do not take that many triangles of all obstacles."""
-    if triangles > MAX_TRIANGLES:
-        raise ValueError(
-            f"the obstacles have more than {MAX_TRIANGLES:,} triangles, which the simulators do not take; simplify the "
-            f"meshes, or accept a larger {written('obstacle_error')}"
-        )
-
-
 def obstacles_of(piece: Piece, error: float) -> list[Solids]:
     """Returns convex solids in place of a connected piece.
 
-    - A convex piece, or one that differs from its convex hull by at most ``error`` (m), becomes its hull.
-    - All others are decomposed. An open surface, or a sheet with two sides, becomes plates of 2 cm, with the surface in
-      the middle.
+    A convex piece, or one that differs from its convex hull by at most ``error`` (m), becomes its hull. All others are
+    decomposed. An open surface, or a sheet with two sides, becomes plates of 2 cm, with the surface in the middle.
 
     Raises:
         ValueError: if the piece has no volume and no surface, or cannot be decomposed.
@@ -93,14 +62,14 @@ def obstacles_of(piece: Piece, error: float) -> list[Solids]:
 def _convex_parts(piece: Piece, error: float) -> list[np.ndarray]:
     """Returns points whose convex hulls replace a piece, each ``[K, 3]``, m, in the frame of the piece."""
     points, faces = piece.points, piece.faces
-    whole = _hull(points)
+    whole = _thick_hull(points)
     if faces is None:
         if whole is None:
             raise ValueError(f"{piece.name} has no volume")
         return [_few_corners(points[whole.vertices], error / 4)]
-    closed = is_closed(faces)
-    volume = signed_volume(points, faces) if closed else 0.0
-    if closed and 4 * abs(volume) <= THINNEST * np.linalg.norm(face_normals(points, faces), axis=1).sum():
+    closed = tri.is_closed(faces)
+    volume = tri.signed_volume(points, faces) if closed else 0.0
+    if closed and 4 * abs(volume) <= THINNEST * np.linalg.norm(tri.face_normals(points, faces), axis=1).sum():
         closed = False
     elif volume < 0:
         faces, volume = faces[:, ::-1], -volume
@@ -109,35 +78,11 @@ def _convex_parts(piece: Piece, error: float) -> list[np.ndarray]:
         up = None if closed else piece.pose[2, :3]
         if _depth(points, faces, corners) <= error and _is_near(corners, points, faces, volume, up, error):
             return [corners]
-    return decompose(piece.name, points, faces, error, closed)
+    return _decompose(piece.name, points, faces, error, closed)
 
 
-def _is_near(
-    corners: np.ndarray, points: np.ndarray, faces: np.ndarray, volume: float, up: np.ndarray | None, error: float
-) -> bool:
-    """Returns whether the convex hull of ``corners`` is nowhere farther than ``error`` from a mesh.
-
-    Args:
-        corners: points of the hull, ``[K, 3]``, m.
-        points: vertices of the mesh, ``[V, 3]``, m.
-        faces: its triangles, ``[F, 3]``.
-        volume: its volume, m^3.
-        up: direction that points up, ``[3]``, if it is open: it may be open below. ``None``: it is closed.
-        error: accepted distance, m.
-    """
-    hull = ConvexHull(corners)
-    if up is None and hull.volume <= CONVEX * volume:
-        return True
-    if up is None and hull.volume > NEARLY_CONVEX * volume:
-        return False
-    samples, facets = random_points(hull.points, hull.simplices, MAX_SAMPLES // 10)
-    far = distances(samples, points, faces, error) > error
-    return not far.any() if up is None else bool((hull.equations[facets[far], :3] @ up < -0.9).all())
-
-
-def _hull(points: np.ndarray) -> ConvexHull | None:
-    """Returns the convex hull of points. ``None`` if it is thinner than :data:`FLATTEST`."""
-    hull = convex_hull(points) if len(points) > 3 else None
+def _thick_hull(points: np.ndarray) -> ConvexHull | None:
+    hull = tri.convex_hull(points) if len(points) > 3 else None
     if hull is None:
         return None
     # The width along the normal of each facet: the least of them is the thickness. Of many facets, some are enough.
@@ -146,9 +91,25 @@ def _hull(points: np.ndarray) -> ConvexHull | None:
     return hull if -heights.min(1).max() >= FLATTEST else None
 
 
+def _few_corners(corners: np.ndarray, error: float) -> np.ndarray:
+    count = FEW_VERTICES
+    while len(corners) > count:
+        chosen = corners[np.unique((corners @ even_directions(count).T).argmax(0))]
+        hull = _thick_hull(chosen)
+        if hull is not None and (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max() <= error:
+            return chosen
+        count *= 2
+    return corners
+
+
+def _faces_outward(points: np.ndarray, faces: np.ndarray, hull: ConvexHull) -> bool:
+    outward = points[faces].mean(1) - points[hull.vertices].mean(0)
+    return float((outward * tri.face_normals(points, faces)).sum()) > 0
+
+
 def _depth(points: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> float:
     """Returns how deep a surface lies in the convex hull of the points ``outer`` at most, by samples, m."""
-    samples = np.concatenate((points, surface_samples(points, faces)))
+    samples = np.concatenate((points, tri.surface_samples(points, faces)))
     samples = samples[:: -(-len(samples) // MAX_SAMPLES)]
     planes = np.unique(ConvexHull(outer).equations.round(9), axis=0)
     step = max(1, 20_000_000 // len(planes))
@@ -156,39 +117,22 @@ def _depth(points: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> float:
     return max(float((-(part @ planes[:, :3].T + planes[:, 3])).min(1).max()) for part in parts)
 
 
-def _faces_outward(points: np.ndarray, faces: np.ndarray, hull: ConvexHull) -> bool:
-    outward = points[faces].mean(1) - points[hull.vertices].mean(0)
-    return float((outward * face_normals(points, faces)).sum()) > 0
+def _is_near(
+    corners: np.ndarray, points: np.ndarray, faces: np.ndarray, volume: float, up: np.ndarray | None, error: float
+) -> bool:
+    """Returns whether the convex hull of ``corners`` is nowhere farther than ``error`` from a mesh.
 
-
-def _few_corners(corners: np.ndarray, error: float) -> np.ndarray:
-    count = FEW_VERTICES
-    while len(corners) > count:
-        chosen = corners[np.unique((corners @ even_directions(count).T).argmax(0))]
-        hull = _hull(chosen)
-        if hull is not None and (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max() <= error:
-            return chosen
-        count *= 2
-    return corners
-
-
-def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, closed: bool) -> list[np.ndarray]:
-    """Decomposes a mesh into convex parts.
-
-    A closed mesh with flat faces becomes exact prisms or plates, and another one is decomposed with CoACD (Wei et al.,
-    2022, doi:10.1145/3528223.3530103). An open one becomes plates, or is closed by remeshing. Meshes with many
-    triangles are simplified first.
-
-    Args:
-        name: name of the mesh, for messages.
-        vertices: ``[V, 3]``, m.
-        faces: ``[F, 3]``, normals outward.
-        error: accepted distance of the parts' surface from the mesh for 99 % of it, m. It is tried, not guaranteed.
-        closed: whether the mesh is closed.
-
-    Returns:
-        Points whose convex hulls are the parts, each ``[K, 3]``, m.
+    ``up`` is the direction that points up, if the mesh is open: it may be open below. ``None``: it is closed.
     """
+    hull = ConvexHull(corners)
+    if up is None and not CONVEX < hull.volume / volume <= NEARLY_CONVEX:
+        return bool(hull.volume <= CONVEX * volume)
+    samples, facets = tri.random_points(hull.points, hull.simplices, MAX_SAMPLES // 10)
+    far = tri.distances(samples, points, faces, error) > error
+    return not far.any() if up is None else bool((hull.equations[facets[far], :3] @ up < -0.9).all())
+
+
+def _decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, closed: bool) -> list[np.ndarray]:
     key = content_key(VERSION, vertices.astype("<f8").tobytes(), faces.astype("<i8").tobytes(), repr((error, closed)))
     stored = load_arrays("convex_parts", key)
     if stored is not None and {"points", "ends"} <= set(stored):
@@ -197,7 +141,7 @@ def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, 
         raise ValueError(
             f"{name} is not convex and has {len(faces):,} triangles; simplify it to {MAX_FACES:,} or fewer"
         )
-    parts = [part for part in _parts(vertices, faces, error, closed) if volume_of(convex_hull(part)) > TINY]
+    parts = [part for part in _parts(vertices, faces, error, closed) if tri.hull_volume(part) > TINY]
     if not parts:
         raise ValueError(f"{name} cannot be decomposed into convex parts; close its holes and self-intersections")
     store_arrays("convex_parts", key, {"points": np.concatenate(parts), "ends": np.cumsum([len(p) for p in parts])})
@@ -205,37 +149,43 @@ def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, 
 
 
 def _parts(vertices: np.ndarray, faces: np.ndarray, error: float, closed: bool) -> list[np.ndarray]:
-    volume = signed_volume(vertices, faces) if closed else 0.0
-    exact = prisms_of(vertices, faces, volume, error / 4) if closed else None
+    """Decomposes a mesh into convex parts, whose surface is within ``error`` of the mesh for 99 % of it, if possible.
+
+    A closed mesh with flat faces becomes exact prisms or plates, and another one is decomposed with CoACD (Wei et al.,
+    2022, doi:10.1145/3528223.3530103). An open one becomes plates, or is closed by remeshing. Meshes with many
+    triangles are simplified first.
+    """
+    volume = tri.signed_volume(vertices, faces) if closed else 0.0
+    exact = _prisms_of(vertices, faces, volume, error / 4) if closed else None
     if exact is not None:
         return exact
     points, triangles = vertices, faces
-    thickness = 4 * volume / np.linalg.norm(face_normals(vertices, faces), axis=1).sum() if closed else error
+    thickness = 4 * volume / np.linalg.norm(tri.face_normals(vertices, faces), axis=1).sum() if closed else error
     if len(faces) > FEW_FACES:
-        points, triangles = simplify(vertices, faces, min(error, thickness) / 4)
-    plates = shells_of(points, triangles) if closed else plates_of(points, triangles)
+        points, triangles = tri.simplify(vertices, faces, min(error, thickness) / 4)
+    plates = _shells_of(points, triangles) if closed else _plates_of(points, triangles)
     for coarser in () if closed else COARSER:
         if plates is None:
-            plates = plates_of(*simplify(vertices, faces, coarser * error))
+            plates = _plates_of(*tri.simplify(vertices, faces, coarser * error))
     if plates is not None and closed and not _fits(vertices, faces, plates, volume, error):
         plates = None
     if plates is not None and (len(plates) <= FEW_PLATES or thickness <= 2 * error):
         return plates
-    coacd = optional("coacd")
-    coacd.set_log_level("off")
     parts: list[np.ndarray] = []
     for factor in (COARSE, 1.0) if closed else ():
-        parts = _attempt(coacd, points, triangles, factor * error, remesh=False)
+        parts = _attempt(points, triangles, factor * error, remesh=False)
         if _fits(vertices, faces, parts, volume, error):
             return parts
         if plates is not None:
             return plates
-    if sum(volume_of(convex_hull(part)) for part in parts) <= 0.9 * volume:
-        parts = _attempt(coacd, points, triangles, COARSE * error, remesh=True)
+    if sum(map(tri.hull_volume, parts)) <= 0.9 * volume:
+        parts = _attempt(points, triangles, COARSE * error, remesh=True)
     return parts
 
 
-def _attempt(coacd: Any, vertices: np.ndarray, faces: np.ndarray, threshold: float, remesh: bool) -> list[np.ndarray]:
+def _attempt(vertices: np.ndarray, faces: np.ndarray, threshold: float, remesh: bool) -> list[np.ndarray]:
+    coacd = optional("coacd")
+    coacd.set_log_level("off")
     # Fewer search steps than the default take a third of the time, for some more parts.
     found = coacd.run_coacd(
         coacd.Mesh(vertices, faces),
@@ -252,32 +202,28 @@ def _attempt(coacd: Any, vertices: np.ndarray, faces: np.ndarray, threshold: flo
 
 
 def _fits(vertices: np.ndarray, faces: np.ndarray, parts: list[np.ndarray], volume: float, error: float) -> bool:
-    hulls = [found for found in map(convex_hull, parts) if found is not None]
+    hulls = [found for found in map(tri.convex_hull, parts) if found is not None]
     if not 0.9 * volume <= sum(found.volume for found in hulls) <= 1.5 * volume:
         return False
     low, high = (np.array([getattr(found, bound) for found in hulls]) for bound in ("min_bound", "max_bound"))
     outer = []
     for index, own in enumerate(hulls):
-        points, _ = random_points(own.points, own.simplices, max(50, FIT_SAMPLES // len(hulls)))
+        points, _ = tri.random_points(own.points, own.simplices, max(50, FIT_SAMPLES // len(hulls)))
         hidden = np.zeros(len(points), dtype=bool)
         for other in np.flatnonzero(((low <= own.max_bound + 1e-3) & (high >= own.min_bound - 1e-3)).all(1)):
             if other != index:
                 planes = hulls[other].equations
                 hidden[~hidden] = (points[~hidden] @ planes[:, :3].T + planes[:, 3] <= 1e-3).all(1)
         outer.append(points[~hidden])
-    return float(np.quantile(distances(np.concatenate(outer), vertices, faces, error), 0.99)) <= error
+    return float(np.quantile(tri.distances(np.concatenate(outer), vertices, faces, error), 0.99)) <= error
 
 
-def prisms_of(points: np.ndarray, faces: np.ndarray, volume: float, slack: float) -> list[np.ndarray] | None:
+def _prisms_of(points: np.ndarray, faces: np.ndarray, volume: float, slack: float) -> list[np.ndarray] | None:
     """Returns the points of convex prisms that replace a prism with any outline. ``None`` if the mesh is no prism.
 
-    Args:
-        points: ``[V, 3]``, m.
-        faces: ``[F, 3]``, normals outward.
-        volume: volume of the mesh, m^3.
-        slack: largest depth of notches of the outline that are filled, m.
+    Notches of the outline that are at most ``slack`` (m) deep are filled.
     """
-    normals = face_normals(points, faces)
+    normals = tri.face_normals(points, faces)
     areas = np.linalg.norm(normals, axis=1)
     normals = normals / areas[:, None]
     first = normals[areas.argmax()]
@@ -292,54 +238,49 @@ def prisms_of(points: np.ndarray, faces: np.ndarray, volume: float, slack: float
         is_prism = np.minimum(heights - low, high - heights).max() <= 1e-4 and sides.max(initial=0.0) < 1e-3
         if is_prism and cap.sum() <= MAX_CAP and np.isclose(areas[cap].sum() / 2 * (high - low), volume, rtol=1e-3):
             base = points - np.outer(heights, axis)
-            polygons = merge_triangles(_flattened(points, axis), faces[cap], slack)
+            polygons = tri.merge_triangles(_flattened(points, axis), faces[cap], slack)
             found = [np.concatenate([base[each] + height * axis for height in (low, high)]) for each in polygons]
             return found if len(found) <= MAX_PARTS else None
     return None
 
 
-def plates_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None:
+def _plates_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None:
     """Returns the points of convex plates with a surface in their middle. ``None`` if there would be too many."""
     found: list[np.ndarray] = []
-    for group in flat_patches(points, faces, SAME_PLANE, MAX_PARTS):
+    for group in tri.flat_patches(points, faces, SAME_PLANE, MAX_PARTS):
         normal = _normal(points, faces[group])
-        for polygon in merge_triangles(_flattened(points, normal), faces[group]):
+        for polygon in tri.merge_triangles(_flattened(points, normal), faces[group]):
             found.append(np.concatenate([points[polygon] + side * HALF_THICKNESS * normal for side in (-1, 1)]))
         if len(found) > MAX_PARTS:
             return None
     return found or None
 
 
-def shells_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None:
+def _shells_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None:
     """Returns the points of convex plates that extend from the faces of a closed mesh as far inward as it is thick.
 
     The largest face comes first. What the plates of others hold gets none. ``None`` if there would be too many.
     """
     found: list[np.ndarray] = []
     planes: list[np.ndarray] = []
-    for group in flat_patches(points, faces, SAME_PLANE, MAX_PARTS):
+    for group in tri.flat_patches(points, faces, SAME_PLANE, MAX_PARTS):
         normal = _normal(points, faces[group])
-        samples = surface_samples(points, faces[group])
-        if _held(samples, planes):
+        samples = tri.surface_samples(points, faces[group])
+        outside = np.ones(len(samples), dtype=bool)
+        for solid in planes:
+            outside[outside] = (samples[outside] @ solid[:, :3].T + solid[:, 3]).max(1) > 1e-4
+        if not outside.any():
             continue
         depth = _depth_behind(samples[:: -(-len(samples) // SEEN)], normal, points[faces])
-        flat = _flattened(points, normal)
-        for polygon in merge_triangles(flat, faces[group]):
+        for polygon in tri.merge_triangles(_flattened(points, normal), faces[group]):
             part = np.concatenate((points[polygon], points[polygon] - depth * normal))
-            hull = convex_hull(part) if np.isfinite(depth) else None
+            hull = tri.convex_hull(part) if np.isfinite(depth) else None
             if hull is not None:
                 found.append(part)
                 planes.append(hull.equations)
         if len(found) > MAX_PARTS:
             return None
     return found or None
-
-
-def _held(samples: np.ndarray, solids: list[np.ndarray]) -> bool:
-    outside = np.ones(len(samples), dtype=bool)
-    for planes in solids:
-        outside[outside] = (samples[outside] @ planes[:, :3].T + planes[:, 3]).max(1) > 1e-4
-    return not outside.any()
 
 
 def _depth_behind(samples: np.ndarray, normal: np.ndarray, triangles: np.ndarray) -> float:
@@ -359,12 +300,11 @@ def _depth_behind(samples: np.ndarray, normal: np.ndarray, triangles: np.ndarray
 
 
 def _normal(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    normal = face_normals(points, faces[:1])[0]
+    normal = tri.face_normals(points, faces[:1])[0]
     return normal / np.linalg.norm(normal)
 
 
 def _flattened(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Returns the coordinates of points in a plane, by its unit normal: ``[P, 2]``."""
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first = first / np.linalg.norm(first)
     return points @ np.stack((first, np.cross(normal, first)), -1)

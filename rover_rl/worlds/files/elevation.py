@@ -1,4 +1,4 @@
-"""Elevation models: GeoTIFF, pictures, and NumPy arrays."""
+"""Elevation models: GeoTIFF as GDAL reads it, pictures, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import io
 import logging
 import math
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,16 +14,53 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from rover_rl.option_names import written
-from rover_rl.worlds.files import TIFF_SUFFIXES, optional
+from rover_rl.tiny_xml import parse_xml, text_of
 from rover_rl.worlds.files.contents import Contents, Grid
-from rover_rl.worlds.files.geotiff import GeoTags, is_missing, read_tags
-from rover_rl.worlds.files.options import MAX_SIZE, ImportOptions
+from rover_rl.worlds.files.options import MAX_SIZE, TIFF_SUFFIXES, ImportOptions, optional
 
 MAX_PIXELS = 36_000_000
 FAR = 1000.0
 """Distance from the origin beyond which a georeferenced grid is moved to the origin, m."""
+PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS, DOUBLES = 33550, 33922, 34264, 34735, 34736
+METADATA, NO_DATA = 42112, 42113
+"""Codes of the tags of the GeoTIFF standard, and of GDAL's own."""
+MODEL, RASTER, GEOGRAPHIC, PROJECTED, UNIT, UNIT_SIZE = 1024, 1025, 2048, 3072, 3076, 3077
+VERTICAL, VERTICAL_UNIT = 4096, 4099
+"""Codes of the keys in the tag :data:`KEYS`."""
+USER_DEFINED = 32767
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
+UNITS: dict[float, float] = {0: 1.0, USER_DEFINED: 1.0, 9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT}
+"""Units of length by EPSG's codes, m. What the file leaves undefined is meters."""
+UNIT_NAMES = {
+    1.0: ("m", "metre", "metres", "meter", "meters"),
+    FOOT: ("ft", "foot", "feet", "foot (international)", "international foot", "international feet"),
+    SURVEY_FOOT: ("us survey foot", "us survey feet", "us-ft", "ftus", "foot_us", "foot us survey"),
+    0.01: ("cm", "centimetre", "centimeter"),
+    0.001: ("mm", "millimetre", "millimeter"),
+    1000.0: ("km", "kilometre", "kilometer"),
+}
+"""Names of the units of a band."""
 # What tifffile says of odd tags is no news to users: they are read here.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+class GeoTags(NamedTuple):
+    """Meaning of the values of a GeoTIFF.
+
+    Attributes:
+        scale, offset: the height of a value is ``scale * value + offset``, m.
+        cell: spacing from column to column along x and from row to row along -y, m. ``None``: not known.
+        corner: position of the middle of the first value, m. ``None``: not known.
+        no_meters: why the spacing is not known in meters, and what helps.
+        notes: what the units are if not meters.
+    """
+
+    scale: float = 1.0
+    offset: float = 0.0
+    cell: tuple[float, float] | None = None
+    corner: tuple[float, float] | None = None
+    no_meters: str = ""
+    notes: tuple[str, ...] = ()
 
 
 class Elevations(NamedTuple):
@@ -47,7 +85,7 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
     so that white is that high, and other numbers are multiplied by it.
     """
     found, contents = read_elevations(path), Contents(path.name.partition(".")[0])
-    tags, values = found.tags or GeoTags(1.0, 0.0), found.values
+    tags, values = found.tags or GeoTags(), found.values
     pixel, height = written("pixel"), written("height")
     if tags.no_meters and not options.pixel:
         raise ValueError(f"{path.name} {tags.no_meters}, or give {pixel}, the size of a pixel in meters")
@@ -72,10 +110,8 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
         )
     origin = (-width / 2, -depth / 2)
     if tags.corner is not None and not options.pixel:
-        west, south = (
-            tags.corner[0] + min(0.0, cell[0]) * (columns - 1),
-            tags.corner[1] - max(0.0, cell[1]) * (rows - 1),
-        )
+        west = tags.corner[0] + min(0.0, cell[0]) * (columns - 1)
+        south = tags.corner[1] - max(0.0, cell[1]) * (rows - 1)
         if max(abs(west), abs(west + width), abs(south), abs(south + depth)) <= FAR:
             origin = (west, south)
         else:
@@ -103,7 +139,6 @@ def read_elevations(path: Path) -> Elevations:
 
 
 def white_of(values: np.ndarray) -> float:
-    """Returns the largest number of unsigned integers, 1 for other types."""
     return float(np.iinfo(values.dtype).max) if values.dtype.kind == "u" else 1.0
 
 
@@ -118,32 +153,22 @@ def read_picture(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
     Values are uint8 or uint16, or float32 of a picture of floats.
     """
-    data = path.read_bytes()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(data)) as image:
-                _check_pixels(path, image.size)
-                see_through = not image.mode.startswith("I") and image.has_transparency_data
-                clear = np.asarray(image.convert("RGBA"))[..., 3] < 255 if see_through else None
-                return _gray(image), clear
+            image = Image.open(io.BytesIO(path.read_bytes()))
+        _check_pixels(path, image.size)
+        if image.mode.startswith("I"):
+            # Pillow reads 16 bit pictures as 16 or as 32 bit integers, depending on the version.
+            return np.asarray(image).astype(np.uint16), None
+        clear = np.asarray(image.convert("RGBA"))[..., 3] < 255 if image.has_transparency_data else None
+        if image.mode in ("F", "L", "1"):
+            return np.asarray(image if image.mode == "F" else image.convert("L")), clear
+        return np.asarray(image.convert("RGB")).mean(-1).round().astype(np.uint8), clear
     except UnidentifiedImageError as error:
         raise ValueError(f"{path} is no picture that can be read") from error
-    except Image.DecompressionBombError as error:
-        raise ValueError(f"{path} has too many pixels; at most {MAX_PIXELS:,} are supported") from error
-    except (OSError, SyntaxError, EOFError, OverflowError, MemoryError) as error:
-        raise ValueError(f"{path} is a damaged picture: {error}") from error
-
-
-def _gray(image: Image.Image) -> np.ndarray:
-    if image.mode.startswith("I"):
-        # Pillow reads 16 bit pictures as 16 or as 32 bit integers, depending on the version.
-        return np.asarray(image).astype(np.uint16)
-    if image.mode == "F":
-        return np.asarray(image)
-    if image.mode in ("L", "1"):
-        return np.asarray(image.convert("L"))
-    return np.asarray(image.convert("RGB")).mean(-1).round().astype(np.uint8)
+    except (Image.DecompressionBombError, OSError, SyntaxError, EOFError, OverflowError, MemoryError) as error:
+        raise ValueError(f"{path} is a damaged or too large picture: {error}") from error
 
 
 def _read_array(path: Path) -> Elevations:
@@ -160,15 +185,14 @@ def _read_array(path: Path) -> Elevations:
 
 def _read_tiff(path: Path) -> Elevations:
     tifffile: Any = optional("tifffile")
-    data = path.read_bytes()
     try:
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
+        with tifffile.TiffFile(io.BytesIO(path.read_bytes())) as file:
             page = file.pages[0]
             _check_pixels(path, page.shape)
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands = np.moveaxis(page.asarray(), page.axes.index("S"), 0) if "S" in page.axes else [page.asarray()]
-            values, meaning = bands[0], read_tags(path.name, tags)
-            hidden = is_missing(values, tags)
+            values, meaning = bands[0], _read_tags(path.name, tags)
+            hidden = _is_missing(values, tags)
             extra = zip(bands[::-1], page.extrasamples[::-1], strict=False)
             alphas = [band for band, kind in extra if kind in (1, 2)]
             for alpha in alphas:
@@ -194,3 +218,109 @@ def _read_tiff(path: Path) -> Elevations:
     if meaning is not None and count > 1:
         meaning = meaning._replace(notes=(f"ground: the first of {count} bands", *meaning.notes))
     return Elevations(heights, white_of(values), meaning)
+
+
+def _is_missing(values: np.ndarray, tags: dict[int, Any]) -> np.ndarray:
+    missing = np.zeros(values.shape, dtype=bool)
+    with suppress(ValueError):
+        number = float(str(tags.get(NO_DATA, "")).strip(" \0"))
+        exact = values.astype(float)
+        missing = exact == number
+        if values.dtype.kind == "f" and math.isfinite(number):
+            # Floats may differ from GDAL's no-data value in their last digits.
+            missing |= np.abs(exact - number) < 2 * np.finfo(values.dtype).eps * np.abs(exact + number)
+    return missing
+
+
+def _read_tags(name: str, tags: dict[int, Any]) -> GeoTags | None:
+    """Returns the meaning of the values of a TIFF, by its name and its tags. ``None`` if it is no GeoTIFF."""
+    if not tags.keys() & {PIXEL_SCALE, TRANSFORMATION, KEYS}:
+        return None
+    keys, items = _keys(tags), dict[str, str]()
+    if METADATA in tags:
+        elements = parse_xml(str(tags[METADATA]).strip(" \0").encode()).iter("Item")
+        items = {item.get("role", ""): text_of(item) for item in elements if item.get("sample") == "0"}
+    upright = _height_unit(keys, items.get("unittype", ""))
+    scale, offset = upright * float(items.get("scale") or 1), upright * float(items.get("offset") or 0)
+    found = GeoTags(scale, offset, notes=_about("heights", upright))
+    transform = _transform(tags)
+    if transform is None:
+        return found
+    (dx, shear, x), (turn, dy, y) = transform.tolist()
+    if shear or turn:
+        return found._replace(no_meters=f"is turned or sheared: turn it with gdalwarp -dstalpha {name} north_up.tif")
+    if not (dx and dy and np.isfinite(transform).all()):
+        raise ValueError(f"the pixels of {name} must have a size, got {dx:g} x {dy:g}")
+    unit = _unit(keys)
+    if unit is None:
+        zone = (32601 if y >= 0 else 32701) + math.floor((x + 180) / 6) % 60
+        reproject = f"gdalwarp -dstalpha -t_srs EPSG:{zone} {name} meters.tif"
+        return found._replace(no_meters=f"is in degrees, not in meters: reproject it with {reproject}")
+    notes = (*_about("lengths", unit), *found.notes)
+    if unit != 1 and not (items.get("unittype") or keys.keys() & {VERTICAL, VERTICAL_UNIT}):
+        notes += ("ground: the file says no unit of its heights, and they are taken as meters",)
+    # Key RASTER: 2 means that a value belongs to a point, otherwise to the area of a pixel.
+    half = 0.0 if keys.get(RASTER) == 2 else 0.5
+    placed = TRANSFORMATION in tags or TIE_POINT in tags
+    corner = (unit * (x + half * dx), unit * (y + half * dy)) if placed else None
+    return found._replace(cell=(unit * dx, -unit * dy), corner=corner, notes=notes)
+
+
+def _about(what: str, unit: float) -> tuple[str, ...]:
+    return () if unit == 1 else (f"ground: {what} in the file are in units of {unit:.9g} m",)
+
+
+def _keys(tags: dict[int, Any]) -> dict[int, float]:
+    directory, doubles = [*tags.get(KEYS, ())], np.ravel(tags.get(DOUBLES, ()))
+    found = {}
+    for k in range(4, len(directory) - 3, 4):
+        key, place, _, value = directory[k : k + 4]
+        if place == 0:
+            found[key] = float(value)
+        elif place == DOUBLES and value < len(doubles):
+            found[key] = float(doubles[value])
+    return found
+
+
+def _transform(tags: dict[int, Any]) -> np.ndarray | None:
+    """Returns x and y as linear functions of (column, row, 1) of a pixel's corner, ``[2, 3]``, or ``None``."""
+    if PIXEL_SCALE in tags:
+        dx, dy = tags[PIXEL_SCALE][:2]
+        column, row, _, x, y, _ = (*tags.get(TIE_POINT, ()), *6 * (0.0,))[:6]
+        # GDAL, too, ignores the sign of the scale along y.
+        return np.array([(dx, 0.0, x - column * dx), (0.0, -abs(dy), y + row * abs(dy))])
+    matrix = np.ravel(tags.get(TRANSFORMATION, ()))
+    return matrix.reshape(4, 4)[:2, [0, 1, 3]] if matrix.size == 16 else None
+
+
+def _unit(keys: dict[int, float]) -> float | None:
+    """Returns the unit of the coordinates, m. ``None``: degrees."""
+    if keys.get(MODEL) == 2 or (GEOGRAPHIC in keys and not keys.keys() & {MODEL, PROJECTED}):
+        return None
+    if UNIT in keys:
+        return keys[UNIT_SIZE] if keys[UNIT] == USER_DEFINED and UNIT_SIZE in keys else _unit_of_code(keys[UNIT])
+    return _unit_of_system(keys.get(PROJECTED, 0))
+
+
+def _height_unit(keys: dict[int, float], name: str) -> float:
+    named = next((unit for unit, names in UNIT_NAMES.items() if name.lower() in names), None)
+    if named is None and keys.get(VERTICAL, 0) not in UNITS:
+        named = _unit_of_system(keys[VERTICAL])
+    return _unit_of_code(keys.get(VERTICAL_UNIT, 0)) if named is None else named
+
+
+def _unit_of_code(code: float) -> float:
+    if code in UNITS:
+        return UNITS[code]
+    units = optional("pyproj.database").get_units_map("EPSG", "linear", allow_deprecated=True).values()
+    return next((unit.conv_factor for unit in units if unit.code == f"{code:.0f}"), 1.0)
+
+
+def _unit_of_system(code: float) -> float | None:
+    """Returns the unit of a coordinate system by EPSG's code, m: meters if there is none, ``None`` for degrees."""
+    if code not in UNITS:
+        pyproj = optional("pyproj")
+        with suppress(pyproj.exceptions.CRSError):
+            system = pyproj.CRS.from_epsg(int(code))
+            return None if system.is_geographic else system.axis_info[0].unit_conversion_factor
+    return 1.0

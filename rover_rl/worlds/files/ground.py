@@ -11,10 +11,12 @@ import torch
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from rover_rl.worlds.files.contents import Grid, Piece, Plane
-from rover_rl.worlds.files.triangles import face_normals, is_closed, signed_volume, surface_heights, upward_faces
+from rover_rl.worlds.files.triangles import convex_hull, face_normals, is_closed, signed_volume, surface_heights
 from rover_rl.worlds.solids import hull
 from rover_rl.worlds.terrain import Terrain
 
+STEEPEST = 0.17
+"""Least z component of the unit normal of a face that counts as ground (80 degrees)."""
 COMPARED = 256
 """Number of cells along the longer side of the grid on which pieces are compared."""
 THICKEST = 0.5
@@ -23,31 +25,26 @@ LEAST_SURFACE = 0.2
 """Least share of a ground piece's bounding rectangle that its surface covers, seen from above."""
 LEAST_COVER = 0.25
 """Least share of the scene's bounding rectangle that ground covers, or else there is none."""
-HIGHEST_SLAB = 0.5
-"""Largest height of a simple shape, such as a box, that is ground on top of a plane or an elevation grid, m."""
-LEAST_AREA = 16.0
-"""Least area of a piece that is ground on top of a plane or an elevation grid, m^2."""
+HIGHEST_SLAB, LEAST_AREA = 0.5, 16.0
+"""Largest height (m) of a simple shape that is ground on top of a plane or an elevation grid, and its least area."""
 STEP = 0.01
 """Difference in height from which one piece is below another, m."""
 HIGHEST_FLOOR = 0.05
 """Largest height of a floor, such as a carpet, over the ground that it lies on, m."""
-NARROWEST_FLOOR = 0.5
-"""Least width of a floor on other ground, m."""
-SMALLEST_FLOOR = 1.0
-"""Least area of a floor on other ground, m^2. The foot of a table is smaller."""
+NARROWEST_FLOOR, SMALLEST_FLOOR = 0.5, 1.0
+"""Least width (m) and area (m^2) of a floor on other ground. The foot of a table is smaller."""
 MAX_VALUES = 4_000_000
-CELLS = (0.1, 0.05, 0.025)
-"""Spacings that are tried for meshes, m."""
+CELLS, FLAT_CELL = (0.1, 0.05, 0.025), 1.0
+"""Spacings that are tried for meshes, and that of flat ground, m."""
 GOOD = 0.01
 """Accepted error of the ground for 99 % of it, m."""
-FLAT_CELL = 1.0
 SURROUNDINGS = 15.0
 """Width of a plane around the obstacles, beyond the range of the lidar, m."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The upward faces of a piece, that a wheel could stand on."""
+    """The upward faces of a piece, that a wheel could stand on. Both sides of an open surface count."""
 
     piece: Piece
     vertices: np.ndarray
@@ -55,21 +52,21 @@ class Surface:
 
     @classmethod
     def of(cls, piece: Piece) -> Surface:
-        """Returns the upward surface of a piece. Both sides of an open surface count."""
         vertices, faces = piece.vertices, piece.faces
-        if faces is None:
-            try:
-                solid = hull(vertices)
-                vertices, faces = solid.vertices.numpy(), solid.faces.numpy()
-            except ValueError:
-                faces = np.empty((0, 3), dtype=int)
+        if faces is None and convex_hull(vertices) is None:
+            faces = np.empty((0, 3), dtype=int)
+        elif faces is None:
+            solid = hull(vertices)
+            vertices, faces = solid.vertices.numpy(), solid.faces.numpy()
         closed = is_closed(faces)
         if closed and signed_volume(vertices, faces) < 0:
             faces = faces[:, ::-1]
-        return cls(piece, vertices, upward_faces(vertices, faces, both_sides=not closed))
+        normal = face_normals(vertices, faces)
+        length = np.linalg.norm(normal, axis=1)
+        up = normal[:, 2] if closed else np.abs(normal[:, 2])
+        return cls(piece, vertices, faces[(length > 1e-12) & (up > STEEPEST * length)])
 
     def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
-        """Returns the lowest upward surface at each point of a grid: ``[rows, columns]``, m, NaN beside it."""
         return surface_heights(self.vertices, self.faces, origin, cell, shape)
 
     @property
@@ -118,42 +115,16 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     return chosen if covered.sum() * cell**2 >= LEAST_COVER * scene else []
 
 
-def floors_on(terrain: Terrain, pieces: list[Piece]) -> list[Surface]:
-    """Returns the pieces that lie on ground, and are as flat as a wheel climbs: tiles, roads and carpets."""
-    return [
-        Surface.of(piece)
-        for piece in pieces
-        if (size := np.ptp(piece.vertices[:, :2], axis=0)).min() >= NARROWEST_FLOOR
-        and size.prod() >= SMALLEST_FLOOR
-        and STEP < height_over(terrain, piece) <= HIGHEST_FLOOR + 1e-6
-    ]
-
-
-def height_over(terrain: Terrain, piece: Piece) -> float:
-    """Returns how high a piece reaches over ground at most, m."""
-    points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
-    return float((points[:, 2] - terrain.height_at(points[:, :2])).max())
-
-
 def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
-    named = [
-        piece
-        for piece in pieces
-        if any(fnmatchcase(part, pattern) for pattern in patterns for part in (piece.name, *piece.name.split("/")))
-    ]
-    surfaces = [surface for surface in map(Surface.of, named) if len(surface.faces)]
+    def matches(name: str) -> bool:
+        return any(fnmatchcase(part, pattern) for pattern in patterns for part in (name, *name.split("/")))
+
+    surfaces = [Surface.of(piece) for piece in pieces if matches(piece.name)]
+    surfaces = [surface for surface in surfaces if len(surface.faces)]
     if not surfaces:
-        names = sorted({piece.name for piece in pieces})
-        raise ValueError(
-            f"ground={','.join(patterns)!r} matches no piece with an upward surface; there are {names[:20]}"
-        )
+        names = sorted({piece.name for piece in pieces})[:20]
+        raise ValueError(f"ground={','.join(patterns)!r} matches no piece with an upward surface; there are {names}")
     return surfaces
-
-
-def is_flat(piece: Piece) -> bool:
-    """Returns whether a piece is broad."""
-    x, y, z = np.ptp(piece.vertices, axis=0)
-    return bool(min(x, y) > 0 and z <= THICKEST * min(x, y))
 
 
 def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tuple[float, float], cell: float) -> bool:
@@ -167,6 +138,29 @@ def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tu
     return bool(over.any() and (tops[over, 2] <= here[over] + STEP).mean() > 0.5)
 
 
+def is_flat(piece: Piece) -> bool:
+    x, y, z = np.ptp(piece.vertices, axis=0)
+    return bool(min(x, y) > 0 and z <= THICKEST * min(x, y))
+
+
+def is_floor(terrain: Terrain, piece: Piece) -> bool:
+    """Returns whether a piece lies on ground, and is as flat as a wheel climbs: tiles, roads and carpets."""
+    size = np.ptp(piece.vertices[:, :2], axis=0)
+    is_broad = size.min() >= NARROWEST_FLOOR and size.prod() >= SMALLEST_FLOOR
+    return bool(is_broad) and STEP < height_over(terrain, piece) <= HIGHEST_FLOOR + 1e-6
+
+
+def is_low(terrain: Terrain, piece: Piece) -> bool:
+    """Returns whether an obstacle could be ground: a slab or a ramp."""
+    return is_flat(piece) and STEP < height_over(terrain, piece) <= HIGHEST_SLAB
+
+
+def height_over(terrain: Terrain, piece: Piece) -> float:
+    """Returns how high a piece reaches over ground at most, m."""
+    points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
+    return float((points[:, 2] - terrain.height_at(points[:, :2])).max())
+
+
 @dataclass(frozen=True)
 class Ground:
     """Everything that is ground: infinite planes, elevation grids, and upward surfaces of meshes."""
@@ -178,9 +172,11 @@ class Ground:
     def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
         """Returns the heights at the points of a grid, the highest of all ground: ``[rows, columns]``, m, or NaN."""
         x, y = np.meshgrid(origin[0] + cell * np.arange(shape[1]), origin[1] + cell * np.arange(shape[0]))
-        layers = [_plane_heights(plane, x, y) for plane in self.planes]
-        layers += [_grid_heights(grid, x, y) for grid in self.grids]
+        layers = [_grid_heights(grid, x, y) for grid in self.grids]
         layers += [surface.heights(origin, cell, shape) for surface in self.surfaces]
+        for plane in self.planes:
+            slope = plane.normal[:2] / plane.normal[2]
+            layers.append(plane.point[2] - slope[0] * (x - plane.point[0]) - slope[1] * (y - plane.point[1]))
         return np.fmax.reduce(layers)
 
     def corners(self, around: np.ndarray) -> np.ndarray:
@@ -197,12 +193,13 @@ def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tupl
     A plane is laid out around the points ``around [P, 2]`` (m) of obstacles and areas. Without a ``cell`` (m), the
     spacing is automatic.
     """
-    exact = _as_it_is(ground, cell)
-    if exact is not None:
-        return exact, []
-    levels = [level for level in map(_level, ground.planes) if level is not None]
-    if not ground.grids and not ground.surfaces and len(levels) == len(ground.planes):
-        return _flat(max(levels), around), []
+    levels = [float(plane.point[2]) for plane in ground.planes if plane.normal[2] > 1 - 1e-9]
+    if len(levels) == len(ground.planes) and not ground.surfaces:
+        if not ground.grids:
+            return _flat(max(levels), around), []
+        exact = _as_it_is(ground.grids, levels, cell)
+        if exact is not None:
+            return exact, []
     points = ground.corners(around)
     low, high = points.min(0), points.max(0)
     least = _least_cell(low, high)
@@ -219,6 +216,41 @@ def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tupl
         if error <= GOOD:
             break
     return terrain, notes
+
+
+def _flat(level: float, around: np.ndarray) -> Terrain:
+    points = around if len(around) else np.zeros((1, 2))
+    low, high = np.floor(points.min(0) - SURROUNDINGS), points.max(0) + SURROUNDINGS
+    cell = max(FLAT_CELL, _least_cell(low, high))
+    columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
+    return Terrain(torch.full((rows, columns), level), cell, (float(low[0]), float(low[1])))
+
+
+def _as_it_is(grids: list[Grid], levels: list[float], cell: float | None) -> Terrain | None:
+    """Returns the terrain of one grid alone, whose spacing may stay."""
+    heights, (dx, dy), origin, yaw = grids[0]
+    square = abs(dx - dy) <= 1e-9 * max(dx, dy) * max(heights.shape)
+    stays = cell is None or math.isclose(cell, dx, rel_tol=1e-6)
+    if len(grids) > 1 or abs(yaw) > 1e-6 or not square or not stays or heights.size > MAX_VALUES:
+        return None
+    heights = _filled(heights)
+    return None if levels and max(levels) > heights.min() else Terrain(torch.from_numpy(heights), dx, origin)
+
+
+def _own_spacing(ground: Ground) -> float | None:
+    """Returns the spacing of a mesh whose vertices are a square grid, m."""
+    if len(ground.surfaces) != 1 or ground.planes:
+        return None
+    (surface,) = ground.surfaces
+    used = surface.vertices[np.unique(surface.faces), :2]
+    spacings = []
+    for axis in used.T:
+        values = np.unique(axis.round(6))
+        steps = np.diff(values)
+        if len(values) < 3 or len(values) ** 2 > 16 * len(used) or np.ptp(steps) > 1e-3 * steps.mean():
+            return None
+        spacings.append(float(values[-1] - values[0]) / (len(values) - 1))
+    return spacings[0] if math.isclose(*spacings, rel_tol=1e-4) else None
 
 
 def _least_cell(low: np.ndarray, high: np.ndarray) -> float:
@@ -239,9 +271,8 @@ def _sampled(ground: Ground, low: np.ndarray, high: np.ndarray, cell: float) -> 
     middle = (origin[0] + cell / 2, origin[1] + cell / 2)
     truth = ground.heights(middle, cell, (rows - 1, columns - 1))
     x, y = np.meshgrid(middle[0] + cell * np.arange(columns - 1), middle[1] + cell * np.arange(rows - 1))
-    ours = terrain.height_at(torch.from_numpy(np.stack((x, y), -1))).numpy()
-    known = np.isfinite(truth)
-    errors = np.abs(ours - truth)[known] if known.any() else np.zeros(1)
+    errors = np.abs(terrain.height_at(torch.from_numpy(np.stack((x, y), -1))).numpy() - truth)
+    errors = errors[np.isfinite(truth)] if np.isfinite(truth).any() else np.zeros(1)
     error, most = float(np.quantile(errors, 0.99)), 100 * errors.max()
     notes = [f"ground: cell {cell:g} m, error {100 * error:.1f} cm for 99 % of the surface, {most:.1f} cm at most"]
     holes = 1 - float(np.isfinite(heights).mean())
@@ -257,23 +288,6 @@ def _filled(heights: np.ndarray) -> np.ndarray:
     if not empty.any():
         return heights
     return heights[tuple(distance_transform_edt(empty, return_distances=False, return_indices=True))]
-
-
-def _flat(level: float, around: np.ndarray) -> Terrain:
-    points = around if len(around) else np.zeros((1, 2))
-    low, high = np.floor(points.min(0) - SURROUNDINGS), points.max(0) + SURROUNDINGS
-    cell = max(FLAT_CELL, _least_cell(low, high))
-    columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
-    return Terrain(torch.full((rows, columns), level), cell, (float(low[0]), float(low[1])))
-
-
-def _level(plane: Plane) -> float | None:
-    return float(plane.point[2]) if plane.normal[2] > 1 - 1e-9 else None
-
-
-def _plane_heights(plane: Plane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    slope = plane.normal[:2] / plane.normal[2]
-    return plane.point[2] - slope[0] * (x - plane.point[0]) - slope[1] * (y - plane.point[1])
 
 
 def _grid_heights(grid: Grid, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -293,46 +307,3 @@ def _grid_corners(grid: Grid) -> np.ndarray:
     cos, sin = math.cos(grid.yaw), math.sin(grid.yaw)
     corners = np.array([(0.0, 0.0), (u, 0.0), (0.0, v), (u, v)])
     return corners @ np.array([[cos, sin], [-sin, cos]]) + grid.origin
-
-
-def _as_it_is(ground: Ground, cell: float | None) -> Terrain | None:
-    if len(ground.grids) != 1 or ground.surfaces:
-        return None
-    grid = _turned(ground.grids[0])
-    (dx, dy), heights = grid.cell, grid.heights
-    square = abs(dx - dy) <= 1e-9 * max(dx, dy) * max(heights.shape)
-    if grid.yaw or not square or (cell is not None and not math.isclose(cell, dx, rel_tol=1e-6)):
-        return None
-    if heights.size > MAX_VALUES:
-        return None
-    heights = _filled(heights)
-    levels = [_level(plane) for plane in ground.planes]
-    if any(level is None or level > heights.min() for level in levels):
-        return None
-    return Terrain(torch.from_numpy(heights), dx, grid.origin)
-
-
-def _turned(grid: Grid) -> Grid:
-    quarter = round(grid.yaw / (math.pi / 2))
-    if abs(grid.yaw - quarter * math.pi / 2) > 1e-6:
-        return grid
-    low = grid.origin if quarter % 4 == 0 else _grid_corners(grid).min(0)
-    # np.rot90 turns clockwise in a frame whose rows go up, so that -1 is +90 degrees.
-    heights = np.rot90(grid.heights, -quarter % 4)
-    cell = grid.cell if quarter % 2 == 0 else grid.cell[::-1]
-    return Grid(heights, (cell[0], cell[1]), (float(low[0]), float(low[1])))
-
-
-def _own_spacing(ground: Ground) -> float | None:
-    if len(ground.surfaces) != 1 or ground.planes:
-        return None
-    (surface,) = ground.surfaces
-    used = surface.vertices[np.unique(surface.faces), :2]
-    spacings = []
-    for axis in used.T:
-        values = np.unique(axis.round(6))
-        steps = np.diff(values)
-        if len(values) < 3 or len(values) ** 2 > 16 * len(used) or np.ptp(steps) > 1e-3 * steps.mean():
-            return None
-        spacings.append(float(values[-1] - values[0]) / (len(values) - 1))
-    return spacings[0] if math.isclose(*spacings, rel_tol=1e-4) else None

@@ -13,9 +13,8 @@ from trimesh.resolvers import FilePathResolver
 
 from rover_rl.native.output import logged
 from rover_rl.tiny_xml import read_xml, text_of
-from rover_rl.worlds.files import optional
 from rover_rl.worlds.files.contents import Piece
-from rover_rl.worlds.files.options import Up
+from rover_rl.worlds.files.options import Up, optional
 
 MAX_FACES = 5_000_000
 _TO_Z_UP = {
@@ -37,8 +36,12 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
         optional("collada")
         root = read_xml(path)
         unit, axis = _collada_frame(path, root)
-        names = _named_by_nodes(root)
-        data = _standard_xml(root)
+        names = _name_by_nodes(root)
+        for element in root.iter():
+            # Standard XML needs a declaration of prefixes.
+            element.tag = element.tag.replace(":", ".")
+            element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
+        data = tostring(root)
     turn = np.eye(4)
     turn[:3, :3] = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
     scene = _load(path, data)
@@ -47,34 +50,20 @@ def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
         # trimesh 4 takes the node for its base frame, and loses the transforms above it.
         raise ValueError(f"{path} has a node {base!r} below another one; give it another name")
     pieces = []
-    for node in sorted(scene.graph.nodes_geometry):
+    for node in sorted(map(str, scene.graph.nodes_geometry)):
         frame: Any = scene.graph[node]
         transform, name = frame
         mesh = scene.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             # trimesh numbers the parts of a geometry of COLLADA that have materials of their own.
-            whole = str(node).rpartition("_")[0]
-            part = whole if whole in names and node not in names else str(node)
+            whole = node.rpartition("_")[0]
+            part = whole if whole in names and node not in names else node
             pieces.append(Piece(part, np.asarray(mesh.vertices), np.asarray(mesh.faces), turn @ transform))
     if not pieces:
         raise ValueError(f"{path} holds no triangles")
-    if sum(len(piece.faces) for piece in pieces if piece.faces is not None) > MAX_FACES:
+    if sum(len(mesh.faces) for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh)) > MAX_FACES:
         raise ValueError(f"{path} has more than {MAX_FACES:,} triangles; simplify it first")
     return pieces
-
-
-def _load(path: Path, data: bytes) -> trimesh.Scene:
-    try:
-        # A missing material is of no interest, and a damaged file is told in one sentence.
-        with logged("trimesh"):
-            resolver = _GeometryResolver(str(path.parent))
-            return trimesh.load_scene(
-                io.BytesIO(data), file_type=path.suffix.lower()[1:], resolver=resolver, process=False
-            )
-    # The readers raise errors of all kinds for a damaged file.
-    except Exception as error:
-        reason = str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
 
 
 class _GeometryResolver(FilePathResolver):
@@ -87,12 +76,20 @@ class _GeometryResolver(FilePathResolver):
         return b"" if suffix == ".mtl" else _WHITE_PIXEL
 
 
+def _load(path: Path, data: bytes) -> trimesh.Scene:
+    kind, resolver = path.suffix.lower()[1:], _GeometryResolver(str(path.parent))
+    try:
+        with logged("trimesh"):
+            return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
+    # The readers raise errors of all kinds for a damaged file.
+    except Exception as error:
+        reason = str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
+
+
 def _collada_frame(path: Path, root: Element) -> tuple[float, str]:
     """Returns the unit (m) and the axis that points up of a COLLADA file."""
-    asset = root.find("asset")
-    if asset is None:
-        return 1.0, "y"
-    element = asset.find("unit")
+    element = root.find("asset/unit")
     text = "1" if element is None else element.get("meter", "1")
     try:
         unit = float(text)
@@ -101,10 +98,11 @@ def _collada_frame(path: Path, root: Element) -> tuple[float, str]:
     if not 1e-6 <= unit <= 1e6:
         raise ValueError(f"the unit of {path} must be a positive number of meters, got {text!r}")
     # COLLADA 1.4.1: without up_axis, y points up.
-    return unit, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(asset.find("up_axis")), "y")
+    return unit, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(root.find("asset/up_axis")), "y")
 
 
-def _named_by_nodes(root: Element) -> set[str]:
+def _name_by_nodes(root: Element) -> set[str]:
+    """Gives geometries that one node alone shows its name, which trimesh ignores. Returns the names."""
     shown: dict[str, list[tuple[Element, str]]] = {}
     for node in root.iter("node"):
         for instance in node.findall("instance_geometry"):
@@ -118,10 +116,3 @@ def _named_by_nodes(root: Element) -> set[str]:
             instance.set("url", f"#{name}")
             names.add(name)
     return names
-
-
-def _standard_xml(root: Element) -> bytes:
-    for element in root.iter():
-        element.tag = element.tag.replace(":", ".")
-        element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
-    return tostring(root)

@@ -14,11 +14,10 @@ import yaml
 from rover_rl.option_names import written
 from rover_rl.worlds.files.areas import find_areas
 from rover_rl.worlds.files.contents import Plane
-from rover_rl.worlds.files.convex import MAX_TRIANGLES
 from rover_rl.worlds.files.elevation import read_picture, white_of
 from rover_rl.worlds.files.ground import Ground, make_terrain
 from rover_rl.worlds.files.locate import Locator
-from rover_rl.worlds.files.options import MAX_SIZE, ImportOptions
+from rover_rl.worlds.files.options import MAX_SIZE, MAX_TRIANGLES, ImportOptions
 from rover_rl.worlds.files.rectangles import cover, slanted_cover
 from rover_rl.worlds.solids import Solids, box, hull
 
@@ -83,7 +82,7 @@ def read_map(path: Path, options: ImportOptions) -> dict[str, Any]:
     known = states == 0 if options.unknown == "open" else states != OCCUPIED
     centers = settings.points(np.argwhere(known)[:, ::-1] + 0.5)
     corners = settings.points(np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
-    terrain, _ = make_terrain(Ground([Plane.level(0.0)], [], []), corners, None)
+    terrain, _ = make_terrain(Ground([Plane(np.zeros(3))], [], []), corners, None)
     low, high = centers.min(0) - settings.resolution / 2, centers.max(0) + settings.resolution / 2
     limits = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
     areas, about = find_areas(terrain, obstacles, options, limits, partial(settings.lookup, known | walls))
@@ -117,48 +116,37 @@ def _settings(path: Path) -> _Map:
         raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(data, dict) or not {"image", "resolution", "origin"} <= set(data):
         raise ValueError(f"{path} is no map: it must have image, resolution and origin")
-    image, mode = data["image"], str(data.get("mode", "trinary")).lower()
-    if mode not in MODES:
-        raise ValueError(f"mode in {path} must be one of {[*MODES]}, got {data['mode']!r}")
-    if not isinstance(image, str) or not image:
-        raise ValueError(f"image in {path} must be the name of a file, got {image!r}")
-    occupied = _number(path, data, "occupied_thresh", 0.0, 1.0, 0.65)
-    free = _number(path, data, "free_thresh", 0.0, 1.0, 0.25)
+
+    def check(key: str, is_right: bool, must: str) -> None:
+        if not is_right:
+            raise ValueError(f"{key} in {path} must be {must}, got {data[key]}")
+
+    def number(key: str, low: float, high: float, usual: str = "") -> float:
+        value = _number(data.get(key, usual))
+        check(key, low <= value <= high, f"a number from {low:g} to {high:g}")
+        return value
+
+    image, mode, origin = data["image"], str(data.get("mode", "trinary")).lower(), data["origin"]
+    check("mode", mode in MODES, f"one of {[*MODES]}")
+    check("image", isinstance(image, str) and image != "", "the name of a file")
+    occupied, free = number("occupied_thresh", 0.0, 1.0, "0.65"), number("free_thresh", 0.0, 1.0, "0.25")
     if free >= occupied:
         raise ValueError(f"free_thresh in {path} must be below occupied_thresh, got {free:g} and {occupied:g}")
-    resolution = _number(path, data, "resolution", 1e-3, 100.0)
-    return _Map(image, mode, resolution, _origin(path, data["origin"]), _negate(path, data), occupied, free)
-
-
-def _number_in(value: Any, low: float, high: float) -> float | None:
-    """Returns the number in a text. ``None`` if it is none from ``low`` to ``high``."""
-    number = float(value) if isinstance(value, str) and _NUMBER.fullmatch(value) else math.nan
-    return number if low <= number <= high else None
-
-
-def _number(path: Path, data: dict[str, Any], key: str, low: float, high: float, usual: float | None = None) -> float:
-    number = usual if key not in data else _number_in(data[key], low, high)
-    if number is None:
-        raise ValueError(f"{key} in {path} must be a number from {low:g} to {high:g}, got {data[key]}")
-    return number
-
-
-def _origin(path: Path, origin: Any) -> tuple[float, float, float]:
-    numbers = [_number_in(number, -MAX_SIZE, MAX_SIZE) for number in origin] if isinstance(origin, list) else []
-    x, y, yaw = (*numbers, 0.0, None, None)[:3] if len(numbers) in (2, 3) else (None, None, None)
-    if x is None or y is None or yaw is None:
-        raise ValueError(f"origin in {path} must be [x, y, yaw] within {MAX_SIZE:g} m, got {origin}")
-    return x, y, yaw
-
-
-def _negate(path: Path, data: dict[str, Any]) -> bool:
-    text = str(data.get("negate", "0"))
-    if _INTEGER.fullmatch(text):
-        return int(text, 0 if text[:2] in ("0x", "0o") else 10) != 0
+    resolution = number("resolution", 1e-3, 100.0)
+    pose = [*map(_number, origin)] if isinstance(origin, list) else []
+    is_pose = len(pose) in (2, 3) and all(abs(value) <= MAX_SIZE for value in pose)
+    check("origin", is_pose, f"[x, y, yaw] within {MAX_SIZE:g} m")
+    x, y, yaw = (*pose, 0.0)[:3]
+    negate = str(data.get("negate", "0"))
     # yaml-cpp knows true, True and TRUE, but not tRUE.
-    if text.lower() in (*_TRUE, *_FALSE) and text in (text.lower(), text.upper(), text.capitalize()):
-        return text.lower() in _TRUE
-    raise ValueError(f"negate in {path} must be 0 or 1, got {text}")
+    is_word = negate.lower() in (*_TRUE, *_FALSE) and negate in (negate.lower(), negate.upper(), negate.capitalize())
+    check("negate", is_word or _INTEGER.fullmatch(negate) is not None, "0 or 1")
+    inverse = negate.lower() in _TRUE if is_word else int(negate, 0 if negate[:2] in ("0x", "0o") else 10) != 0
+    return _Map(image, mode, resolution, (x, y, yaw), inverse, occupied, free)
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, str) and _NUMBER.fullmatch(value) else math.nan
 
 
 def _states(settings: _Map, gray: np.ndarray, clear: np.ndarray | None) -> np.ndarray:
@@ -193,8 +181,10 @@ def _walls(path: Path, settings: _Map, walls: np.ndarray, options: ImportOptions
     for size in (1, int(options.obstacle_error / settings.resolution + 1e-3)):
         pieces = _slanted(walls, size)
         if len(pieces) <= MAX_PIECES:
+            corners = [settings.points(piece) for piece in pieces]
+            prisms = [np.concatenate([np.insert(ring, 2, z, axis=1) for z in (0.0, height)]) for ring in corners]
             note = f"{len(pieces):,} slanted pieces, within about {settings.resolution * max(1, size):.2g} m"
-            return [_prism(settings.points(piece), height) for piece in pieces], note
+            return [hull(points) for points in prisms], note
     sizes = (2**k for k in range(1, 20))
     enough = settings.resolution * next(size for size in sizes if len(_slanted(walls, size)) <= MAX_PIECES)
     thicker = f"accept {written('obstacle_error')}={enough:g}, with thicker walls, or " if enough <= 1 else ""
@@ -210,8 +200,3 @@ def _slanted(walls: np.ndarray, size: int) -> np.ndarray:
         rows, columns = (side // size for side in walls.shape)
         walls = np.any(walls.reshape(rows, size, columns, size), axis=(1, 3))
     return max(1, size) * slanted_cover(walls)
-
-
-def _prism(corners: np.ndarray, height: float) -> Solids:
-    low, high = (np.column_stack((corners, np.full(len(corners), z))) for z in (0.0, height))
-    return hull(np.concatenate((low, high)))

@@ -1,8 +1,9 @@
-"""Options of the importers of world files."""
+"""Formats of world files, and the options of their importers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import Any, Literal, TypeAlias, Union, get_args
 
 import numpy as np
@@ -10,8 +11,17 @@ import numpy as np
 from rover_rl.option_names import written
 from rover_rl.worlds.region import Area
 
+SDF_SUFFIXES = (".sdf", ".world")
+MESH_SUFFIXES = (".obj", ".stl", ".dae", ".glb", ".gltf", ".ply")
+TIFF_SUFFIXES = (".tif", ".tiff")
+ELEVATION_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy", ".pgm", ".jpg", ".jpeg", ".bmp")
+MAP_SUFFIXES = (".yaml", ".yml")
+ARCHIVE_SUFFIX = ".world.npz"
+SUFFIXES = (*SDF_SUFFIXES, *MESH_SUFFIXES, *ELEVATION_SUFFIXES, *MAP_SUFFIXES, ARCHIVE_SUFFIX)
 MAX_SIZE = 10_000.0
 """Largest distance of anything in an imported world from the origin, m."""
+MAX_TRIANGLES = 170_000
+"""Largest number of triangles of all obstacles: Bullet's limit for the mesh that takes the lidar rays."""
 
 Missing = Literal["error", "skip"]
 Unknown = Literal["open", "wall", "free"]
@@ -26,6 +36,19 @@ _RANGES = {
     "height": (-MAX_SIZE, MAX_SIZE),
     "wall_height": (0.01, 1000.0),
 }
+
+
+def is_world_file(name: str) -> bool:
+    """Returns whether the name of a world is the path of a file: by its suffix, or because it has a folder."""
+    return name.lower().endswith((*SUFFIXES, ".npz")) or "/" in name or "\\" in name
+
+
+def optional(module: str) -> Any:
+    """Imports a module of the extra ``worlds``. If it is not installed, the error says how to install it."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ImportError(f'this world file needs the package {module}: pip install "rover_rl[worlds]"') from error
 
 
 @dataclass(frozen=True)
@@ -90,11 +113,10 @@ class ImportOptions:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _place(name, getattr(self, name)))
         paths = (self.model_paths,) if isinstance(self.model_paths, str) else self.model_paths
-        object.__setattr__(self, "model_paths", tuple(str(path) for path in paths))
+        object.__setattr__(self, "model_paths", tuple(map(str, paths)))
 
 
 def make_options(given: dict[str, Any]) -> ImportOptions:
-    """Returns options by name."""
     known = [field.name for field in fields(ImportOptions)]
     if unknown := sorted(set(given) - set(known)):
         raise ValueError(f"unknown options of a world file: {unknown}; use some of {known}")
@@ -106,10 +128,10 @@ def _place(name: str, place: Any) -> Any:
         numbers = np.array(place, dtype=float)
     except (TypeError, ValueError):
         numbers = np.empty(0)
-    is_area, is_polygon = numbers.shape == (2, 2), numbers.ndim == 2 and numbers.shape[1] == 2 and len(numbers) > 2
-    ordered = not is_area or bool((numbers[:, 0] < numbers[:, 1]).all())
+    is_area = numbers.shape == (2, 2) and bool((numbers[:, 0] < numbers[:, 1]).all())
+    is_polygon = numbers.ndim == 2 and numbers.shape[1] == 2 and len(numbers) > 2
     allowed = is_area or (name != "bounds" and (is_polygon or numbers.shape == (2,)))
-    if not (allowed and ordered and (np.abs(numbers) <= MAX_SIZE).all()):
+    if not (allowed and (np.abs(numbers) <= MAX_SIZE).all()):
         forms = "((x_low, x_high), (y_low, y_high))"
         if name != "bounds":
             forms = f"a rectangle {forms}, a polygon [(x, y), ...] or a point (x, y)"

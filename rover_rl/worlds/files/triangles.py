@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.sparse import coo_array
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 from trimesh.graph import connected_components, face_adjacency, is_watertight
 from trimesh.triangles import closest_point
@@ -16,21 +17,49 @@ MERGE = 1e-5
 COVERED = 1e-3
 """Distance from other triangles up to which a triangle is a double of them, m."""
 SAMPLES = 20_000
-"""Largest number of random points of a surface that stand for it."""
+"""Number of random points of a surface that stand for it."""
 MAX_PAIRS = 1_000_000
 """Number of pairs of a point and a triangle whose distances are computed at once."""
 NEAR = 8
 """Number of random points of a surface near a point whose triangles may be the nearest one."""
 CHUNK = 4_000_000
 """Number of pairs of a triangle and a grid point that are tested at once."""
-STEEPEST = 0.17
-"""Least z component of the unit normal of a face that counts as ground (80 degrees)."""
+MAX_ROUNDS = 200
+LEAST_SHARE = 0.002
+"""Share of the vertices that a round of the simplification must remove, or else it is the last one."""
+FLIP = 0.3
+"""Least cosine of the angle by which a merge of vertices may turn a triangle."""
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Returns the normals of triangles, twice as long as the triangles are large: ``[F, 3]``."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
+
+
+def is_closed(faces: np.ndarray) -> bool:
+    """Returns whether every edge belongs to two triangles, which run along it in opposite directions."""
+    return len(faces) > 0 and all(is_watertight(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)))
+
+
+def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Returns the volume of a closed mesh, m^3: negative if its normals point inward."""
+    a, b, c = (vertices[faces[:, k]] - vertices[faces[0, 0]] for k in range(3))
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def convex_hull(points: np.ndarray) -> ConvexHull | None:
+    """Returns the convex hull of points. ``None`` if they lie in one plane, or on a line in the plane."""
+    try:
+        return ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+
+
+def hull_volume(points: np.ndarray) -> float:
+    """Returns the volume of the hull of points ``[P, 3]``, m^3, or the area of that of points ``[P, 2]``, m^2."""
+    hull = convex_hull(points)
+    return 0.0 if hull is None else float(hull.volume)
 
 
 def split(piece: Piece) -> list[Piece]:
@@ -50,7 +79,7 @@ def split(piece: Piece) -> list[Piece]:
     _, keep = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     faces = faces[np.sort(keep)]
     parts = []
-    for group in _with_cavities(vertices, faces, _connected(faces, face_adjacency(faces)) if len(faces) else []):
+    for group in _with_cavities(vertices, faces) if len(faces) else ():
         used, renumbered = np.unique(faces[group], return_inverse=True)
         parts.append(Piece(piece.name, vertices[used], renumbered.reshape(-1, 3), pose))
     return parts
@@ -73,14 +102,16 @@ def _connected(faces: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
     return [np.sort(group) for group in connected_components(pairs, min_len=1, nodes=np.arange(len(faces)))]
 
 
-def _with_cavities(vertices: np.ndarray, faces: np.ndarray, groups: list[np.ndarray]) -> list[np.ndarray]:
-    volumes = np.array([signed_volume(vertices, faces[group]) for group in groups])
-    inner = [k for k in np.flatnonzero(volumes < 0).tolist() if is_closed(faces[groups[k]])]
-    outer = [k for k in np.flatnonzero(volumes > 0).tolist() if is_closed(faces[groups[k]])] if inner else []
-    joined, holders = dict(enumerate(groups)), {k: vertices[faces[groups[k]]] for k in outer}
+def _with_cavities(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
+    """Returns the connected parts as indices of triangles, with the inner surfaces of solids in their outer ones."""
+    groups = _connected(faces, face_adjacency(faces))
+    volumes = [signed_volume(vertices, faces[group]) for group in groups]
+    inner = [k for k, volume in enumerate(volumes) if volume < 0 and is_closed(faces[groups[k]])]
+    outer = [k for k, volume in enumerate(volumes) if inner and volume > 0 and is_closed(faces[groups[k]])]
+    joined = dict(enumerate(groups))
     for k in inner:
         point = vertices[faces[groups[k][0], 0]]
-        around = [j for j in outer if volumes[j] > -volumes[k] and _encloses(holders[j], point)]
+        around = [j for j in outer if volumes[j] > -volumes[k] and _encloses(vertices[faces[groups[j]]], point)]
         if around:
             nearest = min(around, key=lambda j: volumes[j])
             joined[nearest] = np.concatenate((joined[nearest], joined.pop(k)))
@@ -155,29 +186,9 @@ def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, limit
 
 
 def _exact_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Returns the distances of points from the nearest of triangles ``[F, 3, 3]``: ``[P]``, m."""
     count = len(triangles)
     nearest = closest_point(np.tile(triangles, (len(points), 1, 1)), np.repeat(points, count, axis=0))
     return np.linalg.norm(nearest.reshape(-1, count, 3) - points[:, None], axis=2).min(1)
-
-
-def is_closed(faces: np.ndarray) -> bool:
-    """Returns whether every edge belongs to two triangles, which run along it in opposite directions."""
-    return len(faces) > 0 and all(is_watertight(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)))
-
-
-def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Returns the volume of a closed mesh, m^3: negative if its normals point inward."""
-    a, b, c = (vertices[faces[:, k]] - vertices[faces[0, 0]] for k in range(3))
-    return float((a * np.cross(b, c)).sum() / 6)
-
-
-def upward_faces(vertices: np.ndarray, faces: np.ndarray, both_sides: bool) -> np.ndarray:
-    """Returns the faces that a wheel could stand on. Those of a sheet count on both sides: it has no inside."""
-    normal = face_normals(vertices, faces)
-    length = np.linalg.norm(normal, axis=1)
-    up = np.abs(normal[:, 2]) if both_sides else normal[:, 2]
-    return faces[(length > 1e-12) & (up > STEEPEST * length)]
 
 
 def surface_heights(
@@ -202,8 +213,7 @@ def surface_heights(
     high = np.minimum(np.floor(corners[..., :2].max(1) + 1e-6).astype(int), (shape[1] - 1, shape[0] - 1))
     span = np.clip(high - low + 1, 0, None)
     count = span[:, 0] * span[:, 1]
-    order = np.flatnonzero(count)
-    start = 0
+    order, start = np.flatnonzero(count), 0
     while start < len(order):
         stop = start + max(1, int(np.searchsorted(np.cumsum(count[order[start:]]), CHUNK)))
         chosen = order[start:stop]
@@ -211,23 +221,19 @@ def surface_heights(
         triangle = np.repeat(chosen, count[chosen])
         place = np.arange(len(triangle)) - np.repeat(np.cumsum(count[chosen]) - count[chosen], count[chosen])
         column, row = low[triangle, 0] + place % span[triangle, 0], low[triangle, 1] + place // span[triangle, 0]
-        inside, z = _heights_in(corners[triangle], column, row)
+        a, b, c = corners[triangle].swapaxes(0, 1)
+        # Barycentric coordinates of the point in the triangle's projection.
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+        x, y = column - a[:, 0], row - a[:, 1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            v = (x * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * y) / area
+            w = ((b[:, 0] - a[:, 0]) * y - x * (b[:, 1] - a[:, 1])) / area
+            inside = (v >= -1e-6) & (w >= -1e-6) & (v + w <= 1 + 1e-6)
+            z = a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2])
         np.minimum.at(heights, (row * shape[1] + column)[inside], z[inside])
         start = stop
     heights[np.isinf(heights)] = np.nan
     return heights.reshape(shape)
-
-
-def _heights_in(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    a, b, c = corners.swapaxes(0, 1)
-    # Barycentric coordinates of the point in the triangle's projection.
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    x, y = column - a[:, 0], row - a[:, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        v = (x * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * y) / area
-        w = ((b[:, 0] - a[:, 0]) * y - x * (b[:, 1] - a[:, 1])) / area
-        inside = (v >= -1e-6) & (w >= -1e-6) & (v + w <= 1 + 1e-6)
-        return inside, a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2])
 
 
 def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.0) -> list[list[int]]:
@@ -235,9 +241,18 @@ def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.
 
     Some of the points may lie on the edges of their polygon, or in it, at most ``slack`` from the edges.
     """
+
+    def area_of(corners: set[int]) -> float:
+        return hull_volume(points[list(corners)])
+
+    def pocket(corners: set[int]) -> float:
+        inside = points[list(corners)]
+        planes = ConvexHull(inside).equations
+        return float((-(inside @ planes[:, :2].T + planes[:, 2])).min(1).max())
+
     whole = {*triangles.ravel().tolist()}
-    left = {k: ({*triangle}, _area({*triangle}, points)) for k, triangle in enumerate(triangles.tolist())}
-    if _area(whole, points) <= sum(area for _, area in left.values()) * (1 + 1e-6):
+    left = {k: ({*triangle}, area_of({*triangle})) for k, triangle in enumerate(triangles.tolist())}
+    if area_of(whole) <= sum(area for _, area in left.values()) * (1 + 1e-6):
         return [[*whole]]
     polygons = []
     while left:
@@ -249,32 +264,97 @@ def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.
                 if len(polygon & corners) < 2:
                     continue
                 union = polygon | corners
-                union_area = _area(union, points)
-                if union_area <= (area + more) * (1 + 1e-6) or (slack and _pocket(union, points) <= slack):
+                union_area = area_of(union)
+                if union_area <= (area + more) * (1 + 1e-6) or (slack and pocket(union) <= slack):
                     polygon, area, grown = union, union_area, True
                     del left[other]
         polygons.append([*polygon])
     return polygons
 
 
-def _pocket(corners: set[int], points: np.ndarray) -> float:
-    inside = points[list(corners)]
-    planes = ConvexHull(inside).equations
-    return float((-(inside @ planes[:, :2].T + planes[:, 2])).min(1).max())
+def simplify(vertices: np.ndarray, faces: np.ndarray, error: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a mesh with fewer triangles by edge collapses (Garland and Heckbert, 1997, doi:10.1145/258734.258849).
+
+    In each round, vertices that are far from one another move to a neighbor at once. A closed mesh stays closed.
+
+    Args:
+        vertices: ``[V, 3]``, m.
+        faces: ``[F, 3]``.
+        error: largest distance of a vertex from the planes of the triangles that it stands for, their root mean square,
+            m.
+    """
+    normals = face_normals(vertices, faces)
+    # Weighted by the area, as the length of the normals is twice that.
+    planes = np.column_stack((normals, -(normals * vertices[faces[:, 0]]).sum(1)))
+    planes /= np.sqrt(np.linalg.norm(normals, axis=1, keepdims=True))
+    quadrics = np.zeros((len(vertices), 4, 4))
+    np.add.at(quadrics, faces, (planes[:, :, None] * planes[:, None, :])[:, None])
+    fixed = np.zeros(len(vertices), dtype=bool)
+    edges, counts = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
+    fixed[edges[counts != 2]] = True
+    rng = np.random.default_rng(0)
+    for _ in range(MAX_ROUNDS):
+        moves = _moves(vertices, faces, quadrics, fixed, error, rng)
+        np.add.at(quadrics, moves[:, 1], quadrics[moves[:, 0]])
+        target = np.arange(len(vertices))
+        target[moves[:, 0]] = moves[:, 1]
+        faces = target[faces]
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+        if len(moves) <= LEAST_SHARE * len(np.unique(faces)):
+            break
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3)
 
 
-def _area(corners: set[int], points: np.ndarray) -> float:
-    return volume_of(convex_hull(points[list(corners)]))
+def _moves(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    quadrics: np.ndarray,
+    fixed: np.ndarray,
+    error: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Returns which vertices move to which neighbors: ``[M, 2]``. None of them has a neighbor in common."""
+    count = len(vertices)
+    start, end = np.concatenate([faces[:, [k, (k + step) % 3]] for k in range(3) for step in (1, 2)]).T
+    links = coo_array((np.ones(len(start), dtype=np.int32), (start, end)), shape=(count, count)).tocsr()
+    links.data[:] = 1
+    # Neighbors in common: with more than two, the surface would touch itself.
+    shared = (links @ links).multiply(links).tocoo()
+    pairs, common = np.stack(shared.coords, -1), shared.data
+    corner = np.column_stack((vertices, np.ones(count)))[pairs[:, 1]]
+    costs = (np.einsum("mij,mj->mi", quadrics[pairs[:, 0]], corner) * corner).sum(1)
+    costs /= np.trace(quadrics[:, :3, :3], axis1=1, axis2=2)[pairs[:, 0]]
+    allowed = (common == 2) & (costs <= error**2) & ~fixed[pairs[:, 0]]
+    pairs, costs = pairs[allowed], costs[allowed]
+    flips = _flips(vertices, faces, pairs)
+    pairs, costs = pairs[~flips], costs[~flips]
+    order = np.argsort(costs + 0.01 * error**2 * rng.random(len(costs)))
+    # The first move of each vertex, if it comes before those of all vertices up to two edges away.
+    _, first = np.unique(pairs[order, 0], return_index=True)
+    rank = np.full(count, len(order))
+    rank[pairs[order[first], 0]] = first
+    best = rank
+    for _ in range(2):
+        near = best.copy()
+        np.minimum.at(near, start, best[end])
+        best = near
+    return pairs[order[first]][best[pairs[order[first], 0]] == first]
 
 
-def convex_hull(points: np.ndarray) -> ConvexHull | None:
-    """Returns the convex hull of points. ``None`` if they lie in one plane."""
-    try:
-        return ConvexHull(points)
-    except (QhullError, ValueError):
-        return None
-
-
-def volume_of(hull: ConvexHull | None) -> float:
-    """Returns the volume of a hull of points ``[P, 3]``, m^3, or the area of one of points ``[P, 2]``, m^2."""
-    return 0.0 if hull is None else float(hull.volume)
+def _flips(vertices: np.ndarray, faces: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Returns which moves of a vertex to another one would turn a triangle over, or make it a line: ``[M]``."""
+    owner = faces.ravel()
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(len(vertices) + 1))
+    counts = (starts[1:] - starts[:-1])[pairs[:, 0]]
+    move = np.repeat(np.arange(len(pairs)), counts)
+    offset = np.arange(len(move)) - np.repeat(np.cumsum(counts) - counts, counts)
+    corners = faces[order[starts[pairs[move, 0]] + offset] // 3]
+    moved = np.where(corners == pairs[move, :1], pairs[move, 1:], corners)
+    stays = (corners != pairs[move, 1:]).all(1)
+    old, new = face_normals(vertices, corners), face_normals(vertices, moved)
+    turned = (old * new).sum(1) <= FLIP * np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
+    flips = np.zeros(len(pairs), dtype=bool)
+    flips[move[stays & turned]] = True
+    return flips

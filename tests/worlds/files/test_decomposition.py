@@ -11,8 +11,7 @@ from scipy.spatial import ConvexHull
 from rover_rl.worlds import World
 from rover_rl.worlds.files.contents import Piece
 from rover_rl.worlds.files.convex import obstacles_of
-from rover_rl.worlds.files.simplification import simplify
-from rover_rl.worlds.files.triangles import distances, is_closed, random_points, split
+from rover_rl.worlds.files.triangles import distances, is_closed, random_points, simplify, split
 from tests.extras import needs_worlds
 from tests.worlds.files.scenes import prism
 
