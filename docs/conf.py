@@ -111,7 +111,7 @@ nitpick_ignore = [
             "rover_rl.algos.evaluation.trajectory.MoverTrack",
             "rover_rl.algos.video.recording.Episode",
             "rover_rl.worlds.solids.Shape",
-            "rover_rl.worlds.table.TerrainRows",
+            "rover_rl.worlds.terrain.TerrainRows",
             "OtherRovers",
             "rover_rl.sims.free_space.fitting.Source",
             "TimeLimit",

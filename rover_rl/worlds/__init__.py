@@ -2,39 +2,23 @@
 
 from __future__ import annotations
 
-import inspect as signatures
 from collections.abc import Callable
 from functools import lru_cache
+from inspect import signature
 from pathlib import Path
 
 from rover_rl.names import Name
 from rover_rl.registry import Registry
 from rover_rl.worlds.files.options import is_world_file
-from rover_rl.worlds.generators import (
-    corridor,
-    crossing,
-    field,
-    forest,
-    hills,
-    inspect,
-    maze,
-    moon,
-    plaza,
-    ramps,
-    rooms,
-    with_walkers,
-    yard,
-)
+from rover_rl.worlds.generators import WORLDS
+from rover_rl.worlds.generators.crowds import with_walkers
 from rover_rl.worlds.region import Region
 from rover_rl.worlds.solids import Solids, boulder, box, boxes, cylinder, cylinders, hull
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
-WORLDS: dict[str, Callable[..., World]] = {
-    generate.__name__: generate
-    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field, yard)
-}
-"""Built-in worlds: functions from a seed and a difficulty to a world, by name."""
+__all__ = ["WORLDS", "get_world", "register_world", "takes_scale", "with_walkers", "world_names"]
+__all__ += ["Region", "Solids", "Terrain", "World", "boulder", "box", "boxes", "cylinder", "cylinders", "hull"]
 
 _REGISTRY = Registry(
     "world",
@@ -113,7 +97,7 @@ def takes_scale(world: str) -> bool:
 
 def _parameters(part: str) -> list[str]:
     found = None if is_world_file(part) else _REGISTRY.find(part)
-    return [*signatures.signature(found).parameters] if callable(found) else []
+    return [*signature(found).parameters] if callable(found) else []
 
 
 @lru_cache(maxsize=256)
@@ -124,11 +108,9 @@ def _make(name: Name, version: tuple[int, int] | None) -> World:
         # Seed and difficulty are those of the people, and of the world if it takes them.
         foreign = {"difficulty": "difficulty" in takes, "seed": takes_seed is not None}
         world = get_world(str(name.replace(walkers=None, **{key: None for key, own in foreign.items() if not own})))
-        people = {key: settings[key] for key in foreign if key in settings}
-        return with_walkers(world, **people)
-    scale = settings.pop("scale", None) if name.part in WORLDS and "scale" not in takes else None
-    if scale is not None:
-        return get_world(str(name.replace(scale=None))).scaled(scale)
+        return with_walkers(world, **{key: settings[key] for key in foreign if key in settings})
+    if "scale" in settings and name.part in WORLDS and "scale" not in takes:
+        return get_world(str(name.replace(scale=None))).scaled(settings["scale"])
     for setting, value in settings.items():
         if setting not in takes and not (setting == "seed" and takes_seed):
             raise ValueError(f"world {name.part!r} takes no {setting}, got {value}")
@@ -143,22 +125,3 @@ def _make(name: Name, version: tuple[int, int] | None) -> World:
             f"world {name.part!r} must be a World or a function that returns one, got {type(made).__name__}"
         )
     return made
-
-
-__all__ = [
-    "WORLDS",
-    "Region",
-    "Solids",
-    "Terrain",
-    "World",
-    "boulder",
-    "box",
-    "boxes",
-    "cylinder",
-    "cylinders",
-    "get_world",
-    "hull",
-    "register_world",
-    "with_walkers",
-    "world_names",
-]

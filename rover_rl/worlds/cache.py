@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 import zlib
 from functools import lru_cache
@@ -49,22 +48,14 @@ def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
     try:
         with written_whole(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
-        _delete_oldest(path)
+        kept = 0
+        for other in sorted(path.parent.iterdir(), key=lambda file: file.stat().st_mtime_ns, reverse=True):
+            kept += other.stat().st_size
+            if kept > KEPT_BYTES / FOLDERS and other != path:
+                # Another process may have deleted it.
+                other.unlink(missing_ok=True)
     except OSError:
         pass
-
-
-def _delete_oldest(newest: Path) -> None:
-    with os.scandir(newest.parent) as entries:
-        files = sorted((entry.stat().st_mtime_ns, entry.stat().st_size, entry.path) for entry in entries)
-    size = sum(size for _, size, _ in files)
-    for _, freed, path in files:
-        if size <= KEPT_BYTES / FOLDERS:
-            return
-        if path != str(newest):
-            # Another process may have deleted it.
-            Path(path).unlink(missing_ok=True)
-            size -= freed
 
 
 def _path(kind: str, key: str) -> Path:

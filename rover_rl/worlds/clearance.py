@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -18,28 +17,13 @@ CELL = 0.1
 """Side length of a cell of the height map of :class:`SolidTest`, m."""
 
 
-class HasObstacles(Protocol):
-    """A world, or a :class:`Site`."""
-
-    @property
-    def terrain(self) -> Terrain: ...
-
-    @property
-    def obstacles(self) -> Sequence[Solids]: ...
-
-
-class Site(NamedTuple):
-    """Ground with obstacles: what a world is before it has areas."""
-
-    terrain: Terrain
-    obstacles: Sequence[Solids]
-
-
-def clearance_on_grid(world: HasObstacles, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
+def clearance_on_grid(
+    terrain: Terrain, obstacles: Sequence[Solids], xs: np.ndarray, ys: np.ndarray, limit: float
+) -> Tensor:
     """Returns the horizontal distance from the points of a grid to the nearest obstacle near the ground.
 
     Args:
-        world: world with the obstacles.
+        terrain, obstacles: those of a world.
         xs: x of the columns, at equal distances, float64 ``[columns]``, m.
         ys: y of the rows, float64 ``[rows]``, m.
         limit: largest distance of interest, m.
@@ -52,8 +36,8 @@ def clearance_on_grid(world: HasObstacles, xs: np.ndarray, ys: np.ndarray, limit
     from rover_rl.worlds.ground_kernels import measure_clearance
 
     clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
-    solids = Solids.of(world.obstacles)
-    near = _is_near_ground(world.terrain, solids)
+    solids = Solids.of(obstacles)
+    near = _is_near_ground(terrain, solids)
     outlines = [outline for outline, counts in zip(solids.outlines, near, strict=True) if counts]
     if outlines:
         corners, starts = np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).astype(np.int32)
@@ -81,23 +65,22 @@ def _is_near_ground(terrain: Terrain, solids: Solids) -> np.ndarray:
 
 
 class SolidTest:
-    """Fast test for points inside the solids of one world: below the ground or in an obstacle.
+    """Fast test for points below the ground or in an obstacle of one world.
 
     :meth:`World.inside` compares every point with every obstacle. This test first compares the height of a point with
     an upper bound of the height of all solids in its cell of a grid, which excludes almost all points.
     """
 
-    def __init__(self, world: HasObstacles) -> None:
-        self._terrain, self._solids = world.terrain, Solids.of(world.obstacles)
-        (x_low, x_high), (y_low, y_high) = world.terrain.extent
-        xs = np.arange(x_low - 1, x_high + 1, CELL)
-        ys = np.arange(y_low - 1, y_high + 1, CELL)
+    def __init__(self, terrain: Terrain, obstacles: Sequence[Solids]) -> None:
+        self._terrain, self._solids = terrain, Solids.of(obstacles)
+        xs, ys = (np.arange(low - 1, high + 1, CELL) for low, high in terrain.extent)
         self._origin = np.array((xs[0], ys[0]))
         # The terrain in a cell is no higher than the nearest vertex of the terrain and its neighbors.
-        heights = torch.nn.functional.max_pool2d(world.terrain.heights[None, None], 3, 1, 1)[0, 0].numpy()
-        (x0, y0), cell = world.terrain.origin, world.terrain.cell
-        i = np.clip(np.rint((xs + CELL / 2 - x0) / cell).astype(int), 0, heights.shape[1] - 1)
-        j = np.clip(np.rint((ys + CELL / 2 - y0) / cell).astype(int), 0, heights.shape[0] - 1)
+        heights = torch.nn.functional.max_pool2d(terrain.heights[None, None], 3, 1, 1)[0, 0].numpy()
+        i, j = (
+            np.clip(np.rint((axis + CELL / 2 - start) / terrain.cell).astype(int), 0, count - 1)
+            for axis, start, count in zip((xs, ys), terrain.origin, heights.shape[::-1], strict=True)
+        )
         self._heights = heights[np.ix_(j, i)]
         lows, highs = self._solids.bounding_boxes
         corners = zip(self._cells(lows), self._cells(highs) + 1, highs[:, 2], strict=True)

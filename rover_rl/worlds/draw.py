@@ -19,12 +19,7 @@ OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
-    """Draws the ground and the obstacles of a world, as the base of other figures.
-
-    Args:
-        ax: axes to draw on. Sets their limits to ``area``.
-        world: world to draw.
-        area: area to show, ``((x_low, x_high), (y_low, y_high))`` in meters. ``None`` shows all of the terrain.
+    """Draws the ground and the obstacles of a world in an area (m; ``None``: all of the terrain), and sets the limits.
 
     Returns:
         Color scale of the elevation (m), for a color bar. ``None`` if the ground is flat.
@@ -53,6 +48,5 @@ def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
     light = LightSource(azdeg=315, altdeg=45)
     # The light source expects the first row at the top of the image, where y is largest.
     image = light.shade(heights[::-1], GROUND, blend_mode="soft", vert_exag=2.5, dx=step, dy=step, norm=norm)
-    extent = (*area[0], *area[1])
-    ax.imshow(image, extent=extent, interpolation="bilinear", zorder=0)
+    ax.imshow(image, extent=(*area[0], *area[1]), interpolation="bilinear", zorder=0)
     return ScalarMappable(norm, GROUND)

@@ -63,14 +63,13 @@ class WorldPool:
 
     @classmethod
     def of(cls, worlds: WorldSource) -> WorldPool:
-        """Returns the pool of one world or range, or of a list of them. Returns a pool unchanged."""
+        """Makes a pool. Returns a pool unchanged."""
         if isinstance(worlds, WorldPool):
             return worlds
         return cls(worlds) if isinstance(worlds, (str, World)) else cls(*worlds)
 
     @property
     def has_ranges(self) -> bool:
-        """Whether an entry is a range of seeds."""
         return any(self._ranges)
 
     @property

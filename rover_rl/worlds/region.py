@@ -58,10 +58,7 @@ class Region:
 
     @classmethod
     def polygon(cls, corners: Sequence[Sequence[float]]) -> Region:
-        """Returns the region within a polygon, in cells of 5 cm.
-
-        Args:
-            corners: at least three corners ``(x, y)`` in order, m. The last one joins the first.
+        """Returns the region within a polygon of at least three corners ``(x, y)`` in order (m), in cells of 5 cm.
 
         Raises:
             ValueError: if these are no corners of a polygon, or it has no area.

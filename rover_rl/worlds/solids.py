@@ -21,8 +21,7 @@ class Shape:
     """How the vertices of a solid are joined, which boxes, for example, have in common.
 
     Args:
-        vertices: number of vertices.
-        planes: number of planes.
+        vertices, planes: how many there are.
         faces: triangles as indices into the vertices, counter-clockwise from outside, ``[F, 3]``.
         outline: indices of the vertices of the outline from above, counter-clockwise, ``[K]``. ``None``: that depends
             on the vertices.
@@ -124,8 +123,7 @@ class Solids(Sequence["Solids"]):
     @property
     def footprint(self) -> Tensor:
         """Outline of the only solid, ``[K, 2]``, m."""
-        (outline,) = self.outlines
-        return torch.from_numpy(outline)
+        return torch.from_numpy(*self.outlines)
 
     def contains(self, points: Tensor) -> Tensor:
         """Returns which of ``points [..., 3]`` (m) are inside of a solid: bool ``[...]``."""
@@ -137,10 +135,7 @@ class Solids(Sequence["Solids"]):
 
 
 def hull(vertices: Tensor | ArrayLike) -> Solids:
-    """Creates the convex hull of points.
-
-    Args:
-        vertices: points ``[V, 3]``, m. Points inside the hull are dropped.
+    """Creates the convex hull of points ``[V, 3]``, m. Those inside of it are dropped.
 
     Raises:
         ValueError: if there are fewer than four points, a point is not finite, or all points lie in one plane.
@@ -163,10 +158,7 @@ def hull(vertices: Tensor | ArrayLike) -> Solids:
 
 
 def bounding_balls(points: np.ndarray, starts: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns middles ``[N, D]`` and radii ``[N]`` of balls around consecutive points ``[V, D]`` from each start on.
-
-    ``starts`` ends with the number of points.
-    """
+    """Middles ``[N, D]`` and radii ``[N]`` of balls around points ``[V, D]`` from each start to the next one."""
     counts = np.diff(starts)
     middles = np.add.reduceat(points, starts[:-1]) / counts[:, None]
     return middles, np.maximum.reduceat(np.linalg.norm(points - middles.repeat(counts, 0), axis=1), starts[:-1])
@@ -231,8 +223,7 @@ def cylinders(centers: ArrayLike, radii: ArrayLike, heights: ArrayLike, sides: i
 
     Args:
         centers: centers ``[N, 3]``, m.
-        radii: radii ``[N]``, or one for all, m.
-        heights: heights ``[N]``, or one for all, m.
+        radii, heights: ``[N]``, or one for all, m.
         sides: number of sides of the prisms.
 
     Raises:
@@ -303,18 +294,12 @@ def box(
 
 
 def cylinder(center: tuple[float, float, float], radius: float, height: float, sides: int = 16) -> Solids:
-    """Creates an upright cylinder around ``center``, with lengths in meters. See :func:`cylinders`."""
+    """Creates an upright cylinder as :func:`cylinders` does."""
     return cylinders([center], radius, height, sides)
 
 
 def boulder(center: tuple[float, float, float], radius: float, rng: np.random.Generator, points: int = 24) -> Solids:
-    """Creates a random, slightly flattened rock: the convex hull of points at 0.75 to 1 times ``radius``.
-
-    Args:
-        center: center ``(x, y, z)``, m.
-        radius: maximum distance of the surface from the center, m.
-        rng: random number generator.
-        points: number of points.
+    """Creates a random, slightly flattened rock: the hull of points at 0.75 to 1 times ``radius`` (m) from the center.
 
     Raises:
         ValueError: if the radius is not positive.

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from rover_rl.worlds.terrain import Terrain, interpolate_triangles
+from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
 GROWTH = 1.25
@@ -59,7 +59,7 @@ class WorldTable(Sequence[World]):
 
     @classmethod
     def of(cls, worlds: Sequence[World], device: torch.device | str | None = None) -> WorldTable:
-        """Returns the table of a list of worlds, one a row. Returns a table unchanged."""
+        """Returns the table of a list of worlds. Returns a table unchanged."""
         return worlds if isinstance(worlds, WorldTable) else cls(worlds, device)
 
     def __len__(self) -> int:
@@ -109,8 +109,7 @@ class WorldTable(Sequence[World]):
         return self._enter(world)
 
     def _enter(self, world: World) -> int:
-        slot = self._slot_of.get(world)
-        if slot is None:
+        if (slot := self._slot_of.get(world)) is None:
             slot = self._slot_of[world] = self._free_slot()
             self._worlds[slot] = world
             self._entries += 1
@@ -177,55 +176,10 @@ class TerrainTable:
 
     def __init__(self, device: torch.device | str) -> None:
         self._heights = SlotTable((), torch.float32, device)
-        # x and y of the first height, spacing, numbers of rows and columns.
         self._grids = SlotTable((), torch.float64, device)
 
     def __setitem__(self, slot: int, terrain: Terrain) -> None:
-        rows, columns = terrain.heights.shape
-        self._heights[slot] = terrain.heights.reshape(-1)
-        self._grids[slot] = torch.tensor((*terrain.origin, terrain.cell, rows, columns), dtype=torch.float64)
+        self._heights[slot], self._grids[slot] = terrain.heights.reshape(-1), terrain.grid
 
     def of(self, slots: Tensor) -> TerrainRows:
-        """Returns the terrains of rows, by their slots ``[N]``."""
         return TerrainRows(self._heights.values, slots, self._grids.values[slots])
-
-
-class TerrainRows(NamedTuple):
-    """Terrain of each of ``N`` rows.
-
-    Attributes:
-        heights: heights of all slots, row by row, float32 ``[slots, capacity]``, m.
-        slots: slot of each row, int64 ``[N]``.
-        grids: x and y of the first height and spacing (m), and numbers of rows and columns, float64 ``[N, 5]``.
-    """
-
-    heights: Tensor
-    slots: Tensor
-    grids: Tensor
-
-    def height_at(self, xy: Tensor) -> Tensor:
-        """Returns the ground height (m) at points ``xy [N, ..., 2]``, float64, of each row's terrain: ``[N, ...]``."""
-        rows = [-1, *[1] * (xy.ndim - 2)]
-        x, y, cell, count_y, count_x = (part.reshape(rows) for part in self.grids.unbind(-1))
-        u = torch.minimum(((xy[..., 0] - x) / cell).clamp(min=0), count_x - 1)
-        v = torch.minimum(((xy[..., 1] - y) / cell).clamp(min=0), count_y - 1)
-        # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
-        i = torch.minimum(u.long().clamp(min=0), count_x.long() - 2)
-        j = torch.minimum(v.long().clamp(min=0), count_y.long() - 2)
-        columns = count_x.long()
-        corner, slots = j * columns + i, self.slots.reshape(rows)
-        corners = (corner, corner + 1, corner + columns, corner + columns + 1)
-        return interpolate_triangles(u - i, v - j, *(self.heights[slots, k].to(xy.dtype) for k in corners))[0]
-
-    def measured_at(self, xy: Tensor) -> Tensor:
-        """Returns what :meth:`height_at` does, as float32 and faster: ``[N, ...]``, m."""
-        # Importing NVIDIA Warp takes half a second.
-        from rover_rl.native.warp import stream_of, wp
-        from rover_rl.worlds.ground_kernels import grounds_of, measure_heights
-
-        points = xy.float().reshape(len(xy), -1, 2).contiguous()
-        heights = points.new_empty(points.shape[:2])
-        with wp.ScopedStream(stream_of(points.device)):
-            inputs = [grounds_of(self), wp.from_torch(points, dtype=wp.vec2), wp.from_torch(heights)]
-            wp.launch(measure_heights, heights.shape, inputs, device=wp.device_from_torch(points.device))
-        return heights.view(xy.shape[:-1])

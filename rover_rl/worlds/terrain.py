@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -57,11 +59,7 @@ class Terrain:
 
     @classmethod
     def flat(cls, size: tuple[float, float] = (20.0, 20.0), height: float = 0.0) -> Terrain:
-        """Creates flat ground around the origin.
-
-        Args:
-            size: side lengths along x and y, m.
-            height: height of the ground, m.
+        """Creates flat ground around the origin, with side lengths ``size`` along x and y, m.
 
         Raises:
             ValueError: if a side length is not a positive multiple of 0.1 m.
@@ -80,6 +78,11 @@ class Terrain:
         return bool((self.heights == self.heights[0, 0]).all())
 
     @property
+    def grid(self) -> Tensor:
+        """X and y of the first height and spacing (m), and numbers of rows and columns, float64 ``[5]``."""
+        return torch.tensor((*self.origin, self.cell, *self.heights.shape), dtype=torch.float64)
+
+    @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Area of the grid, ``((x_low, x_high), (y_low, y_high))``, m."""
         x, y = self.origin
@@ -92,34 +95,19 @@ class Terrain:
 
     def normal_at(self, xy: Tensor) -> Tensor:
         """Returns the upward unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
-        _, slope_x, slope_y = self._plane_at(xy)
-        normal = torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), -1)
+        _, rise_x, rise_y = self._plane_at(xy)
+        normal = torch.stack((-(rise_x / self.cell), -(rise_y / self.cell), torch.ones_like(rise_x)), -1)
         return normal / normal.norm(dim=-1, keepdim=True)
-
-    def _heights_as(self, other: Tensor) -> Tensor:
-        kind = (other.dtype, other.device)
-        if kind not in self._copies:
-            self._copies[kind] = self.heights.to(device=other.device, dtype=other.dtype)
-        return self._copies[kind]
 
     @cached_property
     def _copies(self) -> dict[tuple[torch.dtype, torch.device], Tensor]:
         return {}
 
     def _plane_at(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        heights = self._heights_as(xy)
-        rows, columns = heights.shape
-        x, y = self.origin
-        u = ((xy[..., 0] - x) / self.cell).clamp(0, columns - 1)
-        v = ((xy[..., 1] - y) / self.cell).clamp(0, rows - 1)
-        # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
-        i = u.long().clamp(0, columns - 2)
-        j = v.long().clamp(0, rows - 2)
-        u, v = u - i, v - j
-        h00, h10 = heights[j, i], heights[j, i + 1]
-        h01, h11 = heights[j + 1, i], heights[j + 1, i + 1]
-        height, rise_x, rise_y = interpolate_triangles(u, v, h00, h10, h01, h11)
-        return height, rise_x / self.cell, rise_y / self.cell
+        kind = (xy.dtype, xy.device)
+        if kind not in self._copies:
+            self._copies[kind] = self.heights.flatten().to(xy)
+        return plane_at(xy, (*self.origin, self.cell, *self.heights.shape), self._copies[kind].__getitem__)
 
     def covering(self, area: Area) -> tuple[slice, slice]:
         """Returns the rows and columns of the part of the grid that covers an area (m), at least one cell."""
@@ -140,29 +128,61 @@ class Terrain:
             ``[F, 3]`` (int64).
         """
         heights = self.heights[rows, columns].double()
-        n_rows, n_columns = heights.shape
-        first_row, first_column = rows.indices(len(self.heights))[0], columns.indices(len(self.heights[0]))[0]
-        ys = self.origin[1] + self.cell * torch.arange(first_row, first_row + n_rows, dtype=torch.float64)
-        xs = self.origin[0] + self.cell * torch.arange(first_column, first_column + n_columns, dtype=torch.float64)
+        xs, ys = (
+            start + self.cell * torch.arange(count, dtype=torch.float64)[part]
+            for start, count, part in zip(self.origin, self.heights.shape[::-1], (columns, rows), strict=True)
+        )
         grid_y, grid_x = torch.meshgrid(ys, xs, indexing="ij")
         vertices = torch.stack((grid_x, grid_y, heights), -1).reshape(-1, 3)
-        index = torch.arange(n_rows * n_columns).reshape(n_rows, n_columns)
+        index = torch.arange(heights.numel()).reshape(heights.shape)
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-        lower = torch.stack((a, b, c), -1).reshape(-1, 3)
-        upper = torch.stack((b, d, c), -1).reshape(-1, 3)
-        return vertices, torch.cat((lower, upper))
+        triangles = (torch.stack(corners, -1).reshape(-1, 3) for corners in ((a, b, c), (b, d, c)))
+        return vertices, torch.cat((*triangles,))
 
 
-def interpolate_triangles(
-    u: Tensor, v: Tensor, h00: Tensor, h10: Tensor, h01: Tensor, h11: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Interpolates the heights of the corners of a cell on its two triangles, at ``u, v`` from 0 to 1 along x and y.
+def plane_at(xy: Tensor, grid: Sequence[Any], height_of: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """Interpolates heights on the two triangles of each cell, at points ``xy [..., 2]`` (m).
+
+    Args:
+        xy: points.
+        grid: numbers of :attr:`Terrain.grid`, or tensors with them that fit ``[...]``.
+        height_of: returns the heights with indices ``[...]``, counted row by row.
 
     Returns:
-        Height, and rises of the triangle along x and along y over the length of the cell, ``[...]`` each.
+        Height (m), and rises of the triangle along x and along y over the length of the cell (m), ``[...]`` each.
     """
+    x, y, cell, rows, columns = grid
+    u = ((xy[..., 0] - x) / cell).clamp(min=0).clamp(max=columns - 1)
+    v = ((xy[..., 1] - y) / cell).clamp(min=0).clamp(max=rows - 1)
+    # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
+    i = u.long().clamp(min=0).clamp(max=columns - 2)
+    j = v.long().clamp(min=0).clamp(max=rows - 2)
+    u, v, corner = u - i, v - j, j * columns + i
+    h00, h10, h01, h11 = map(height_of, (corner, corner + 1, corner + columns, corner + columns + 1))
     upper = u + v > 1
     rise_x = torch.where(upper, h11 - h01, h10 - h00)
     rise_y = torch.where(upper, h11 - h10, h01 - h00)
     height = torch.where(upper, h11 - (1 - u) * rise_x - (1 - v) * rise_y, h00 + u * rise_x + v * rise_y)
     return height, rise_x, rise_y
+
+
+class TerrainRows(NamedTuple):
+    """Terrain of each of ``N`` rows.
+
+    Attributes:
+        heights: heights of all slots, row by row, float32 ``[slots, capacity]``, m.
+        slots: slot of each row, int64 ``[N]``.
+        grids: :attr:`Terrain.grid` of each row, float64 ``[N, 5]``.
+    """
+
+    heights: Tensor
+    slots: Tensor
+    grids: Tensor
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Returns the ground height (m) at points ``xy [N, ..., 2]``, float64, of each row's terrain: ``[N, ...]``."""
+        rows = [-1, *[1] * (xy.ndim - 2)]
+        x, y, cell, *counts = (part.reshape(rows) for part in self.grids.unbind(-1))
+        slots = self.slots.reshape(rows)
+        grid = (x, y, cell, *(count.long() for count in counts))
+        return plane_at(xy, grid, lambda index: self.heights[slots, index].to(xy.dtype))[0]

@@ -99,12 +99,10 @@ class World:
             raise ValueError(f"world {self.name!r} may have at most {MAX_MOVERS} movers, got {len(self.movers)}")
         through = []
         for mover in self.movers:
-            start = mover.motion.first_point()
-            if start is None:
+            if (start := mover.motion.first_point()) is None:
                 continue
             point = torch.tensor(start, dtype=torch.float64)
-            middle = torch.cat((point, self.height_at(point)[None] + 0.1))
-            if not Solids.of(self.obstacles).contains(middle):
+            if not Solids.of(self.obstacles).contains(torch.cat((point, self.height_at(point)[None] + 0.1))):
                 continue
             if not isinstance(mover.motion, Waypoints):
                 raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
@@ -147,10 +145,7 @@ class World:
         return cls(**read_world(Path(path), **options))
 
     def save(self, path: str | Path) -> None:
-        """Writes the world to a file that :meth:`from_file` reads without any extra.
-
-        Args:
-            path: new file, whose name ends in ``.world.npz``.
+        """Writes the world to a file, ``*.world.npz``, that :meth:`from_file` reads without any extra.
 
         Raises:
             OSError: if the file cannot be written.
@@ -174,11 +169,10 @@ class World:
 
     def drop_height(self, xy: Tensor) -> Tensor:
         """Returns the height (m) at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
-        height = torch.full_like(xy[..., 0], self.spawn_height)
+        (x, y), height = xy.unbind(-1), torch.full_like(xy[..., 0], self.spawn_height)
         for ((x_low, x_high), (y_low, y_high)), other in reversed(self.spawn_height_areas):
-            x, y = xy[..., 0], xy[..., 1]
             within = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
-            height = torch.where(within, torch.full_like(height, other), height)
+            height = height.masked_fill(within, other)
         return height
 
     @cached_property

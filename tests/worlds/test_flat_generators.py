@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from rover_rl.worlds import WORLDS
-from rover_rl.worlds.generators.floor_plan import WALL, floor_plan
+from rover_rl.worlds.generators.rooms import WALL, floor_plan
 
 DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
 SEEDS = range(3)

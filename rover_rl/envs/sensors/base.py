@@ -83,7 +83,10 @@ class Surroundings:
         table, entered = self._terrains
         for slot, world in entered().items():
             table[slot] = world.terrain
-        return table.of(self._worlds.slots).measured_at(xy)
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.worlds.ground_kernels import measured_at
+
+        return measured_at(table.of(self._worlds.slots), xy)
 
     def require_simulated(self) -> None:
         """Raises ``ValueError`` for a live rover, whose sensors can cast no rays."""

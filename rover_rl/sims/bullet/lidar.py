@@ -36,7 +36,7 @@ class BulletLidar:
         self._mount, self._range = np.array(robot.lidar_position), robot.lidar_range
         add_mesh_bodies(self.client, world, self._range)
         self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
-        self._solids = SolidTest(world)
+        self._solids = SolidTest(world.terrain, world.obstacles)
         # Reused buffers: new memory would have to be paged in for every scan.
         rovers = max(1, RAYS_PER_BLOCK // len(angles))
         self._starts, self._ends = np.empty((2, rovers, len(angles), 3))

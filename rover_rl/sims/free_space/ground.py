@@ -14,8 +14,7 @@ from rover_rl.robots import Robot
 from rover_rl.sims.free_space import kernels
 from rover_rl.sims.free_space.cells import CellGrid, ring
 from rover_rl.worlds.ground_kernels import ground_of
-from rover_rl.worlds.table import TerrainRows
-from rover_rl.worlds.terrain import Terrain
+from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
 CLEARANCE = 5e-4

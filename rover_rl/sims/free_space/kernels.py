@@ -7,7 +7,7 @@ equal for a symmetric footprint.
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.worlds.ground_kernels import Ground, plane_at
+from rover_rl.worlds.ground_kernels import Grounds, plane_at
 
 RINGS = wp.constant(4)
 """Number of rings of test points around a cell."""
@@ -17,7 +17,7 @@ ALL = wp.constant(wp.uint32(0xFFFFFFFF))
 
 @wp.kernel
 def measure_slopes(
-    ground: Ground,
+    ground: Grounds,
     xs: wp.array[wp.float64],
     ys: wp.array[wp.float64],
     around: wp.array[wp.vec2d],
@@ -28,7 +28,7 @@ def measure_slopes(
     for i in range(xs.shape[0]):
         steepest = wp.float64(0.0)
         for n in range(around.shape[0]):
-            plane = plane_at(ground, xs[i] + around[n][0], ys[j] + around[n][1])
+            plane = plane_at(ground, 0, xs[i] + around[n][0], ys[j] + around[n][1])
             steepest = wp.max(steepest, plane[1] * plane[1] + plane[2] * plane[2])
         slopes[j, i] = steepest
 
@@ -50,31 +50,35 @@ class Stance:
 
 
 @wp.func
-def deviation(ground: Ground, at: wp.vec2d, slope: wp.vec2d, radius: wp.float64) -> wp.vec2d:
+def deviation(ground: Grounds, at: wp.vec2d, slope: wp.vec2d, radius: wp.float64) -> wp.vec2d:
     """Lowest and highest vertex in a square around a point, relative to a plane through height 0 there.
 
     Infinite values if the square exceeds the terrain.
     """
     low = wp.float64(wp.inf)
     high = wp.float64(-wp.inf)
-    first_i = int(wp.floor((at[0] - radius - ground.origin[0]) / ground.cell))
-    first_j = int(wp.floor((at[1] - radius - ground.origin[1]) / ground.cell))
-    last_i = int(wp.ceil((at[0] + radius - ground.origin[0]) / ground.cell))
-    last_j = int(wp.ceil((at[1] + radius - ground.origin[1]) / ground.cell))
-    if first_i < 0 or first_j < 0 or last_i >= ground.heights.shape[1] or last_j >= ground.heights.shape[0]:
+    corner = wp.vec2d(ground.grids[0, 0], ground.grids[0, 1])
+    cell = ground.grids[0, 2]
+    rows = int(ground.grids[0, 3])
+    columns = int(ground.grids[0, 4])
+    first_i = int(wp.floor((at[0] - radius - corner[0]) / cell))
+    first_j = int(wp.floor((at[1] - radius - corner[1]) / cell))
+    last_i = int(wp.ceil((at[0] + radius - corner[0]) / cell))
+    last_j = int(wp.ceil((at[1] + radius - corner[1]) / cell))
+    if first_i < 0 or first_j < 0 or last_i >= columns or last_j >= rows:
         return wp.vec2d(-low, -high)
     for j in range(first_j, last_j + 1):
-        y = ground.origin[1] + wp.float64(j) * ground.cell - at[1]
+        y = corner[1] + wp.float64(j) * cell - at[1]
         for i in range(first_i, last_i + 1):
-            x = ground.origin[0] + wp.float64(i) * ground.cell - at[0]
-            height = wp.float64(ground.heights[j, i]) - slope[0] * x - slope[1] * y
+            x = corner[0] + wp.float64(i) * cell - at[0]
+            height = wp.float64(ground.heights[0, j * columns + i]) - slope[0] * x - slope[1] * y
             low = wp.min(low, height)
             high = wp.max(high, height)
     return wp.vec2d(low, high)
 
 
 @wp.kernel
-def find_level_cells(ground: Ground, stance: Stance, cells: wp.array[wp.vec2d], level: wp.array[wp.bool]):
+def find_level_cells(ground: Grounds, stance: Stance, cells: wp.array[wp.vec2d], level: wp.array[wp.bool]):
     """Finds cells on ground so level that :func:`find_rest_headings` allows all headings; thread ``t`` does cell ``t``.
 
     The ground around the center lies between two planes of slope s: by ``[a, b]`` within the wheels' distance, and
@@ -90,10 +94,10 @@ def find_level_cells(ground: Ground, stance: Stance, cells: wp.array[wp.vec2d], 
         arm = stance.wheels[n]
         wheel = wp.max(wheel, wp.length(arm + stance.middle))
         leverage += wp.vec2d(wp.abs(arm[0]) / stance.spread[0], wp.abs(arm[1]) / stance.spread[1])
-    east = plane_at(ground, at[0] + wheel, at[1])[0]
-    west = plane_at(ground, at[0] - wheel, at[1])[0]
-    north = plane_at(ground, at[0], at[1] + wheel)[0]
-    south = plane_at(ground, at[0], at[1] - wheel)[0]
+    east = plane_at(ground, 0, at[0] + wheel, at[1])[0]
+    west = plane_at(ground, 0, at[0] - wheel, at[1])[0]
+    north = plane_at(ground, 0, at[0], at[1] + wheel)[0]
+    south = plane_at(ground, 0, at[0], at[1] - wheel)[0]
     slope = wp.vec2d(east - west, north - south) / (wp.float64(2.0) * wheel)
     near = deviation(ground, at, slope, wheel)
     far = deviation(ground, at, slope, stance.reach)
@@ -106,7 +110,7 @@ def find_level_cells(ground: Ground, stance: Stance, cells: wp.array[wp.vec2d], 
 
 
 @wp.func
-def fit_plane(ground: Ground, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> wp.vec3d:
+def fit_plane(ground: Grounds, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> wp.vec3d:
     """Height (m) and slopes, forward and to the left, of the plane fitted below the wheels: see ``ground_frame``."""
     total = wp.float64(0.0)
     forward = wp.float64(0.0)
@@ -116,7 +120,7 @@ def fit_plane(ground: Ground, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> 
         arm = stance.wheels[n]
         x = arm[0] + stance.middle[0]
         y = arm[1] + stance.middle[1]
-        height = plane_at(ground, at[0] + x * ahead[0] - y * ahead[1], at[1] + x * ahead[1] + y * ahead[0])[0]
+        height = plane_at(ground, 0, at[0] + x * ahead[0] - y * ahead[1], at[1] + x * ahead[1] + y * ahead[0])[0]
         total += height
         forward += height * arm[0]
         left += height * arm[1]
@@ -128,7 +132,7 @@ def fit_plane(ground: Ground, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> 
 
 @wp.kernel
 def find_rest_headings(
-    ground: Ground,
+    ground: Grounds,
     stance: Stance,
     cells: wp.array[wp.vec2d],
     ring: wp.array[wp.vec2d],
@@ -155,7 +159,7 @@ def find_rest_headings(
         radius = stance.reach / wp.float64(4.0) * wp.float64(r + 1)
         for n in range(points):
             p = radius * ring[n]
-            height = plane_at(ground, at[0] + p[0], at[1] + p[1])[0]
+            height = plane_at(ground, 0, at[0] + p[0], at[1] + p[1])[0]
             surface[t, r * points + n] = height
             mean = mean + height * p
         squares += radius * radius * wp.float64(points) / wp.float64(2.0)

@@ -158,7 +158,8 @@ def _description(robot: Robot) -> bytes:
 
 
 def _compute(world: World, robot: Robot, grid: CellGrid) -> FreeSpace:
-    clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
+    most = robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE
+    clearance = clearance_on_grid(world.terrain, world.obstacles, grid.x, grid.y, most)
     room, gentle = clearance.numpy(), _gentle(world, robot, grid)
     areas = [grid.within(world.spawn_range, world.spawn_region), grid.within(world.goal_range, world.goal_region)]
     x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)

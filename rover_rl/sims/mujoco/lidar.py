@@ -21,7 +21,7 @@ class RayScene:
         spec = mujoco.MjSpec()
         add_ground_tiles(spec, world, reach)
         add_obstacles(spec, world)
-        self.model, self.solids = spec.compile(), SolidTest(world)
+        self.model, self.solids = spec.compile(), SolidTest(world.terrain, world.obstacles)
 
 
 class MujocoLidar:

@@ -11,7 +11,7 @@ import torch
 from scipy.ndimage import label
 
 from rover_rl.option_names import written
-from rover_rl.worlds.clearance import Site, clearance_on_grid
+from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.files.options import ImportOptions
 from rover_rl.worlds.region import Area, Region, expanded, overlap, union
 from rover_rl.worlds.solids import Solids
@@ -47,9 +47,9 @@ def find_areas(
         limits: area that has ground or obstacles.
         known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
     """
-    site, limits = Site(terrain, obstacles), overlap(limits, terrain.extent)
+    limits = overlap(limits, terrain.extent)
     notes: list[str] = []
-    ground = _FreeGround.of(site, limits, known)
+    ground = _FreeGround.of(terrain, obstacles, limits, known)
 
     def place(name: str) -> tuple[Area, Region | None] | None:
         """Area that an option gives: a rectangle, and a region in it if it is a polygon or a point."""
@@ -76,7 +76,7 @@ def find_areas(
     areas: dict[str, Any] = {"bounds": bounds}
     for name, (area, region) in (("spawn", spawn), ("goal", goal)):
         area = overlap(area, bounds) if region else area
-        _check(site, f"{name}_range", area, region)
+        _check(terrain, obstacles, f"{name}_range", area, region)
         areas |= {f"{name}_range": area, f"{name}_region": region}
     return areas, notes
 
@@ -90,13 +90,19 @@ class _FreeGround(NamedTuple):
     centers: np.ndarray
 
     @classmethod
-    def of(cls, site: Site, area: Area, known: Callable[[np.ndarray], np.ndarray] | None = None) -> _FreeGround:
+    def of(
+        cls,
+        terrain: Terrain,
+        obstacles: Sequence[Solids],
+        area: Area,
+        known: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> _FreeGround:
         (x_low, x_high), (y_low, y_high) = area
         cell = max(CELL, math.sqrt(max(0.0, (x_high - x_low) * (y_high - y_low)) / MAX_CELLS))
         x, y = (low + cell * (np.arange(max(2, math.ceil((high - low) / cell))) + 0.5) for low, high in area)
         centers = np.stack(np.meshgrid(x, y), -1)
-        free = clearance_on_grid(site, x, y, 2 * CLEARANCE).numpy() >= CLEARANCE
-        free &= site.terrain.normal_at(torch.from_numpy(centers))[..., 2].numpy() >= math.cos(MAX_SLOPE)
+        free = clearance_on_grid(terrain, obstacles, x, y, 2 * CLEARANCE).numpy() >= CLEARANCE
+        free &= terrain.normal_at(torch.from_numpy(centers))[..., 2].numpy() >= math.cos(MAX_SLOPE)
         if known is not None:
             free &= known(centers)
         cell = float(x[1] - x[0])
@@ -126,12 +132,12 @@ class _FreeGround(NamedTuple):
         return Region(torch.from_numpy(self.parts == part), self.cell, self.corner)
 
 
-def _check(site: Site, name: str, area: Area, region: Region | None) -> None:
-    common = overlap(area, site.terrain.extent)
+def _check(terrain: Terrain, obstacles: Sequence[Solids], name: str, area: Area, region: Region | None) -> None:
+    common = overlap(area, terrain.extent)
     none = f"the world has no free ground in {written(name)} {_text(area)}:"
     if any(high - low < 2 * CLEARANCE for low, high in common):
-        raise ValueError(f"{none} its ground is {_text(site.terrain.extent)}")
-    ground = _FreeGround.of(site, common)
+        raise ValueError(f"{none} its ground is {_text(terrain.extent)}")
+    ground = _FreeGround.of(terrain, obstacles, common)
     centers = torch.from_numpy(ground.centers[ground.parts > 0])
     if not len(centers) or (region is not None and not region.contains(centers).any()):
         raise ValueError(f"{none} it is covered by obstacles or too steep")

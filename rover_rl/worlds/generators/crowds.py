@@ -1,5 +1,7 @@
 """Worlds in which people and obstacles move: plaza, corridor, crossing, field, yard; and walkers in any world.
 
+A ``scale`` is a factor of the lengths, for larger robots. What moves stays as large as it is.
+
 The walking speed of people is 1.34 +- 0.26 m/s (U. Weidmann, "Transporttechnik der Fussgaenger", ETH Zurich, 1993).
 Here, it rises with the difficulty to that. The numbers and speeds of the field span those of the DynaBARN worlds, 5 to
 24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s
@@ -9,12 +11,13 @@ Here, it rises with the difficulty to that. The numbers and speeds of the field 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
-from rover_rl.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander, Waypoints
+from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, raised, scaled, square
+from rover_rl.worlds.movers import Box, Cross, Cylinder, Motion, Mover, Person, SocialForce, Wander, Waypoints
 from rover_rl.worlds.region import Area, union
 from rover_rl.worlds.solids import Solids, boxes, cylinders
 from rover_rl.worlds.terrain import Terrain
@@ -67,11 +70,8 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
     count = min(max(round(ground * scaled(difficulty, *WALKERS)), 1), MOST_WALKERS)
     if 2 * WALKERS[-1] * ground < count == 1:
         warnings.warn(f"{world.name}+walkers: a person on {ground:.1f} m^2 of ground leaves no way past", stacklevel=2)
-    people = tuple(
-        Mover(Wander(speed, area=area), person, f"walker {number}")
-        for number, (speed, person) in enumerate(_people(rng, difficulty, count))
-    )
-    return replace(world, name=f"{world.name}+walkers", movers=(*world.movers, *people))
+    walkers = _people(rng, difficulty, count, lambda number, speed: Wander(speed, area=area), "walker")
+    return replace(world, name=f"{world.name}+walkers", movers=(*world.movers, *walkers))
 
 
 def ground_of_episodes(world: World) -> float:
@@ -86,158 +86,100 @@ def ground_of_episodes(world: World) -> float:
 def plaza(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates a plaza with some columns and planters, which people cross from edge to edge.
 
-    Args:
-        seed: seed of the layout and the people.
-        difficulty: difficulty in [0, 1]: 6, 12 (at 0.5) or 24 people, who walk at 0.6 to 1.34 m/s on average.
-        scale: factor of the lengths, for larger robots. People stay as large as they are.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    With the difficulty, there are 6, 12 (at 0.5) and 24 people, who walk at 0.6 to 1.34 m/s on average.
     """
     rng = np.random.default_rng(seed)
     side, rim, edge = round(PLAZA * scale, 1), 0.5 * scale, 1.5 * scale
     half = side / 2
-    edges: list[Area] = [
-        ((-half + rim, -half + edge), (-half + rim, half - rim)),
-        ((half - edge, half - rim), (-half + rim, half - rim)),
-        ((-half + rim, half - rim), (-half + rim, -half + edge)),
-        ((-half + rim, half - rim), (half - edge, half - rim)),
-    ]
-    movers = []
-    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *PLAZA_PEOPLE)))):
+    low, high, along = (-half + rim, -half + edge), (half - edge, half - rim), (-half + rim, half - rim)
+    edges: list[Area] = [(low, along), (high, along), (along, low), (along, high)]
+
+    def across(number: int, speed: float) -> SocialForce:
         start, goal = rng.permutation(4)[:2]
-        movers.append(Mover(SocialForce(speed, edges[start], edges[goal]), person, f"person {number}"))
+        return SocialForce(speed, edges[start], edges[goal])
+
+    movers = _people(rng, difficulty, round(scaled(difficulty, *PLAZA_PEOPLE)), across)
     # Columns and planters on a jittered grid, so that wide ways lead between them.
     spots = np.array([(x, y) for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)]) + rng.uniform(-0.8, 0.8, (9, 2))
     spots = scale * spots[rng.permutation(9)[:5]]
-    columns = cylinders(_raised(spots[:3], 1.0), rng.uniform(0.15, 0.3, 3), 2.0, 16)
-    planters = boxes(_raised(spots[3:], 0.3), np.column_stack((rng.uniform(0.6, 1.6, (2, 2)), (0.6, 0.6))))
-    inner = half - 2 * scale
-    task = ((-inner, inner), (-inner, inner))
-    return World(
-        name="plaza",
-        terrain=Terrain.flat((side, side)),
-        obstacles=(enclosing_walls(side), columns, planters),
-        spawn_range=task,
-        goal_range=task,
-        movers=movers,
-    )
+    columns = cylinders(raised(spots[:3], 1.0), rng.uniform(0.15, 0.3, 3), 2.0, 16)
+    planters = boxes(raised(spots[3:], 0.3), np.column_stack((rng.uniform(0.6, 1.6, (2, 2)), (0.6, 0.6))))
+    obstacles = enclosing_walls(side), columns, planters
+    return World("plaza", Terrain.flat((side, side)), obstacles, square(half - 2 * scale), movers=movers)
 
 
 def corridor(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates a corridor along x in which people come towards the rover, and some walk its way.
 
-    Episodes start at the western end, and goals are at the eastern one.
-
-    Args:
-        seed: seed of the people.
-        difficulty: difficulty in [0, 1]: 3, 6 (at 0.5) or 10 people, who walk at 0.6 to 1.34 m/s on average.
-        scale: factor of the lengths, for larger robots. People stay as large as they are.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    Episodes start at the western end, and goals are at the eastern one. With the difficulty, there are 3, 6 (at 0.5)
+    and 10 people, who walk at 0.6 to 1.34 m/s on average.
     """
     rng = np.random.default_rng(seed)
     length, width = round(LENGTH * scale, 1), round(WIDTH * scale, 1)
     half, side, rim, end = length / 2, width / 2 - 0.4 * scale, 0.5 * scale, 3 * scale
-    west, east = ((-half + rim, -half + end), (-side, side)), ((half - end, half - rim), (-side, side))
-    middle: Area = ((-half + 2 * end, half - rim), (-side, side))
-    movers = []
-    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CORRIDOR_PEOPLE)))):
-        goal = east if number % 4 == 3 else west
-        movers.append(Mover(SocialForce(speed, middle, goal), person, f"person {number}"))
+    across = (-side, side)
+    west, east = ((-half + rim, -half + end), across), ((half - end, half - rim), across)
+    middle: Area = ((-half + 2 * end, half - rim), across)
+
+    def along(number: int, speed: float) -> SocialForce:
+        return SocialForce(speed, middle, east if number % 4 == 3 else west)
+
+    movers = _people(rng, difficulty, round(scaled(difficulty, *CORRIDOR_PEOPLE)), along)
     walls = boxes([(0, y, HEIGHT / 2) for y in (-(width + WALL) / 2, (width + WALL) / 2)], (length, WALL, HEIGHT))
-    return World(
-        name="corridor",
-        terrain=Terrain.flat((length, width)),
-        obstacles=walls,
-        spawn_range=((-half + scale, -half + end), (-side, side)),
-        goal_range=((half - end, half - scale), (-side, side)),
-        movers=movers,
-    )
+    spawn, goal = ((-half + scale, -half + end), across), ((half - end, half - scale), across)
+    return World("corridor", Terrain.flat((length, width)), walls, spawn, goal, movers=movers)
 
 
 def crossing(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates two ways that cross. The rover goes along one, and people walk back and forth along the other.
 
-    Args:
-        seed: seed of the people.
-        difficulty: difficulty in [0, 1]: 4, 8 (at 0.5) or 16 people, who walk at 0.6 to 1.34 m/s on average.
-        scale: factor of the lengths, for larger robots. People stay as large as they are.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    With the difficulty, there are 4, 8 (at 0.5) and 16 people, who walk at 0.6 to 1.34 m/s on average.
     """
     rng = np.random.default_rng(seed)
     length, rim, end = round(PLAZA * scale, 1), 0.5 * scale, 3 * scale
     half, arm = length / 2, ARM * scale / 2
-    side = arm - 0.4 * scale
-    north: Area = ((-side, side), (half - end, half - rim))
-    south: Area = ((-side, side), (-half + rim, -half + end))
-    movers = []
-    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CROSSING_PEOPLE)))):
-        start, goal = (north, south) if number % 2 else (south, north)
-        movers.append(Mover(Cross(speed, start, goal), person, f"person {number}"))
+    across = (-arm + 0.4 * scale, arm - 0.4 * scale)
+    ends: list[Area] = [(across, (-half + rim, -half + end)), (across, (half - end, half - rim))]
+
+    def back_and_forth(number: int, speed: float) -> Cross:
+        return Cross(speed, ends[number % 2], ends[1 - number % 2])
+
+    movers = _people(rng, difficulty, round(scaled(difficulty, *CROSSING_PEOPLE)), back_and_forth)
     block, middle = half - arm, (half + arm) / 2
     corners = [(x, y, HEIGHT / 2) for x in (-middle, middle) for y in (-middle, middle)]
-    return World(
-        name="crossing",
-        terrain=Terrain.flat((length, length)),
-        obstacles=(enclosing_walls(length), boxes(corners, (block, block, HEIGHT))),
-        spawn_range=((-half + scale, -half + end), (-side, side)),
-        goal_range=((half - end, half - scale), (-side, side)),
-        movers=movers,
-    )
+    obstacles = enclosing_walls(length), boxes(corners, (block, block, HEIGHT))
+    spawn, goal = ((-half + scale, -half + end), across), ((half - end, half - scale), across)
+    return World("crossing", Terrain.flat((length, length)), obstacles, spawn, goal, movers=movers)
 
 
 def field(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates an open field within walls, in which cylinders and boxes move fast, and a tenth of them rests.
 
-    Args:
-        seed: seed of the obstacles.
-        difficulty: difficulty in [0, 1]: 5, 14 (at 0.5) or 24 obstacles of 0.4 to 1.95 m/s.
-        scale: factor of the lengths, for larger robots. Obstacles stay as large as they are.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    With the difficulty, there are 5, 14 (at 0.5) and 24 obstacles of 0.4 to 1.95 m/s.
     """
     rng = np.random.default_rng(seed)
     low, high = (scaled(difficulty, *ends) for ends in zip(*FIELD_SPEEDS, strict=True))
     side = round(FIELD * scale, 1)
     half = side / 2
-    reach, free = half - 2 * scale, half - scale
-    inner: Area = ((-half + 0.7 * scale, half - 0.7 * scale),) * 2
+    reach, inner = half - 2 * scale, square(half - 0.7 * scale)
     movers, rest = [], list[Solids]()
     for number in range(round(scaled(difficulty, *FIELD_MOVERS))):
         length, width = rng.uniform(0.3, 1.0, 2).round(2).tolist()
         shape = Cylinder(length / 2, 1.0) if rng.random() < 0.7 else Box(length, width, 1.0)
         speed, turn_time = round(rng.uniform(low, high), 3), round(rng.uniform(2.0, 8.0), 1)
         if number % 10 == 9:
-            rest.append(cylinders(_raised(rng.uniform(-reach, reach, (1, 2)), 0.5), length / 2, 1.0, 16))
+            rest.append(cylinders(raised(rng.uniform(-reach, reach, (1, 2)), 0.5), length / 2, 1.0, 16))
         else:
             movers.append(Mover(Wander(speed, turn_time, inner), shape, f"obstacle {number}"))
-    task: Area = ((-free, free),) * 2
-    return World(
-        name="field",
-        terrain=Terrain.flat((side, side)),
-        obstacles=(enclosing_walls(side), *rest),
-        spawn_range=task,
-        goal_range=task,
-        movers=movers,
-    )
+    obstacles = enclosing_walls(side), *rest
+    return World("field", Terrain.flat((side, side)), obstacles, square(half - scale), movers=movers)
 
 
 def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates a yard within walls, in which cylinders go round closed paths with corners, again and again.
 
-    Args:
-        seed: seed of the paths.
-        difficulty: difficulty in [0, 1]: 5, 15 (at 0.5) or 24 cylinders. At 0, 0.5 and 1, their speeds are those of
-            DynaBARN's easy (0.5 to 0.95 m/s), medium (1 to 1.45) and hard worlds (1.5 to 1.95).
-        scale: factor of the lengths, for larger robots. Cylinders stay as large as they are.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    With the difficulty, there are 5, 15 (at 0.5) and 24 cylinders. At 0, 0.5 and 1, their speeds are those of
+    DynaBARN's easy (0.5 to 0.95 m/s), medium (1 to 1.45) and hard worlds (1.5 to 1.95).
     """
     rng = np.random.default_rng(seed)
     low, high = (scaled(difficulty, *ends) for ends in zip(*YARD_SPEEDS, strict=True))
@@ -248,15 +190,7 @@ def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Worl
         corners = rng.uniform(-reach, reach, (rng.integers(CORNERS[0], CORNERS[1] + 1), 2)).round(2)
         path = Waypoints(_round_trip(corners, round(rng.uniform(low, high), 3)), "loop", random_start=True)
         movers.append(Mover(path, Cylinder(YARD_RADIUS, 1.0), f"cylinder {number}"))
-    task: Area = ((-reach, reach),) * 2
-    return World(
-        name="yard",
-        terrain=Terrain.flat((side, side)),
-        obstacles=enclosing_walls(side),
-        spawn_range=task,
-        goal_range=task,
-        movers=movers,
-    )
+    return World("yard", Terrain.flat((side, side)), enclosing_walls(side), square(reach), movers=movers)
 
 
 def _round_trip(corners: np.ndarray, speed: float) -> list[tuple[float, float, float, float]]:
@@ -269,14 +203,16 @@ def _round_trip(corners: np.ndarray, speed: float) -> list[tuple[float, float, f
     return [(time, x, y, yaw) for time, x, y, yaw in keys.tolist()]
 
 
-def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tuple[float, Person]]:
-    """Draws the speeds (m/s) of people, and people."""
+def _people(
+    rng: np.random.Generator,
+    difficulty: float,
+    count: int,
+    motion: Callable[[int, float], Motion],
+    name: str = "person",
+) -> list[Mover]:
+    """Draws people. ``motion`` gets the number of a person and the walking speed, m/s."""
     pace = scaled(difficulty, *PACE)
-    speeds = np.clip(rng.normal(pace, SPREAD * pace / PACE[-1], count), 0.3, 2.0)
-    heights = rng.uniform(*HEIGHTS, count)
-    pairs = zip(speeds.round(3).tolist(), heights.round(2).tolist(), strict=True)
-    return [(speed, Person(height)) for speed, height in pairs]
-
-
-def _raised(xy: np.ndarray, height: float) -> np.ndarray:
-    return np.column_stack((xy, np.full(len(xy), height)))
+    speeds = np.clip(rng.normal(pace, SPREAD * pace / PACE[-1], count), 0.3, 2.0).round(3).tolist()
+    heights = rng.uniform(*HEIGHTS, count).round(2).tolist()
+    people = enumerate(zip(speeds, heights, strict=True))
+    return [Mover(motion(number, speed), Person(height), f"{name} {number}") for number, (speed, height) in people]

@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from rover_rl.worlds.generators.layouts import DEFAULT, largest_part, scaled
+from rover_rl.worlds.generators.layouts import DEFAULT, cell_centers, in_square, is_connected, raised, scaled, square
 from rover_rl.worlds.solids import cylinders
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
-SIDE = 10.0
-"""Side length of the floor, m."""
-TASK_AREA = ((-4.0, 4.0), (-4.0, 4.0))
+SIDE, HALF_TASK = 10.0, 4.0
+"""Side length of the floor, and half of that of the task area, m."""
 CELL, CELLS = 0.15, 66
 """Side length of a cell of the clutter, m, and number of cells along a side of the floor."""
 RADIUS, HEIGHT, SIDES = 0.075, 1.0, 8
@@ -45,14 +44,17 @@ def forest(seed: int = 0, difficulty: float = DEFAULT) -> World:
     1.2 m over 0.9 m (at 0.5) to 0.7 m: gaps of that width connect at least 60 % of the open ground of the task area.
     """
     gap, rng = scaled(difficulty, *GAP), np.random.default_rng(seed)
+    task = in_square(HALF_TASK, CELL, CELLS)
     while True:
         filled, trunks = _clutter(rng, difficulty), _trunks(rng, difficulty)
-        if _connected(_clearance(filled, trunks), gap):
+        clearance = _clearance(filled, trunks)
+        is_open = is_connected(clearance >= gap / 2, task, CONNECTED, 0.0)
+        if is_open and is_connected(clearance >= WIDE / 2, task, 0.0, SPACIOUS):
             break
-    centers = _AXIS[np.argwhere(filled)[:, ::-1]]
-    low = cylinders(_at_height(centers, HEIGHT / 2), RADIUS, HEIGHT, SIDES)
-    tall = cylinders(_at_height(trunks[:, :2], TRUNK_HEIGHT / 2), trunks[:, 2], TRUNK_HEIGHT, TRUNK_SIDES)
-    return World(name="forest", terrain=Terrain.flat((SIDE, SIDE)), obstacles=(tall, low), spawn_range=TASK_AREA)
+    centers = cell_centers(CELL, CELLS)[np.argwhere(filled)[:, ::-1]]
+    low = cylinders(raised(centers, HEIGHT / 2), RADIUS, HEIGHT, SIDES)
+    tall = cylinders(raised(trunks[:, :2], TRUNK_HEIGHT / 2), trunks[:, 2], TRUNK_HEIGHT, TRUNK_SIDES)
+    return World("forest", Terrain.flat((SIDE, SIDE)), (tall, low), spawn_range=square(HALF_TASK))
 
 
 def _clutter(rng: np.random.Generator, difficulty: float) -> np.ndarray:
@@ -76,22 +78,6 @@ def _trunks(rng: np.random.Generator, difficulty: float) -> np.ndarray:
 
 def _clearance(filled: np.ndarray, trunks: np.ndarray) -> np.ndarray:
     """Returns the distance of the center of each cell from the nearest solid: ``[rows, columns]``, m."""
-    clutter = CELL * distance_transform_edt(~filled) - RADIUS
-    across = np.hypot(_AXIS[None, None, :] - trunks[:, 0, None, None], _AXIS[None, :, None] - trunks[:, 1, None, None])
-    return np.minimum(clutter, (across - trunks[:, 2, None, None]).min(0))
-
-
-def _connected(clearance: np.ndarray, gap: float) -> bool:
-    return (
-        largest_part(clearance >= gap / 2, _TASK_CELLS)[0] >= CONNECTED
-        and largest_part(clearance >= WIDE / 2, _TASK_CELLS)[1] >= SPACIOUS
-    )
-
-
-def _at_height(xy: np.ndarray, height: float) -> np.ndarray:
-    return np.column_stack((xy, np.full(len(xy), height)))
-
-
-_AXIS = CELL * (np.arange(CELLS) - (CELLS - 1) / 2)
-"""Coordinates of the centers of the cells along an axis, m."""
-_TASK_CELLS = np.logical_and.outer(*[np.abs(_AXIS) < TASK_AREA[0][1]] * 2)
+    clutter, axis = CELL * distance_transform_edt(~filled) - RADIUS, cell_centers(CELL, CELLS)
+    x, y, radius = trunks.T[..., None, None]
+    return np.minimum(clutter, (np.hypot(axis - x, axis[:, None] - y) - radius).min(0))

@@ -6,13 +6,21 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
+from rover_rl.worlds.generators.layouts import (
+    DEFAULT,
+    gentle_cells,
+    in_square,
+    is_connected,
+    relief,
+    scaled,
+    smoothstep,
+    square,
+)
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
 SIDE, CELL = 24.0, 0.25
-TASK_AREA = ((-6.0, 6.0), (-6.0, 6.0))
-BOUNDS = ((-10.0, 10.0), (-10.0, 10.0))
+HALF_TASK, HALF_BOUNDS = 6.0, 10.0
 ROLLING = (0.1, 0.14, 0.17)
 """Standard deviation of the height of the rolling ground at difficulty 0, 0.5 and 1, m."""
 FACE_HEIGHT = (0.5, 0.75, 1.0)
@@ -36,14 +44,13 @@ def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
     levels rarer, and the ground between the faces rougher. At least 60 % of the gentle ground of the task area is
     connected. The lidar sees a face from below, and not from above.
     """
-    rng = np.random.default_rng(seed)
+    rng, task = np.random.default_rng(seed), in_square(HALF_TASK, CELL, round(SIDE / CELL))
     while True:
         heights = _ground(rng, difficulty)
-        passable = binary_erosion(gentle_cells(heights, CELL), ERODED)
-        of_gentle, of_all = largest_part(passable, _TASK_CELLS)
-        if of_gentle >= CONNECTED and of_all >= SPACIOUS:
+        if is_connected(binary_erosion(gentle_cells(heights, CELL), ERODED), task, CONNECTED, SPACIOUS):
             break
-    return World(name="hills", terrain=Terrain(torch.from_numpy(heights), CELL), spawn_range=TASK_AREA, bounds=BOUNDS)
+    terrain = Terrain(torch.from_numpy(heights), CELL)
+    return World("hills", terrain, spawn_range=square(HALF_TASK), bounds=square(HALF_BOUNDS))
 
 
 def _ground(rng: np.random.Generator, difficulty: float) -> np.ndarray:
@@ -55,7 +62,3 @@ def _ground(rng: np.random.Generator, difficulty: float) -> np.ndarray:
     steps = sum(smoothstep((level - at) / width + 0.5) for at in LEVELS)
     heights = scaled(difficulty, *ROLLING) * rolling + scaled(difficulty, *FACE_HEIGHT) * steps
     return heights - heights[shape[0] // 2, shape[1] // 2]
-
-
-_AXIS = CELL * (np.arange(round(SIDE / CELL)) + 0.5) - SIDE / 2
-_TASK_CELLS = np.logical_and.outer(*[np.abs(_AXIS) < TASK_AREA[0][1]] * 2)

@@ -50,9 +50,9 @@ def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     walls = [_block(terrain, x, y, *WALL_SIZE) for x, y in WALLS]
     crates = [_block(terrain, *crate) for crate in _crates(rng, round(scaled(difficulty, *CRATES)))]
     return World(
-        name="inspect",
-        terrain=terrain,
-        obstacles=(*panels, *walls, *crates),
+        "inspect",
+        terrain,
+        (*panels, *walls, *crates),
         spawn_range=TASK_AREA,
         bounds=BOUNDS,
         spawn_height=5.5,

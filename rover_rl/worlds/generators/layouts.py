@@ -1,4 +1,4 @@
-"""Parts of layouts: difficulties, smooth height fields, open ground, and enclosing walls."""
+"""Parts of layouts: difficulties, areas, smooth height fields, open ground, and enclosing walls."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
+from rover_rl.worlds.region import Area
 from rover_rl.worlds.solids import Solids, boxes
 from rover_rl.worlds.terrain import MAX_SLOPE
 
@@ -23,6 +24,16 @@ def scaled(difficulty: float, easy: float, default: float, hard: float) -> float
         return default
     share = abs(difficulty - DEFAULT) / DEFAULT
     return default + share * ((hard if difficulty > DEFAULT else easy) - default)
+
+
+def square(half: float) -> Area:
+    """Returns the area up to ``half`` (m) from the origin along both axes."""
+    return ((-half, half), (-half, half))
+
+
+def raised(xy: np.ndarray, height: float) -> np.ndarray:
+    """Adds a height (m) to points ``[N, 2]``."""
+    return np.column_stack((xy, np.full(len(xy), height)))
 
 
 def relief(
@@ -57,14 +68,22 @@ def smoothstep(t: np.ndarray) -> np.ndarray:
     return t * t * (3 - 2 * t)
 
 
-def largest_part(open_cells: np.ndarray, inside: np.ndarray) -> tuple[float, float]:
-    """Returns how much of an area ``inside`` the largest part of open cells covers, as a fraction of two counts.
+def in_square(half: float, cell: float, count: int) -> np.ndarray:
+    """Returns which of ``count`` x ``count`` cells around the origin have their centers in ``square(half)``."""
+    inside = np.abs(cell_centers(cell, count)) < half
+    return np.logical_and.outer(inside, inside)
 
-    The part's cells in the area are divided by the open cells in the area, and by all cells in the area.
-    """
+
+def cell_centers(cell: float, count: int) -> np.ndarray:
+    """Returns the coordinates of the centers of cells along an axis, m."""
+    return cell * (np.arange(count) - (count - 1) / 2)
+
+
+def is_connected(open_cells: np.ndarray, inside: np.ndarray, of_open: float, of_all: float) -> bool:
+    """Returns whether the largest part of the open cells has these shares of the open, and of all cells ``inside``."""
     counts = np.bincount(label(open_cells)[0][inside])
     largest = counts[1:].max(initial=0)
-    return float(largest / max(counts[1:].sum(), 1)), float(largest / counts.sum())
+    return bool(largest / max(counts[1:].sum(), 1) >= of_open and largest / counts.sum() >= of_all)
 
 
 def gentle_cells(heights: np.ndarray, cell: float) -> np.ndarray:
@@ -77,6 +96,6 @@ def gentle_cells(heights: np.ndarray, cell: float) -> np.ndarray:
 def enclosing_walls(side: float) -> Solids:
     """Creates four walls just outside a square floor around the origin, so that all of the floor is free."""
     middle, length = (side + WALL_THICKNESS) / 2, side + 2 * WALL_THICKNESS
-    centers = np.array([(0, -middle), (0, middle), (-middle, 0), (middle, 0)])
+    centers = raised(np.array([(0, -middle), (0, middle), (-middle, 0), (middle, 0)]), WALL_HEIGHT / 2)
     along_x, along_y = (length, WALL_THICKNESS, WALL_HEIGHT), (WALL_THICKNESS, length, WALL_HEIGHT)
-    return boxes(np.column_stack((centers, np.full(4, WALL_HEIGHT / 2))), [along_x, along_x, along_y, along_y])
+    return boxes(centers, [along_x, along_x, along_y, along_y])

@@ -8,22 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
+from rover_rl.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled, square
 from rover_rl.worlds.solids import Solids, boxes
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
 SIDE = 20
 """Side length of the floor, in meters and in squares of the grid."""
-TASK_AREA = ((-4.0, 4.0), (-4.0, 4.0))
-BLOCKS = 36
-FEWEST_BLOCKS = 10
-"""Number of blocks at difficulty 0."""
+HALF_TASK = 4
+BLOCKS, FEWEST_BLOCKS = 36, 10
+"""Number of blocks at difficulty 0.5, and 0."""
 LENGTHS = (1, 2, 3, 4, 5)
 LARGEST = (2, 9)
 BLOCK_HEIGHT = 1.0
-MIDDLE = range(SIDE // 2 - 4, SIDE // 2 + 4)
-"""Rows and columns of the task area."""
 MIDDLE_SHARE = (0.25, 0.4)
 """Minimum and maximum fraction of the task area's squares that blocks cover."""
 MAX_ATTEMPTS = 3000
@@ -55,13 +52,8 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     elif difficulty > DEFAULT:
         closed = _closable_squares(blocks, rng)
         blocks += closed[: round(scaled(difficulty, 0, 0, len(closed)))]
-    return World(
-        name="maze",
-        terrain=Terrain.flat((SIDE, SIDE)),
-        obstacles=(enclosing_walls(SIDE), _solid(blocks, difficulty)),
-        spawn_range=TASK_AREA,
-        bounds=((-30.0, 30.0), (-30.0, 30.0)),
-    )
+    obstacles = enclosing_walls(SIDE), _solid(blocks, difficulty)
+    return World("maze", Terrain.flat((SIDE, SIDE)), obstacles, square(float(HALF_TASK)), bounds=square(30.0))
 
 
 def _layout(rng: np.random.Generator) -> list[Block]:
@@ -167,7 +159,7 @@ _COLUMN = [sum(1 << row * _WIDTH for row in range(rows)) for rows in range(SIDE 
 _FLOOR = _squares(Block(0, 0, SIDE, SIDE))
 _NOT_LAST = _squares(Block(0, 0, SIDE - 1, SIDE - 1))
 _WALLS = ((1 << _WIDTH * _WIDTH) - 1) & ~_FLOOR
-_MIDDLE = _squares(Block(MIDDLE[0], MIDDLE[0], len(MIDDLE), len(MIDDLE)))
+_MIDDLE = _squares(Block(SIDE // 2 - HALF_TASK, SIDE // 2 - HALF_TASK, 2 * HALF_TASK, 2 * HALF_TASK))
 
 
 def _solid(blocks: list[Block], difficulty: float) -> Solids:
@@ -182,7 +174,7 @@ def _solid(blocks: list[Block], difficulty: float) -> Solids:
 
 
 def _free_sides(blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns which sides touch no block and no wall: west and south, and east and north of each block, ``[2, N]``."""
+    """Which sides touch no block and no wall: west and south, and east and north of each block, ``[2, N]``."""
     solid = _union(blocks) | _WALLS
     pairs = ((squares, _shifted(solid & ~squares)) for squares in map(_squares, blocks))
     free = [[not neighbors & squares for neighbors in sides] for squares, sides in pairs]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.worlds.generators.layouts import DEFAULT, relief, scaled
+from rover_rl.worlds.generators.layouts import DEFAULT, relief, scaled, square
 from rover_rl.worlds.solids import Solids, boulder
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
@@ -56,13 +56,8 @@ def moon(seed: int = 0, difficulty: float = DEFAULT, size: float = SIZE) -> Worl
     rng = np.random.default_rng(seed)
     half = size / 2
     terrain = _ground(rng, half, difficulty)
-    return World(
-        name="moon",
-        terrain=terrain,
-        obstacles=_boulders(rng, terrain, half, difficulty),
-        spawn_range=((-half, half), (-half, half)),
-        bounds=((-half - FAR, half + EAST), (-half - FAR, half + FAR)),
-    )
+    bounds = ((-half - FAR, half + EAST), (-half - FAR, half + FAR))
+    return World("moon", terrain, _boulders(rng, terrain, half, difficulty), square(half), bounds=bounds)
 
 
 def _ground(rng: np.random.Generator, half: float, difficulty: float) -> Terrain:

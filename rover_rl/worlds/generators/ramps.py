@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, scaled
+from rover_rl.worlds.generators.layouts import DEFAULT, gentle_cells, in_square, is_connected, scaled, square
 from rover_rl.worlds.solids import boxes
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
@@ -44,27 +44,21 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
     At least 80 % of the passable ground of the task area is connected. The lidar does not see ditches, and edges only
     from below.
     """
-    rng = np.random.default_rng(seed)
+    rng, task = np.random.default_rng(seed), (CELLS / 2 - MARGIN) * CELL
+    inside = in_square(task, CELL, CELLS)
     while True:
         heights = _ground(rng, scaled(difficulty, *IMPASSABLE))
         barriers = _barriers(rng, round(scaled(difficulty, *BARRIERS)))
-        of_passable, of_all = largest_part(_passable(heights, barriers), _TASK_CELLS)
-        if of_passable >= CONNECTED and of_all >= SPACIOUS:
+        if is_connected(_passable(heights, barriers), inside, CONNECTED, SPACIOUS):
             break
-    half, task = CELLS * CELL / 2, (CELLS / 2 - MARGIN) * CELL
+    half, tall = CELLS * CELL / 2, np.full(len(barriers), BARRIER_HEIGHT)
     x, y, width, depth = CELL * barriers.T
-    centers = np.stack((x + width / 2 - half, y + depth / 2 - half, np.full(len(x), BARRIER_HEIGHT / 2)), -1)
-    sizes = np.stack((width, depth, np.full(len(x), BARRIER_HEIGHT)), -1)
-    return World(
-        name="ramps",
-        terrain=Terrain(torch.from_numpy(heights), CELL),
-        obstacles=boxes(centers, sizes),
-        spawn_range=((-task, task), (-task, task)),
-    )
+    centers = np.stack((x + width / 2 - half, y + depth / 2 - half, tall / 2), -1)
+    terrain = Terrain(torch.from_numpy(heights), CELL)
+    return World("ramps", terrain, boxes(centers, np.stack((width, depth, tall), -1)), square(task))
 
 
 def _ground(rng: np.random.Generator, impassable: float) -> np.ndarray:
-    """Samples the heights of the ground: ``[rows, columns]``, m."""
     heights = np.zeros((CELLS + 1, CELLS + 1))
     for row in range(LOTS):
         for column in range(LOTS):
@@ -128,7 +122,3 @@ def _passable(heights: np.ndarray, barriers: np.ndarray) -> np.ndarray:
     for left, bottom, width, depth in barriers.tolist():
         cells[bottom : bottom + depth, left : left + width] = False
     return binary_erosion(cells, ERODED)
-
-
-_INSIDE = (np.arange(CELLS) >= MARGIN) & (np.arange(CELLS) < CELLS - MARGIN)
-_TASK_CELLS = np.logical_and.outer(_INSIDE, _INSIDE)

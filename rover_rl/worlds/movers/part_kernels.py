@@ -16,7 +16,7 @@ from rover_rl.worlds.ground_kernels import Grounds, grounds_of, height_at
 from rover_rl.worlds.movers.motion import MoverState
 from rover_rl.worlds.movers.mover import KINDS
 from rover_rl.worlds.movers.parts import MAX_SPEED, Parts
-from rover_rl.worlds.table import TerrainRows
+from rover_rl.worlds.terrain import TerrainRows
 
 CYLINDER, BOX, CAPSULE = range(len(KINDS))
 MISS = wp.constant(1.0e9)

@@ -46,7 +46,7 @@ def _measured(world: World) -> tuple[Tensor, float, float, float]:
     cell = max(CELL, max(x_high - x_low, y_high - y_low) / MAX_CELLS)
     xs = np.arange(x_low, x_high + cell, cell)
     ys = np.arange(y_low, y_high + cell, cell)
-    distances = clearance_on_grid(world, xs, ys, FAR).numpy()
+    distances = clearance_on_grid(world.terrain, world.obstacles, xs, ys, FAR).numpy()
     edge_x, edge_y = np.minimum(xs - x_low, x_high - xs), np.minimum(ys - y_low, y_high - ys)
     edges = np.minimum(edge_x[None, :], edge_y[:, None])
     return torch.from_numpy(np.minimum(distances, edges)).float(), x_low, y_low, cell
