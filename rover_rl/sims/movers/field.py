@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 
 import torch
@@ -12,12 +10,12 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.rng import random_bits
-from rover_rl.sims.movers.other_rovers import OtherRovers, Solids
+from rover_rl.sims.movers.other_rovers import OtherRovers, RoverSolids
+from rover_rl.sims.movers.tables import MoverTables, WallTable
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds.movers.motion import Motion, MotionInput, MoverState, Rovers
-from rover_rl.worlds.movers.mover import KINDS, Mover, Part, radius_of
+from rover_rl.worlds.movers.motion import MotionInput, MoverState, Rovers
+from rover_rl.worlds.movers.mover import KINDS, Part
 from rover_rl.worlds.movers.parts import Parts
-from rover_rl.worlds.movers.walls import WallTable
 from rover_rl.worlds.region import union
 from rover_rl.worlds.table import SlotTable, TerrainTable, WorldTable
 from rover_rl.worlds.world import World
@@ -67,19 +65,17 @@ class MoverField:
         self._areas = SlotTable((8,), torch.float32, device)
         self._slots: Tensor | None = None
         self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
-        self._keys = torch.zeros_like(self._steps)
+        self._keys, self._every = torch.zeros_like(self._steps), torch.ones_like(self._steps, dtype=torch.bool)
         self.state = MoverState.at_rest(count, 0, device)
         # Way that each mover has gone, from which its legs swing, [N, M], m.
-        self._walked = torch.zeros(count, 0, device=device)
+        self._walked = self.radius = torch.zeros(count, 0, device=device)
         self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
-        self.radius = torch.zeros(count, 0, device=device)
         self.parts: Parts | None = None
         self.keys: Tensor | None = None
         # Those of the movers of the worlds, without the other rovers.
         self._own: Parts | None = None
         # Heading of each part's mover after the last step, [N, P], rad.
         self._yaw = torch.zeros(count, 0, device=device)
-        self._every = torch.ones_like(self._steps, dtype=torch.bool)
         self.enter_worlds()
 
     @property
@@ -116,16 +112,15 @@ class MoverField:
         added = self.radius.shape[1] - self._walked.shape[1]
         self.state, self._walked = self.state.padded(added), pad(self._walked, (0, added))
         self._local = {name: table.values[slots] for name, table in tables.parts.items()}
-        shape = self._local["kind"].shape
-        last = self._own
+        shape, last = self._local["kind"].shape, self._own
         if last is None or last.kind.shape != shape:
             self._own = self._reserve(*shape)
             self._yaw = pad(self._yaw, (0, shape[1] - self._yaw.shape[1]))
-        if last is not None and last is not self._own:
-            # Rows that go on in their worlds have their parts where they were.
-            for name in ("position", "orientation", "velocity", "turn"):
-                values = getattr(last, name)
-                getattr(self._own, name)[:, : values.shape[1]] = values
+            if last is not None:
+                # Rows that go on in their worlds have their parts where they were.
+                for name in ("position", "orientation", "velocity", "turn"):
+                    values = getattr(last, name)
+                    getattr(self._own, name)[:, : values.shape[1]] = values
         # In place: simulators keep the tensors.
         for name in ("kind", "form", "half", "mover"):
             getattr(self._own, name).copy_(self._local[name])
@@ -133,20 +128,18 @@ class MoverField:
     def _reserve(self, rows: int, own: int) -> Parts:
         """Makes new ``parts``, and returns those of the movers of the worlds, ``own`` in each row."""
         others, device = self._others, self._worlds.slots.device
-        if others is None:
-            self.parts = Parts.zeros((rows, own), device)
-            return self.parts
-        self.parts = Parts.zeros((rows, own + others.count), device)
-        solids, rovers = others.parts, others.agents - 1
-        # First, so that parts of movers have the same indices in all worlds: see parts_of.
-        self._theirs = theirs = self.parts.columns(0, others.count)
-        theirs.kind.copy_(torch.tensor([KINDS.index(part.kind) for part in solids] * rovers))
-        theirs.form.copy_(torch.tensor([self._tables.form(part) for part in solids] * rovers))
-        theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
-        numbers = torch.arange(rovers).repeat_interleave(len(solids))
-        theirs.mover.copy_(numbers + self.radius.shape[1])
-        self._show_rovers(others.seen())
-        return self.parts.columns(others.count, others.count + own)
+        count = 0 if others is None else others.count
+        self.parts = Parts.zeros((rows, own + count), device)
+        if others is not None:
+            solids, rovers = others.parts, others.agents - 1
+            # First, so that parts of movers have the same indices in all worlds: see parts_of.
+            self._theirs = theirs = self.parts.columns(0, count)
+            theirs.kind.copy_(torch.tensor([KINDS.index(part.kind) for part in solids] * rovers))
+            theirs.form.copy_(torch.tensor([self._tables.form(part) for part in solids] * rovers))
+            theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
+            theirs.mover.copy_(torch.arange(rovers).repeat_interleave(len(solids)) + self.radius.shape[1])
+            self._show_rovers(others.seen())
+        return self.parts.columns(count, count + own)
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers of groups where they are, for the others of their groups."""
@@ -154,7 +147,7 @@ class MoverField:
             self._others.follow(rover, moved, begins)
             self._show_rovers(self._others.seen())
 
-    def _show_rovers(self, solids: Solids) -> None:
+    def _show_rovers(self, solids: RoverSolids) -> None:
         for name, values in solids._asdict().items():
             getattr(self._theirs, name).copy_(values)
 
@@ -174,8 +167,8 @@ class MoverField:
         self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
         blank = MoverState.at_rest(count, movers, mask.device)
         self.state = blank.where(mask.expand_as(self.present), self.state)
-        still = self._together(Rovers(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius))
-        self._change("begin", mask, still)
+        still = Rovers(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
+        self._change("begin", mask, self._together(still))
         self._walked = self._walked.masked_fill(mask, 0.0)
         self._place(mask, begins=True)
 
@@ -191,26 +184,12 @@ class MoverField:
             self._show_rovers(self._others.advance(driving))
         if not self._tables.motions:
             return
-        rovers = self._together(rovers)
-        rows = torch.ones_like(self._steps, dtype=torch.bool) if active is None else active
+        rows = self._every if active is None else active
         self._steps = self._steps + rows
         before = self.state.position
-        self._change("advance", rows, rovers)
+        self._change("advance", rows, self._together(rovers))
         self._walked = self._walked + _length(self.state.position - before)
-        self._place(active)
-
-    def ahead(self, seconds: float) -> MoverState:
-        """Returns where the movers will be after some time, as far as that is known.
-
-        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
-        move at random, the velocity is taken to stay the same.
-        """
-        later, state = copy(self), self.state
-        later.state = replace(state, position=state.position + seconds * state.velocity)
-        if self._tables.motions:
-            nobody = Rovers(state.position[:, :0], state.velocity[:, :0], self._rover_radius)
-            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
-        return later.state
+        self._place(rows)
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
@@ -229,44 +208,33 @@ class MoverField:
             return torch.full_like(points[:, :1], math.inf), torch.zeros_like(points[:, :1])
         parts = self._own
         offset = points[:, None] - parts.position[..., :2]
-        cos, sin = (
-            (1 - 2 * parts.orientation[..., 2].square()),
-            2 * parts.orientation[..., 2] * parts.orientation[..., 3],
-        )
-        x, y = offset.unbind(-1)
+        (z, w), (x, y) = parts.orientation[..., 2:].unbind(-1), offset.unbind(-1)
+        cos, sin = 1 - 2 * z.square(), 2 * z * w
         local = torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
         beside = _length((local.abs() - parts.half[..., :2]).clamp(min=0))
         around = (_length(offset) - parts.half[..., 0]).clamp(min=0)
         distance = torch.where(parts.kind == KINDS.index("box"), beside, around)
         least, which = distance.masked_fill(parts.kind < 0, math.inf).min(-1, keepdim=True)
-        speed = _length(self.state.velocity).gather(1, parts.mover.gather(1, which))
-        return least, speed
+        return least, _length(self.state.velocity).gather(1, parts.mover.gather(1, which))
 
     def nearest_center(self, points: Tensor) -> Tensor:
         """Returns the horizontal distance from points ``[N, 2]`` to the origin of the nearest mover, ``[N, 1]``, m."""
         distance = (points[:, None] - self.state.position).norm(dim=-1).masked_fill(~self.present, math.inf)
         if self._others is not None:
             distance = torch.cat((distance, self._others.center_distances(points)), -1)
-        if not distance.shape[1]:
-            return torch.full_like(points[:, :1], math.inf)
-        return distance.amin(-1, keepdim=True)
+        return pad(distance, (0, 1), value=math.inf).amin(-1, keepdim=True)
 
     def _together(self, rovers: Rovers) -> Rovers:
-        """Returns all rovers of the group of each row."""
+        """All rovers of the group of each row."""
         if self._others is None:
             return rovers
         together = self._others.together
         return replace(rovers, position=together(rovers.position[:, 0]), velocity=together(rovers.velocity[:, 0]))
 
-    def _change(self, method: str, rows: Tensor, rovers: Rovers, ahead: float | None = None) -> None:
-        """Calls a method of every motion for its movers in ``rows``, and stores the states.
-
-        With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
-        """
+    def _change(self, method: str, rows: Tensor, rovers: Rovers) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the states."""
         before = after = self.state
         for number, motion in enumerate(self._tables.motions):
-            if ahead is not None and not motion.is_foreseen:
-                continue
             mine = (self._motion == number) & rows
             inputs = MotionInput(
                 state=before,
@@ -274,7 +242,7 @@ class MoverField:
                 mine=mine,
                 present=self.present,
                 radius=self.radius,
-                time=self._steps.double() * self._dt + (ahead or 0.0),
+                time=self._steps.double() * self._dt,
                 dt=self._dt,
                 walls=self._wall_distances,
                 bounds=self._corners[:, :4],
@@ -287,113 +255,26 @@ class MoverField:
         self.state = after
 
     def _bits(self, count: int) -> Tensor:
-        draws = self.state.draws
-        return random_bits(self._mover_keys.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(
-            *draws.shape, count
-        )
+        keys, draws = self._mover_keys, self.state.draws
+        return random_bits(keys.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(*draws.shape, count)
 
-    def _place(self, rows: Tensor | None, begins: bool = False) -> None:
-        """Places parts on the ground, of the movers in ``rows`` (``None``: all). Those of other rows do not move."""
+    def _place(self, rows: Tensor, begins: bool = False) -> None:
+        """Places the parts of the movers in ``rows`` on the ground. Those of other rows do not move."""
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.worlds.movers.part_kernels import place
 
         assert self._own is not None
         phase = self._walked * (2 * math.pi / STRIDE)
         swing = (_length(self.state.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
-        terrains, moving = self._terrains.of(self._worlds.slots), self._every if rows is None else rows
-        place(self._own, self._yaw, self._local, self.state, swing, terrains, moving, begins, self._dt)
+        terrains = self._terrains.of(self._worlds.slots)
+        place(self._own, self._yaw, self._local, self.state, swing, terrains, rows, begins, self._dt)
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """Returns the lengths of ``vectors [..., D]``, several times faster than ``norm`` for small D."""
+    """Lengths of ``vectors [..., D]``, several times faster than ``norm`` for small D."""
     return torch.sqrt(sum((part.square() for part in vectors.unbind(-1)), start=torch.zeros((), device=vectors.device)))
 
 
 def shown_parts(movers: MoverField | None, row: int) -> Parts | None:
     """Returns a copy of the parts that a row has, on the CPU and with one row. ``None`` if it has none."""
     return None if movers is None or movers.parts is None else movers.parts.of_row(row)
-
-
-class MoverTables:
-    """Movers of the worlds in slots: their motions, their settings and their parts.
-
-    Args:
-        device: device of the tables.
-
-    Attributes:
-        motions: classes of the motions that occur.
-        motion: index of the motion of each mover in :attr:`motions`, -1 for none.
-        radius: radius of each mover, m.
-        forms: parts of different kinds or sizes.
-        parts: what :class:`Parts` are made of, by name.
-    """
-
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
-        self.motions: list[type[Motion]] = []
-        self.forms: list[Part] = []
-        self._number_of: dict[tuple[str, tuple[float, float, float]], int] = {}
-        self.motion = SlotTable((), torch.int64, device, padding=-1)
-        self.radius = SlotTable((), torch.float32, device)
-        self.parts = {
-            "kind": SlotTable((), torch.int32, device, padding=-1),
-            "form": SlotTable((), torch.int32, device, padding=-1),
-            "mover": SlotTable((), torch.int64, device),
-            "half": SlotTable((3,), torch.float32, device),
-            "center": SlotTable((3,), torch.float32, device),
-            "orientation": SlotTable((4,), torch.float32, device),
-            "swing": SlotTable((), torch.float32, device),
-        }
-        # Settings by motion and name, and their shapes.
-        self._settings: dict[type[Motion], dict[str, SlotTable]] = {}
-
-    def __setitem__(self, slot: int, movers: Sequence[Mover]) -> None:
-        for mover in movers:
-            if type(mover.motion) not in self.motions:
-                self.motions.append(type(mover.motion))
-        self.motion[slot] = torch.tensor(
-            [self.motions.index(type(mover.motion)) for mover in movers], dtype=torch.int64
-        )
-        self.radius[slot] = torch.tensor([radius_of(mover.shape) for mover in movers])
-        parts = [(number, part) for number, mover in enumerate(movers) for part in mover.shape.parts()]
-        self.parts["kind"][slot] = torch.tensor([KINDS.index(part.kind) for _, part in parts], dtype=torch.int32)
-        self.parts["form"][slot] = torch.tensor([self.form(part) for _, part in parts], dtype=torch.int32)
-        self.parts["mover"][slot] = torch.tensor([number for number, _ in parts], dtype=torch.int64)
-        self.parts["half"][slot] = torch.tensor([part.size for _, part in parts]).reshape(-1, 3) / 2
-        for name in ("center", "orientation", "swing"):
-            table = self.parts[name]
-            values = torch.tensor([getattr(part, name) for _, part in parts], dtype=torch.float32)
-            table[slot] = values.reshape(-1, *table.values.shape[2:])
-        for motion in {type(mover.motion) for mover in movers}:
-            self._set_settings(slot, motion, movers)
-
-    def form(self, part: Part) -> int:
-        """Returns the index of a part in :attr:`forms`."""
-        number = self._number_of.setdefault((part.kind, part.size), len(self.forms))
-        if number == len(self.forms):
-            self.forms.append(part)
-        return number
-
-    def _set_settings(self, slot: int, motion: type[Motion], movers: Sequence[Mover]) -> None:
-        """Sets the settings of the movers with a motion. Those of other movers of the slot are padding."""
-        given = {number: mover.motion.tensors() for number, mover in enumerate(movers) if type(mover.motion) is motion}
-        tables = self._settings.setdefault(motion, {})
-        for name, first in next(iter(given.values())).items():
-            table = tables.setdefault(name, SlotTable((0,) * first.ndim, first.dtype, self._device))
-            values = {number: tensors[name] for number, tensors in given.items()}
-            shape = [max(sizes) for sizes in zip(*(value.shape for value in values.values()), strict=True)]
-            stacked = torch.zeros((len(movers), *shape), dtype=first.dtype)
-            for number, value in values.items():
-                stacked[number][tuple(map(slice, value.shape))] = value
-            table[slot] = stacked
-
-    def settings_of(self, motion: type[Motion], slots: Tensor) -> dict[str, Tensor]:
-        """Returns the settings of a motion for rows in ``slots [N]``, by name, ``[N, M, ...]``."""
-        movers = self.motion.values.shape[1]
-        found = {}
-        for name, table in self._settings[motion].items():
-            used, length, *shape = table.values.shape
-            # Slots without this motion may be missing at the end of the table.
-            values = table.values[slots.clamp(max=used - 1)]
-            found[name] = pad(values, (*[0] * 2 * len(shape), 0, movers - length))
-        return found

@@ -16,8 +16,8 @@ from rover_rl.worlds.movers.mover import Part
 from rover_rl.worlds.movers.parts import MAX_SPEED
 
 
-class Solids(NamedTuple):
-    """Solids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
+class RoverSolids(NamedTuple):
+    """RoverSolids of rovers, ``[N, Q]`` of each: see :class:`~rover_rl.worlds.movers.parts.Parts`."""
 
     position: Tensor
     orientation: Tensor
@@ -61,7 +61,7 @@ class OtherRovers:
         self._position, self._velocity, self._yaw = points, points, torch.zeros(rows, 1, device=device)
         # Where the solids of each rover are.
         solids = torch.zeros(rows, len(self.parts), 3, device=device)
-        self._now = Solids(solids, pad(solids, (0, 1)), solids, solids[..., 0])
+        self._now = RoverSolids(solids, pad(solids, (0, 1)), solids, solids[..., 0])
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers where they are.
@@ -87,14 +87,14 @@ class OtherRovers:
         turn = (wrap_angle(yaw - self._yaw) / self._dt).expand_as(last.turn)
         self._velocity = changed(velocity, self._velocity)
         self._position, self._yaw = position, yaw
-        self._now = Solids(
+        self._now = RoverSolids(
             centers,
             quaternion_product(solid, self._turns.expand_as(solid)),
             changed((centers - last.position) / self._dt, last.velocity),
             changed(turn, last.turn),
         )
 
-    def advance(self, active: Tensor | None) -> Solids:
+    def advance(self, active: Tensor | None) -> RoverSolids:
         """Returns the solids of the others of each row after a step in which rovers move on, ``[N, count]``.
 
         Rovers do not move if ``active`` (bool ``[N, 1]``; ``None``: all) is false. The velocity of another rover is the
@@ -112,14 +112,14 @@ class OtherRovers:
             velocity, turn = velocity.masked_fill(~drives[..., None], 0.0), turn.masked_fill(~drives, 0.0)
         half = turn * (self._dt / 2)
         turned = pad(torch.stack((half.sin(), half.cos()), -1), (2, 0))
-        return Solids(position + velocity * self._dt, quaternion_product(turned, orientation), velocity, turn)
+        return RoverSolids(position + velocity * self._dt, quaternion_product(turned, orientation), velocity, turn)
 
-    def seen(self) -> Solids:
+    def seen(self) -> RoverSolids:
         """Returns the solids of the others of each row where they are, ``[N, count]``."""
         return self._of_others_solids(self._now)
 
-    def _of_others_solids(self, solids: Solids) -> Solids:
-        return Solids(*(self._of_others(values).flatten(1, 2) for values in solids))
+    def _of_others_solids(self, solids: RoverSolids) -> RoverSolids:
+        return RoverSolids(*(self._of_others(values).flatten(1, 2) for values in solids))
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest other rover, and its speed."""

@@ -8,54 +8,26 @@ on the left of the point ``(x, y)`` (m/s) in the direction ``(dx, dy)``, a unit 
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.worlds.movers.walking_kernels import (
-    FAR,
-    ORCA,
-    OWN,
-    SOCIAL_FORCE,
-    SPEED,
-    WANDER,
-    Crowd,
-    States,
-    finish_step,
-    kept_distance,
-    left_of,
-    step_noise,
-    walked,
-    wall_at,
-    wander,
-    way_to,
-)
+from rover_rl.worlds.movers import walking_kernels as walking
+from rover_rl.worlds.movers.walking_kernels import DRAWS, FAR, SPEED, START, TWO_PI, Crowd, States, uniform, wall_at
 
 # Settings of a mover, by index, in the order of the fields of `SocialForce`, and of `Orca`.
 SEES_ROVER, RELAXATION, STRENGTH, REACH, WALL_STRENGTH, WALL_REACH, BEHIND, FORESIGHT, FLUCTUATION = (
-    wp.constant(OWN + k) for k in range(9)
+    wp.constant(walking.OWN + k) for k in range(9)
 )
-HORIZON, ORCA_SEES_ROVER, MARGIN = (wp.constant(OWN + k) for k in range(3))
+HORIZON, ORCA_SEES_ROVER, MARGIN = (wp.constant(walking.OWN + k) for k in range(3))
 
-PAPER_RADIUS = wp.constant(0.2)
-"""Radius of the people who are points in the paper on social forces, m."""
-COS_VIEW = wp.constant(-0.1736482)
-"""Cosine of 100 degrees, half the angle of sight."""
-MAX_FACTOR = wp.constant(1.3)
-"""Largest speed, in desired speeds."""
-MAX_PUSH = wp.constant(0.1)
-"""Largest way by which movers that overlap are pushed apart in a step, m."""
-CUT_OFF = wp.constant(10.0)
-"""Distance without a force, in ranges of the potential: exp(-10) is 5e-5."""
+# Of social forces: radius of the people who are points in the paper, m; cosine of half the angle of sight, 100 degrees;
+# largest speed, in desired ones; largest way by which movers that overlap are pushed apart in a step, m; and distance
+# without a force, in ranges of the potential: exp(-10) is 5e-5.
+PAPER_RADIUS, COS_VIEW, MAX_FACTOR, MAX_PUSH, CUT_OFF = map(wp.constant, (0.2, -0.1736482, 1.3, 0.1, 10.0))
 ROOT_3 = wp.constant(1.7320508)
 
-NEIGHBORS = wp.constant(10)
-"""Number of nearest movers that ORCA avoids, as in the examples of RVO2."""
-MAX_ROVERS = wp.constant(4)
-"""Number of rovers that it avoids."""
-MAX_LINES = 16
-"""Number of lines for which there is space: two walls, rovers and movers."""
-WALL_TIME = wp.constant(0.5)
-"""Time within which it keeps off walls, s."""
-NOISE = wp.constant(0.02)
-"""Random part of the desired velocity, in speeds, without which two that meet head-on both stop."""
-TINY = wp.constant(1.0e-5)
+# Of ORCA: numbers of nearest movers (as in the examples of RVO2) and of rovers that it avoids; of lines: two walls,
+# rovers and movers; time within which it keeps off walls, s; and random part of the desired velocity, in speeds,
+# without which two that meet head-on both stop.
+NEIGHBORS, MAX_ROVERS, MAX_LINES = wp.constant(10), wp.constant(4), 16
+WALL_TIME, NOISE, TINY = map(wp.constant, (0.5, 0.02, 1.0e-5))
 
 Lines = wp.types.matrix(shape=(MAX_LINES, 4), dtype=float)
 Indices = wp.types.vector(length=NEIGHBORS, dtype=int)
@@ -64,11 +36,10 @@ Distances = wp.types.vector(length=NEIGHBORS, dtype=float)
 
 @wp.func
 def repulsion(offset: wp.vec2, stride: wp.vec2, excess: float, strength: float, reach: float) -> wp.vec2:
-    """Acceleration by another mover: minus the gradient of ``strength exp(-b / reach)``, m/s^2.
+    """Acceleration by another mover, ``offset`` away: minus the gradient of ``strength exp(-b / reach)``, m/s^2.
 
     ``b`` is the minor half-axis of the ellipse through the mover whose foci are where the other one is now and after
-    its next step, ``stride`` (m). ``offset`` (m) is from the other mover to this one, and ``excess`` (m) by how much
-    the two are larger than in the paper.
+    its next step, ``stride`` (m). The two are by ``excess`` (m) larger than in the paper.
     """
     if wp.length(offset) > CUT_OFF * reach + excess + wp.length(stride):
         return wp.vec2(0.0, 0.0)
@@ -97,6 +68,31 @@ def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
     return (least - distance) * share * offset / distance
 
 
+@wp.struct
+class Neighbor:
+    """Another mover, or a rover."""
+
+    position: wp.vec2
+    velocity: wp.vec2
+    radius: float
+
+
+@wp.func
+def is_noticed(crowd: Crowd, row: int, mover: int, other: int) -> bool:
+    """Whether a mover takes notice of another one; the numbers after those of movers are of rovers."""
+    if other < crowd.present.shape[1]:
+        return crowd.present[row, other] and other != mover
+    return crowd.settings[row, mover, SEES_ROVER] > 0.0
+
+
+@wp.func
+def neighbor(crowd: Crowd, before: States, row: int, other: int) -> Neighbor:
+    rover = other - crowd.present.shape[1]
+    if rover < 0:
+        return Neighbor(before.position[row, other], before.velocity[row, other], crowd.radius[row, other])
+    return Neighbor(crowd.rovers[row, rover], crowd.rover_velocities[row, rover], crowd.rover_radius)
+
+
 @wp.func
 def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec2) -> wp.vec2:
     """Sum of the forces on a mover whose desired direction is ``way``, m/s^2."""
@@ -108,25 +104,17 @@ def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec
     foresight = crowd.settings[row, mover, FORESIGHT]
     desired = crowd.settings[row, mover, SPEED] * way
     sum = (desired - before.velocity[row, mover]) / crowd.settings[row, mover, RELAXATION]
-    for other in range(crowd.present.shape[1]):
-        if crowd.present[row, other] and other != mover:
-            stride = foresight * before.velocity[row, other]
-            excess = radius + crowd.radius[row, other] - 2.0 * PAPER_RADIUS
-            force = repulsion(point - before.position[row, other], stride, excess, strength, reach)
-            sum += weight(force, way, behind) * force
-    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
-        for k in range(crowd.rovers.shape[1]):
-            stride = foresight * crowd.rover_velocities[row, k]
-            excess = radius + crowd.rover_radius - 2.0 * PAPER_RADIUS
-            force = repulsion(point - crowd.rovers[row, k], stride, excess, strength, reach)
+    for number in range(crowd.present.shape[1] + crowd.rovers.shape[1]):
+        if is_noticed(crowd, row, mover, number):
+            other = neighbor(crowd, before, row, number)
+            excess = radius + other.radius - 2.0 * PAPER_RADIUS
+            force = repulsion(point - other.position, foresight * other.velocity, excess, strength, reach)
             sum += weight(force, way, behind) * force
     wall = wall_at(crowd, row, point)
     wall_reach = crowd.settings[row, mover, WALL_REACH]
     gap = wp.max(wall[0] - radius + PAPER_RADIUS, 0.0)
-    sum += (
-        crowd.settings[row, mover, WALL_STRENGTH] / wall_reach * wp.exp(-gap / wall_reach) * wp.vec2(wall[1], wall[2])
-    )
-    return sum
+    push = crowd.settings[row, mover, WALL_STRENGTH] / wall_reach * wp.exp(-gap / wall_reach)
+    return sum + push * wp.vec2(wall[1], wall[2])
 
 
 @wp.func
@@ -135,7 +123,7 @@ def way_by_forces(crowd: Crowd, before: States, row: int, mover: int, way: wp.ve
     dt = crowd.dt
     start = before.position[row, mover]
     # Uniform numbers of the standard deviation that is set.
-    noise = step_noise(crowd, row, mover)
+    noise = walking.step_noise(crowd, row, mover)
     sum = acceleration(crowd, before, row, mover, way)
     sum += crowd.settings[row, mover, FLUCTUATION] * 2.0 * ROOT_3 * noise
     velocity = before.velocity[row, mover] + dt * sum
@@ -143,17 +131,15 @@ def way_by_forces(crowd: Crowd, before: States, row: int, mover: int, way: wp.ve
     velocity = velocity * wp.min(1.0, most / wp.max(wp.length(velocity), 1.0e-6))
     # Contact, where the others will be if they go on.
     next = start + dt * velocity
-    radius = crowd.radius[row, mover]
     push = wp.vec2(0.0, 0.0)
-    for other in range(crowd.present.shape[1]):
-        if crowd.present[row, other] and other != mover:
-            share = wp.where(crowd.mine[row, other], 0.5, 1.0)
-            offset = next - before.position[row, other] - dt * before.velocity[row, other]
-            push += push_apart(offset, radius + crowd.radius[row, other], share)
-    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
-        for k in range(crowd.rovers.shape[1]):
-            offset = next - crowd.rovers[row, k] - dt * crowd.rover_velocities[row, k]
-            push += push_apart(offset, radius + crowd.rover_radius, 1.0)
+    for number in range(crowd.present.shape[1] + crowd.rovers.shape[1]):
+        if is_noticed(crowd, row, mover, number):
+            other = neighbor(crowd, before, row, number)
+            share = float(1.0)
+            if number < crowd.present.shape[1]:
+                share = wp.where(crowd.mine[row, number], 0.5, 1.0)
+            offset = next - other.position - dt * other.velocity
+            push += push_apart(offset, crowd.radius[row, mover] + other.radius, share)
     push = push * wp.min(1.0, MAX_PUSH / wp.max(wp.length(push), 1.0e-6))
     return next - start + push
 
@@ -186,16 +172,13 @@ def solve_on_line(lines: Lines, number: int, most: float, wanted: wp.vec2, along
                 return wp.vec3(0.0, 0.0, 0.0)
         else:
             t = numerator / denominator
-            if denominator >= 0.0:
-                high = wp.min(high, t)
-            else:
-                low = wp.max(low, t)
+            high = wp.where(denominator >= 0.0, wp.min(high, t), high)
+            low = wp.where(denominator >= 0.0, low, wp.max(low, t))
             if low > high:
                 return wp.vec3(0.0, 0.0, 0.0)
+    best = wp.clamp(wp.dot(direction, wanted - point), low, high)
     if along:
         best = wp.where(wp.dot(wanted, direction) > 0.0, high, low)
-    else:
-        best = wp.clamp(wp.dot(direction, wanted - point), low, high)
     velocity = point + best * direction
     return wp.vec3(velocity[0], velocity[1], 1.0)
 
@@ -228,10 +211,9 @@ def solve_least_bad(
         direction = wp.vec2(lines[number, 2], lines[number, 3])
         if det(direction, point - velocity) > depth:
             projected = Lines()
-            used = int(0)
             for k in range(walls_count):
-                projected[used] = lines[k]
-                used += 1
+                projected[k] = lines[k]
+            used = int(walls_count)
             for k in range(walls_count, number):
                 other_point = wp.vec2(lines[k, 0], lines[k, 1])
                 other = wp.vec2(lines[k, 2], lines[k, 3])
@@ -247,7 +229,7 @@ def solve_least_bad(
                     between = wp.normalize(other - direction)
                     projected[used] = wp.vec4(at[0], at[1], between[0], between[1])
                     used += 1
-            found = solve(projected, used, most, left_of(direction), True)
+            found = solve(projected, used, most, walking.left_of(direction), True)
             if int(found[2]) == used:
                 velocity = wp.vec2(found[0], found[1])
             depth = det(direction, point - velocity)
@@ -258,16 +240,10 @@ def solve_least_bad(
 def line_of(
     offset: wp.vec2, velocity: wp.vec2, relative: wp.vec2, radius: float, horizon: float, dt: float, share: float
 ) -> wp.vec4:
-    """Line of the velocities with which a mover avoids another one.
+    """Line of the velocities with which a mover avoids another one, at ``offset`` and with ``radius``, the sum of both.
 
-    Args:
-        offset: position of the other one relative to this one, m.
-        velocity: velocity of this one, m/s.
-        relative: velocity relative to the other one, m/s.
-        radius: sum of the radii, m.
-        horizon: time within which they must not collide, s.
-        dt: duration of a step, within which they must no longer overlap if they do, s.
-        share: share of the evasion that this one does.
+    They must not collide within ``horizon``, and no longer overlap after ``dt`` if they do, s. ``relative`` is the
+    velocity relative to the other one, and ``share`` that of the evasion that this one does.
     """
     square = wp.length_sq(offset)
     change = wp.vec2(0.0, 0.0)
@@ -336,10 +312,10 @@ def way_that_avoids(crowd: Crowd, before: States, row: int, mover: int, way: wp.
     start = before.position[row, mover]
     speed = crowd.settings[row, mover, SPEED]
     velocity = before.velocity[row, mover]
-    noise = step_noise(crowd, row, mover)
+    noise = walking.step_noise(crowd, row, mover)
     wanted = wp.min(speed, wp.length(before.goal[row, mover] - start) / dt) * way + NOISE * speed * noise
     radius = crowd.radius[row, mover]
-    kept = kept_distance(crowd, row, radius)
+    kept = walking.kept_distance(crowd, row, radius)
     lines = Lines()
     count = int(0)
     for probe in range(2):
@@ -372,13 +348,99 @@ def way_that_avoids(crowd: Crowd, before: States, row: int, mover: int, way: wp.
     return dt * taken
 
 
+@wp.func
+def edge_at(crowd: Crowd, row: int, mover: int, point: wp.vec2) -> wp.vec3:
+    """Distance to the edge of the area of a mover (m), negative outside, and direction away from it."""
+    if crowd.settings[row, mover, START] == 0.0:
+        return wp.vec3(FAR, 0.0, 0.0)
+    limits = walking.limits_of(crowd, row, mover, START)
+    west = point[0] - limits[0]
+    east = limits[1] - point[0]
+    south = point[1] - limits[2]
+    north = limits[3] - point[1]
+    least = wp.min(wp.min(west, east), wp.min(south, north))
+    if least == west:
+        return wp.vec3(west, 1.0, 0.0)
+    if least == east:
+        return wp.vec3(east, -1.0, 0.0)
+    if least == south:
+        return wp.vec3(south, 0.0, 1.0)
+    return wp.vec3(north, 0.0, -1.0)
+
+
+@wp.func
+def wander(crowd: Crowd, before: States, after: States, row: int, mover: int):
+    """Moves a wanderer by one step."""
+    dt = crowd.dt
+    speed = crowd.settings[row, mover, SPEED]
+    start = before.position[row, mover]
+    direction = before.goal[row, mover]
+    draws = before.draws[row, mover]
+    clock = before.clock[row, mover] - dt
+    if clock <= 0.0:
+        key = crowd.keys[row, mover]
+        direction = walking.heading_of(TWO_PI * uniform(key, DRAWS, wp.uint64(draws), 0))
+        clock += walking.exponential(crowd.settings[row, mover, walking.OWN], uniform(key, DRAWS, wp.uint64(draws), 1))
+        draws = draws + wp.int64(1)
+    kept = walking.kept_distance(crowd, row, crowd.radius[row, mover])
+    ahead = start + speed * dt * direction
+    wall = wall_at(crowd, row, ahead)
+    edge = edge_at(crowd, row, mover, ahead)
+    if edge[0] < wall[0] - kept:
+        wall = wp.vec3(edge[0] + kept, edge[1], edge[2])
+    away = wp.vec2(wall[1], wall[2])
+    if wall[0] < kept:
+        direction = direction - 2.0 * wp.min(wp.dot(direction, away), 0.0) * away
+    point = walking.walked(crowd, row, start, speed * dt * direction, kept)
+    if crowd.settings[row, mover, START] > 0.0:
+        limits = walking.limits_of(crowd, row, mover, START)
+        point = wp.vec2(wp.clamp(point[0], limits[0], limits[1]), wp.clamp(point[1], limits[2], limits[3]))
+        if wall_at(crowd, row, point)[0] < kept - walking.SLACK:
+            point = start
+    # In a corner, it turns back.
+    if wp.length(point - start) < 0.25 * speed * dt:
+        direction = -direction
+    after.position[row, mover] = point
+    after.velocity[row, mover] = (point - start) / dt
+    after.yaw[row, mover] = walking.turned(before.yaw[row, mover], direction, dt)
+    after.goal[row, mover] = direction
+    after.clock[row, mover] = clock
+    after.draws[row, mover] = draws
+
+
+@wp.kernel
+def begin(crowd: Crowd, law: int, after: States):
+    """Begins the episodes of movers, in ascending order; thread ``row``. A wanderer's goal is its direction."""
+    row = wp.tid()
+    for mover in range(crowd.mine.shape[1]):
+        if crowd.mine[row, mover]:
+            point = walking.draw_start(crowd, after, row, mover)
+            after.position[row, mover] = point
+            if law == walking.WANDER:
+                key = crowd.keys[row, mover]
+                yaw = TWO_PI * (uniform(key, DRAWS, wp.uint64(0), 2 * walking.CANDIDATES) - 0.5)
+                number = uniform(key, DRAWS, wp.uint64(0), 2 * walking.CANDIDATES + 1)
+                after.velocity[row, mover] = crowd.settings[row, mover, SPEED] * walking.heading_of(yaw)
+                after.goal[row, mover] = walking.heading_of(yaw)
+                after.yaw[row, mover] = yaw
+                after.clock[row, mover] = walking.exponential(crowd.settings[row, mover, walking.OWN], number)
+                after.draws[row, mover] = wp.int64(1)
+            else:
+                goal = walking.draw_goal(crowd, row, mover, point, wp.int64(1))
+                after.velocity[row, mover] = wp.vec2(0.0, 0.0)
+                after.goal[row, mover] = goal
+                after.yaw[row, mover] = wp.atan2(goal[1] - point[1], goal[0] - point[0])
+                after.clock[row, mover] = crowd.settings[row, mover, walking.PATIENCE]
+                after.draws[row, mover] = wp.int64(2)
+
+
 @wp.kernel
 def step(crowd: Crowd, law: int, before: States, after: States):
     """Moves movers by one step of the law of a motion, ``Walk.law``; thread ``(row, mover)``."""
     row, mover = wp.tid()
     if not crowd.mine[row, mover]:
         return
-    if law == WANDER:
+    if law == walking.WANDER:
         wander(crowd, before, after, row, mover)
         return
     start = before.position[row, mover]
@@ -386,11 +448,11 @@ def step(crowd: Crowd, law: int, before: States, after: States):
     clock = before.clock[row, mover]
     if clock >= 0.0:
         goal = before.goal[row, mover]
-        way = way_to(crowd, row, mover, start, goal, before.draws[row, mover])
+        way = walking.way_to(crowd, row, mover, start, goal, before.draws[row, mover])
         move = wp.min(crowd.settings[row, mover, SPEED] * crowd.dt, wp.length(goal - start)) * way
-        if law == SOCIAL_FORCE:
+        if law == walking.SOCIAL_FORCE:
             move = way_by_forces(crowd, before, row, mover, way)
-        if law == ORCA:
+        if law == walking.ORCA:
             move = way_that_avoids(crowd, before, row, mover, way)
-        point = walked(crowd, row, start, move, kept_distance(crowd, row, crowd.radius[row, mover]))
-    finish_step(crowd, before, after, row, mover, point, clock)
+        point = walking.walked(crowd, row, start, move, walking.kept_distance(crowd, row, crowd.radius[row, mover]))
+    walking.finish_step(crowd, before, after, row, mover, point, clock)

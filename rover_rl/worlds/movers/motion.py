@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -35,27 +35,23 @@ class MoverState:
     @classmethod
     def at_rest(cls, rows: int, movers: int, device: torch.device) -> MoverState:
         """Creates the state of movers at rest at the origin."""
-        zeros = torch.zeros(rows, movers, device=device)
-        pairs = torch.zeros(rows, movers, 2, device=device)
+        zeros, pairs = torch.zeros(rows, movers, device=device), torch.zeros(rows, movers, 2, device=device)
         return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long())
 
     def padded(self, movers: int) -> MoverState:
         """Adds ``movers`` to each row, which rest at the origin."""
-        values = ((item.name, getattr(self, item.name)) for item in fields(self))
-        return MoverState(
-            **{name: pad(value, (0, 0, 0, movers) if value.ndim == 3 else (0, movers)) for name, value in values}
-        )
+        values = (getattr(self, item.name) for item in fields(self))
+        return MoverState(*(pad(value, (0, 0, 0, movers) if value.ndim == 3 else (0, movers)) for value in values))
 
     def where(self, mask: Tensor, other: MoverState) -> MoverState:
         """Returns this state for the movers of ``mask`` (bool ``[N, M]``), else ``other``, whose types it takes."""
-        chosen = {}
+        chosen = []
         for item in fields(self):
             value, rest = getattr(self, item.name), getattr(other, item.name)
             if value is not rest:
-                rows = mask.reshape(*mask.shape, *[1] * (value.ndim - mask.ndim))
-                value = torch.where(rows, value.to(rest.dtype), rest)
-            chosen[item.name] = value
-        return replace(self, **chosen)
+                value = torch.where(mask[..., None] if value.ndim == 3 else mask, value.to(rest.dtype), rest)
+            chosen.append(value)
+        return MoverState(*chosen)
 
 
 class WallDistances(NamedTuple):
@@ -72,13 +68,11 @@ class WallDistances(NamedTuple):
     slots: Tensor
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the distance to the nearest wall (at most 3 m), and the direction away from it.
-
-        Args:
-            points: points of each row, ``[N, K, 2]``, m.
+        """Returns the distance from points ``[N, K, 2]`` (m) to the nearest wall, and the direction away from it.
 
         Returns:
-            Distances ``[N, K]``, m, negative beyond the bounds, and unit vectors ``[N, K, 2]``, 0 far from all walls.
+            Distances ``[N, K]``, at most 3 m, negative beyond the bounds, and unit vectors ``[N, K, 2]``, 0 far from
+            all walls.
         """
         x, y, cell, rows, columns = self.grids[self.slots].T[..., None]
         u, v = (points[..., 0] - x) / cell, (points[..., 1] - y) / cell
@@ -152,12 +146,9 @@ class Motion(ABC):
 
     Attributes:
         has_walls: whether the motion asks for ``inputs.walls``.
-        is_foreseen: whether :meth:`advance` depends on ``inputs.time`` and the start of the episode alone, so that it
-            also tells where a mover will be later.
     """
 
     has_walls: ClassVar[bool] = False
-    is_foreseen: ClassVar[bool] = False
 
     def tensors(self) -> dict[str, Tensor]:
         """Returns the settings of one mover: by default each field, which must be a number.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
@@ -59,18 +59,14 @@ class Part:
         turns = 2 * math.pi * (np.arange(_SIDES) + 0.5) / _SIDES
         # A prism with the volume of the cylinder.
         radius = length / 2 * math.sqrt(2 * math.pi / (_SIDES * math.sin(2 * math.pi / _SIDES)))
-        # Rings (radius, height) from the bottom to the top.
+        cos, sin = np.cos(turns), np.sin(turns)
+        # Rings (share of the radius, height) from the bottom to the top.
         rings = [(1.0, -height / 2), (1.0, height / 2)]
         if self.kind == "capsule":
-            angles = np.radians((20.0, 55.0, 85.0))
-            cap = [(math.cos(a), height / 2 - length / 2 * (1 - math.sin(a))) for a in (0.0, *angles)]
+            angles = (0.0, *np.radians((20.0, 55.0, 85.0)))
+            cap = [(math.cos(angle), height / 2 - length / 2 * (1 - math.sin(angle))) for angle in angles]
             rings = [(r, -z) for r, z in reversed(cap)] + cap
-        return np.concatenate(
-            [
-                np.stack((r * radius * np.cos(turns), r * radius * np.sin(turns), np.full(_SIDES, z)), 1)
-                for r, z in rings
-            ]
-        )
+        return np.concatenate([np.stack((r * radius * cos, r * radius * sin, np.full(_SIDES, z)), 1) for r, z in rings])
 
 
 class Shape(Protocol):
@@ -80,52 +76,58 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class _Upright:
+    """Base of shapes whose fields are lengths."""
+
+    def __post_init__(self) -> None:
+        check_positive(MAX_SIDE, **asdict(self))
+
+
+def _on_ground(kind: Kind, length: float, width: float, height: float) -> tuple[Part, ...]:
+    return (Part(kind, (length, width, height), (0.0, 0.0, height / 2)),)
+
+
+@dataclass(frozen=True)
+class Cylinder(_Upright):
     """Upright cylinder on the ground. Lengths in m."""
 
     radius: float = 0.3
     height: float = 1.5
 
-    def __post_init__(self) -> None:
-        check_positive(MAX_SIDE, radius=self.radius, height=self.height)
-
     def parts(self) -> tuple[Part, ...]:
-        return (Part("cylinder", (2 * self.radius, 2 * self.radius, self.height), (0.0, 0.0, self.height / 2)),)
+        return _on_ground("cylinder", 2 * self.radius, 2 * self.radius, self.height)
 
 
 @dataclass(frozen=True)
-class Box:
+class Box(_Upright):
     """Upright box on the ground, whose length is along the heading. Lengths in m."""
 
     length: float = 1.0
     width: float = 1.0
     height: float = 1.0
 
-    def __post_init__(self) -> None:
-        check_positive(MAX_SIDE, length=self.length, width=self.width, height=self.height)
-
     def parts(self) -> tuple[Part, ...]:
-        return (Part("box", (self.length, self.width, self.height), (0.0, 0.0, self.height / 2)),)
+        return _on_ground("box", self.length, self.width, self.height)
 
 
 @dataclass(frozen=True)
-class Capsule:
+class Capsule(_Upright):
     """Upright cylinder with hemispherical ends, which stands on the ground. The height includes the ends. In m."""
 
     radius: float = 0.3
     height: float = 1.7
 
     def __post_init__(self) -> None:
-        check_positive(MAX_SIDE, radius=self.radius, height=self.height)
+        super().__post_init__()
         if self.height < 2 * self.radius:
             raise ValueError(f"height must be at least the diameter {2 * self.radius:g}, got {self.height}")
 
     def parts(self) -> tuple[Part, ...]:
-        return (Part("capsule", (2 * self.radius, 2 * self.radius, self.height), (0.0, 0.0, self.height / 2)),)
+        return _on_ground("capsule", 2 * self.radius, 2 * self.radius, self.height)
 
 
 @dataclass(frozen=True)
-class Person:
+class Person(_Upright):
     """A person as a lidar sees one: two legs that swing while walking, below a body.
 
     Args:
@@ -138,26 +140,13 @@ class Person:
 
     height: float = 1.75
 
-    def __post_init__(self) -> None:
-        check_positive(MAX_SIDE, height=self.height)
-
     def parts(self) -> tuple[Part, ...]:
         scale = self.height / 1.75
-        hip = 0.85 * scale
+        hip, side, swing = 0.85 * scale, 0.12 * scale, 0.22 * scale
         leg = (0.14 * scale, 0.14 * scale, hip)
-        sides = (0.12 * scale, -0.12 * scale)
-        swing = 0.22 * scale
-        left, right = (
-            Part("cylinder", leg, (0.0, y, hip / 2), swing=amplitude)
-            for y, amplitude in zip(sides, (swing, -swing), strict=True)
-        )
+        left, right = (Part("cylinder", leg, (0.0, sign * side, hip / 2), swing=sign * swing) for sign in (1, -1))
         trunk = self.height - hip
         return left, right, Part("cylinder", (0.44 * scale, 0.44 * scale, trunk), (0.0, 0.0, hip + trunk / 2))
-
-
-def radius_of(shape: Shape) -> float:
-    """Returns the radius of an upright cylinder around a mover that contains its shape, m."""
-    return max(part.reach for part in shape.parts())
 
 
 @dataclass(frozen=True)
@@ -186,8 +175,11 @@ class Mover:
 
     def __post_init__(self) -> None:
         if not isinstance(self.motion, Motion):
-            raise ValueError(
-                f"the motion of {self.name!r} must be a Motion, such as Waypoints(...), got {self.motion!r}"
-            )
+            raise ValueError(f"the motion of {self.name!r} must be a Motion, as Waypoints(...), got {self.motion!r}")
         if not hasattr(self.shape, "parts") or not self.shape.parts():
             raise ValueError(f"the shape of {self.name!r} must have parts, as Cylinder(0.3) has, got {self.shape!r}")
+
+    @property
+    def radius(self) -> float:
+        """Radius of an upright cylinder around the mover that contains its shape, m."""
+        return max(part.reach for part in self.shape.parts())

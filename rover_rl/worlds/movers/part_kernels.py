@@ -8,6 +8,7 @@ intersection of the intervals of half-spaces and quadrics. The ray meets it at `
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from torch import Tensor
 
@@ -21,8 +22,7 @@ from rover_rl.worlds.terrain import TerrainRows
 CYLINDER, BOX, CAPSULE = range(len(KINDS))
 MISS = wp.constant(1.0e9)
 """Distance of a ray that meets nothing, m."""
-TWO_PI = wp.constant(6.2831853)
-PI = wp.constant(3.14159265358979)
+TWO_PI, PI = wp.constant(6.2831853), wp.constant(3.14159265358979)
 FASTEST = wp.constant(MAX_SPEED)
 
 
@@ -48,14 +48,20 @@ class LocalParts:
     swing: wp.array2d[float]
 
 
-def arrays_of(parts: Parts) -> PartArrays:
-    """Returns parts as kernels read and write them, in the same memory."""
-    arrays = PartArrays()
-    arrays.kind, arrays.turn = wp.from_torch(parts.kind), wp.from_torch(parts.turn)
-    arrays.orientation = wp.from_torch(parts.orientation, dtype=wp.quat)
-    for name in ("half", "position", "velocity"):
-        setattr(arrays, name, wp.from_torch(getattr(parts, name), dtype=wp.vec3))
+DTYPES = {"orientation": wp.quat, **dict.fromkeys(("half", "position", "velocity", "center"), wp.vec3)}
+
+
+def _filled(arrays: Any, values: Mapping[str, Tensor]) -> Any:
+    """Returns a struct of kernels with its arrays, in the memory of tensors."""
+    for name in type(arrays).cls.__annotations__:
+        setattr(arrays, name, wp.from_torch(values[name], dtype=DTYPES.get(name)))
     return arrays
+
+
+def _launch(kernel: Any, shape: Any, parts: Parts, *inputs: Any) -> None:
+    device = parts.kind.device
+    with wp.ScopedStream(stream_of(device)):
+        wp.launch(kernel, shape, [_filled(PartArrays(), vars(parts)), *inputs], device=wp.device_from_torch(device))
 
 
 def place(
@@ -82,16 +88,10 @@ def place(
         begins: whether their episodes begin, so that parts are at rest.
         dt: duration of a step, s.
     """
-    with wp.ScopedStream(stream_of(yaw.device)):
-        solids = LocalParts()
-        solids.mover, solids.swing = wp.from_torch(local["mover"]), wp.from_torch(local["swing"])
-        solids.center = wp.from_torch(local["center"], dtype=wp.vec3)
-        solids.orientation = wp.from_torch(local["orientation"], dtype=wp.quat)
-        inputs = [wp.from_torch(state.position.contiguous(), dtype=wp.vec2)]
-        inputs += [wp.from_torch(values.contiguous()) for values in (state.yaw, swing)]
-        inputs += [solids, grounds_of(terrains), wp.from_torch(rows.squeeze(-1).contiguous()), begins, dt]
-        inputs += [arrays_of(parts), wp.from_torch(yaw)]
-        wp.launch(place_parts, yaw.shape, inputs, device=wp.device_from_torch(yaw.device))
+    movers = [wp.from_torch(state.position.contiguous(), dtype=wp.vec2)]
+    movers += [wp.from_torch(values.contiguous()) for values in (state.yaw, swing)]
+    inputs = [_filled(LocalParts(), local), grounds_of(terrains), wp.from_torch(rows.squeeze(-1).contiguous())]
+    _launch(place_parts, yaw.shape, parts, wp.from_torch(yaw), *movers, *inputs, begins, dt)
 
 
 def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Tensor) -> Tensor:
@@ -104,10 +104,8 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
         ranges: distances to what does not move, ``[N, K]``, m.
     """
     ranges = ranges.clone()
-    with wp.ScopedStream(stream_of(ranges.device)):
-        rays = [wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions)]
-        inputs = [arrays_of(parts), *rays, wp.from_torch(ranges)]
-        wp.launch(cast_at_parts, ranges.shape, inputs, device=wp.device_from_torch(ranges.device))
+    rays = (wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions))
+    _launch(cast_at_parts, ranges.shape, parts, *rays, wp.from_torch(ranges))
     return ranges
 
 
@@ -122,14 +120,15 @@ def scan_movers(parts: Parts, poses: Tensor, mounts: Tensor, beams: Tensor, rows
         rows: rows whose lidars scan, bool ``[N]``.
         ranges: ranges of the beams, ``[N, beams]``, m.
     """
-    with wp.ScopedStream(stream_of(ranges.device)):
-        inputs = [arrays_of(parts), wp.from_torch(poses.contiguous()), wp.from_torch(mounts, dtype=wp.vec4)]
-        inputs += [wp.from_torch(beams, dtype=wp.vec2), wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
-        wp.launch(scan_parts, len(ranges), inputs, device=wp.device_from_torch(ranges.device))
+    inputs = [wp.from_torch(poses.contiguous()), wp.from_torch(mounts, dtype=wp.vec4)]
+    inputs += [wp.from_torch(beams, dtype=wp.vec2), wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
+    _launch(scan_parts, len(ranges), parts, *inputs)
 
 
 @wp.kernel
 def place_parts(
+    placed: PartArrays,
+    placed_yaws: wp.array2d[float],
     positions: wp.array2d[wp.vec2],
     yaws: wp.array2d[float],
     swings: wp.array2d[float],
@@ -138,14 +137,8 @@ def place_parts(
     rows: wp.array[wp.bool],
     begins: bool,
     dt: float,
-    placed: PartArrays,
-    placed_yaws: wp.array2d[float],
 ):
-    """Places a part of a mover; thread ``(row, part)``: see :func:`place`.
-
-    The pose of a part is that in the frame of its mover, turned by the yaw about the vertical and moved. Its velocity
-    is the way from where it was, in ``dt``.
-    """
+    """Turns a part by the yaw of its mover and moves it; its velocity is the way from where it was, in ``dt``."""
     row, part = wp.tid()
     if not rows[row]:
         placed.velocity[row, part] = wp.vec3(0.0, 0.0, 0.0)
@@ -203,7 +196,6 @@ def entry(low: float, high: float) -> float:
 
 @wp.func
 def upright_cylinder(origin: wp.vec3, direction: wp.vec3, radius: float, half: float) -> float:
-    """Distance to a cylinder about z."""
     side = quadric(
         direction[0] * direction[0] + direction[1] * direction[1],
         origin[0] * direction[0] + origin[1] * direction[1],
@@ -215,7 +207,6 @@ def upright_cylinder(origin: wp.vec3, direction: wp.vec3, radius: float, half: f
 
 @wp.func
 def sphere(origin: wp.vec3, direction: wp.vec3, radius: float) -> float:
-    """Distance to a sphere."""
     ball = quadric(1.0, wp.dot(origin, direction), wp.length_sq(origin) - radius * radius)
     return entry(ball[0], ball[1])
 
@@ -237,19 +228,10 @@ def meet_solid(kind: int, half: wp.vec3, origin: wp.vec3, direction: wp.vec3) ->
     return wp.min(upright_cylinder(origin, direction, half[0], middle), balls)
 
 
-@wp.func
-def meet_part(parts: PartArrays, row: int, part: int, start: wp.vec3, ray: wp.vec3) -> float:
-    """Distance along a ray (m), a unit vector in the world frame, to a part; ``MISS`` if it does not meet it."""
-    turn = parts.orientation[row, part]
-    origin = wp.quat_rotate_inv(turn, start - parts.position[row, part])
-    return meet_solid(parts.kind[row, part], parts.half[row, part], origin, wp.quat_rotate_inv(turn, ray))
-
-
 @wp.kernel
 def cast_at_parts(
     parts: PartArrays, origins: wp.array2d[wp.vec3], directions: wp.array2d[wp.vec3], ranges: wp.array2d[float]
 ):
-    """Shortens the rays of each row that meet a part; thread ``(row, ray)``."""
     row, ray = wp.tid()
     start = origins[row, ray]
     along = wp.normalize(directions[row, ray])
@@ -261,7 +243,11 @@ def cast_at_parts(
             ahead = wp.dot(offset, along)
             # The bounding sphere is behind, farther than what the ray meets, or beside it.
             if ahead > -reach and ahead - reach < nearest and wp.length_sq(offset) - ahead * ahead < reach * reach:
-                nearest = wp.min(nearest, meet_part(parts, row, part, start, along))
+                turn = parts.orientation[row, part]
+                origin = wp.quat_rotate_inv(turn, start - parts.position[row, part])
+                ray_in_part = wp.quat_rotate_inv(turn, along)
+                found = meet_solid(parts.kind[row, part], parts.half[row, part], origin, ray_in_part)
+                nearest = wp.min(nearest, found)
     ranges[row, ray] = nearest
 
 
@@ -295,10 +281,7 @@ def scan_parts(
     rows: wp.array[wp.bool],
     ranges: wp.array2d[float],
 ):
-    """Shortens the beams of a planar lidar that meet a part; thread ``row``: see :func:`scan_movers`.
-
-    It tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`.
-    """
+    """Tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`."""
     row = wp.tid()
     if not rows[row]:
         return
@@ -337,11 +320,7 @@ def scan_parts(
         along_x = wp.quat_rotate_inv(orientation, ahead)
         along_y = wp.quat_rotate_inv(orientation, left)
         for k in range(first, last + 1):
-            beam = k
-            if k < 0:
-                beam = k + count
-            elif k >= count:
-                beam = k - count
+            beam = wp.where(k < 0, k + count, wp.where(k >= count, k - count, k))
             # What is nearer hides the part.
             nearest = ranges[row, beam]
             if nearest > distance - radius:

@@ -46,11 +46,10 @@ class Parts:
     @classmethod
     def zeros(cls, shape: Sequence[int], device: torch.device) -> Parts:
         """Creates parts of no kind at the origin, in ``shape`` ``[N, P]``."""
-        zeros = torch.zeros(*shape, device=device)
-        points = torch.zeros(*shape, 3, device=device)
-        turns = torch.zeros(*shape, 4, device=device)
-        none = zeros.int() - 1
-        return cls(none, none.clone(), points.clone(), zeros.long(), points.clone(), turns, points, zeros)
+        none = torch.full((*shape,), -1, dtype=torch.int32, device=device)
+        half, position, velocity = torch.zeros(3, *shape, 3, device=device)
+        turns, zeros = torch.zeros(*shape, 4, device=device), torch.zeros(*shape, device=device)
+        return cls(none, none.clone(), half, zeros.long(), position, turns, velocity, zeros)
 
     def columns(self, first: int, end: int) -> Parts:
         """Returns some parts of each row, in the same memory."""
@@ -62,7 +61,7 @@ class Parts:
 
     def of_row(self, row: int) -> Parts | None:
         """Returns a copy of the parts that a row has, on the CPU and with one row. ``None`` if it has none."""
-        shown = (self.kind[row] >= 0).nonzero().squeeze(-1)
+        shown = (self.kind[row] >= 0).nonzero()[:, 0]
         return self.chosen(row, shown) if len(shown) else None
 
     def in_view(self, eye: np.ndarray) -> np.ndarray:

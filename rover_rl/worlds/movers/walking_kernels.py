@@ -123,25 +123,23 @@ def uniform(key: wp.uint64, stream: wp.uint64, draw: wp.uint64, lane: int) -> fl
 
 @wp.func
 def exponential(mean: float, number: float) -> float:
-    """Exponentially distributed number of a uniform one."""
+    """Exponentially distributed number, from a uniform one."""
     return -mean * wp.log(1.0 - number)
 
 
 @wp.func
 def heading_of(yaw: float) -> wp.vec2:
-    """Unit vector along a heading."""
     return wp.vec2(wp.cos(yaw), wp.sin(yaw))
 
 
 @wp.func
 def left_of(direction: wp.vec2) -> wp.vec2:
-    """Direction a quarter turn to the left."""
     return wp.vec2(-direction[1], direction[0])
 
 
 @wp.func
 def wall_at(crowd: Crowd, row: int, point: wp.vec2) -> wp.vec3:
-    """Distance to the nearest wall (m) and direction away from it, as ``WallTable.distance`` returns them."""
+    """Distance to the nearest wall (m) and direction away from it, as :meth:`WallDistances.at` returns them."""
     slot = int(crowd.slots[row])
     cell = crowd.grids[slot, 2]
     rows = int(crowd.grids[slot, 3])
@@ -162,10 +160,7 @@ def wall_at(crowd: Crowd, row: int, point: wp.vec2) -> wp.vec3:
     beyond = wp.max(wp.abs(u - float(i) - s), wp.abs(v - float(j) - t)) * cell
     rise = wp.vec2((1.0 - t) * (d10 - d00) + t * (d11 - d01), high - low)
     length = wp.length(rise)
-    if length > 1.0e-6:
-        rise = rise / length
-    else:
-        rise = wp.vec2(0.0, 0.0)
+    rise = wp.where(length > 1.0e-6, rise / length, wp.vec2(0.0, 0.0))
     return wp.vec3(low + t * (high - low) - beyond, rise[0], rise[1])
 
 
@@ -231,32 +226,31 @@ def turned(yaw: float, velocity: wp.vec2, dt: float) -> float:
 
 
 @wp.func
+def limits_of(crowd: Crowd, row: int, mover: int, area: int) -> wp.vec4:
+    """Limits ``(x_low, x_high, y_low, y_high)`` of an area of the settings, or of the arena if there is none."""
+    if crowd.settings[row, mover, area] == 0.0:
+        return wp.vec4(crowd.arena[row, 0], crowd.arena[row, 2], crowd.arena[row, 1], crowd.arena[row, 3])
+    x_low = crowd.settings[row, mover, area + 1]
+    x_high = crowd.settings[row, mover, area + 2]
+    return wp.vec4(x_low, x_high, crowd.settings[row, mover, area + 3], crowd.settings[row, mover, area + 4])
+
+
+@wp.func
 def drawn_in(crowd: Crowd, row: int, mover: int, area: int, draw: wp.uint64, number: int) -> wp.vec2:
-    """Uniform point of an area of the settings, or of the arena if there is none."""
-    x_low = crowd.arena[row, 0]
-    y_low = crowd.arena[row, 1]
-    x_high = crowd.arena[row, 2]
-    y_high = crowd.arena[row, 3]
-    if crowd.settings[row, mover, area] > 0.0:
-        x_low = crowd.settings[row, mover, area + 1]
-        x_high = crowd.settings[row, mover, area + 2]
-        y_low = crowd.settings[row, mover, area + 3]
-        y_high = crowd.settings[row, mover, area + 4]
+    """Uniform point of an area."""
+    limits = limits_of(crowd, row, mover, area)
     key = crowd.keys[row, mover]
     return wp.vec2(
-        x_low + (x_high - x_low) * uniform(key, DRAWS, draw, 2 * number),
-        y_low + (y_high - y_low) * uniform(key, DRAWS, draw, 2 * number + 1),
+        limits[0] + (limits[1] - limits[0]) * uniform(key, DRAWS, draw, 2 * number),
+        limits[2] + (limits[3] - limits[2]) * uniform(key, DRAWS, draw, 2 * number + 1),
     )
 
 
 @wp.func
 def is_point(crowd: Crowd, row: int, mover: int, area: int) -> bool:
     """Whether an area of the settings is a single point."""
-    return (
-        crowd.settings[row, mover, area] > 0.0
-        and crowd.settings[row, mover, area + 1] == crowd.settings[row, mover, area + 2]
-        and crowd.settings[row, mover, area + 3] == crowd.settings[row, mover, area + 4]
-    )
+    limits = limits_of(crowd, row, mover, area)
+    return crowd.settings[row, mover, area] > 0.0 and limits[0] == limits[1] and limits[2] == limits[3]
 
 
 @wp.func
@@ -293,10 +287,8 @@ def draw_start(crowd: Crowd, placed: States, row: int, mover: int) -> wp.vec2:
 def draw_goal(crowd: Crowd, row: int, mover: int, point: wp.vec2, draws: wp.int64) -> wp.vec2:
     """Goal of a mover at a point: a free one of the area, by turns that of the start, or any that it sees."""
     area = int(GOAL)
-    if (
-        draws % wp.int64(2) == wp.int64(0)
-        and crowd.settings[row, mover, START] * crowd.settings[row, mover, GOAL] > 0.0
-    ):
+    has_both = crowd.settings[row, mover, START] * crowd.settings[row, mover, GOAL] > 0.0
+    if has_both and draws % wp.int64(2) == wp.int64(0):
         area = START
     draw = wp.uint64(draws)
     kept = kept_distance(crowd, row, crowd.radius[row, mover])
@@ -309,6 +301,7 @@ def draw_goal(crowd: Crowd, row: int, mover: int, point: wp.vec2, draws: wp.int6
         goal = drawn_in(crowd, row, mover, area, draw, number)
         gap = wall_at(crowd, row, goal)[0] - kept
         if gap >= 0.0:
+            # Both sides of an "or" would be evaluated.
             if not seen:
                 return goal
             if free_way(crowd, row, point, goal, kept) >= wp.length(goal - point):
@@ -392,88 +385,3 @@ def finish_step(crowd: Crowd, before: States, after: States, row: int, mover: in
     after.goal[row, mover] = goal
     after.draws[row, mover] = draws
     after.clock[row, mover] = clock
-
-
-@wp.kernel
-def begin(crowd: Crowd, law: int, after: States):
-    """Begins the episodes of movers, in ascending order; thread ``row``. A wanderer's goal is its direction."""
-    row = wp.tid()
-    for mover in range(crowd.mine.shape[1]):
-        if crowd.mine[row, mover]:
-            point = draw_start(crowd, after, row, mover)
-            after.position[row, mover] = point
-            if law == WANDER:
-                key = crowd.keys[row, mover]
-                yaw = TWO_PI * (uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES) - 0.5)
-                number = uniform(key, DRAWS, wp.uint64(0), 2 * CANDIDATES + 1)
-                after.velocity[row, mover] = crowd.settings[row, mover, SPEED] * heading_of(yaw)
-                after.goal[row, mover] = heading_of(yaw)
-                after.yaw[row, mover] = yaw
-                after.clock[row, mover] = exponential(crowd.settings[row, mover, OWN], number)
-                after.draws[row, mover] = wp.int64(1)
-            else:
-                goal = draw_goal(crowd, row, mover, point, wp.int64(1))
-                after.velocity[row, mover] = wp.vec2(0.0, 0.0)
-                after.goal[row, mover] = goal
-                after.yaw[row, mover] = wp.atan2(goal[1] - point[1], goal[0] - point[0])
-                after.clock[row, mover] = crowd.settings[row, mover, PATIENCE]
-                after.draws[row, mover] = wp.int64(2)
-
-
-@wp.func
-def edge_at(crowd: Crowd, row: int, mover: int, point: wp.vec2) -> wp.vec3:
-    """Distance to the edge of the area of a mover (m), negative outside, and direction away from it."""
-    if crowd.settings[row, mover, START] == 0.0:
-        return wp.vec3(FAR, 0.0, 0.0)
-    west = point[0] - crowd.settings[row, mover, START + 1]
-    east = crowd.settings[row, mover, START + 2] - point[0]
-    south = point[1] - crowd.settings[row, mover, START + 3]
-    north = crowd.settings[row, mover, START + 4] - point[1]
-    least = wp.min(wp.min(west, east), wp.min(south, north))
-    if least == west:
-        return wp.vec3(west, 1.0, 0.0)
-    if least == east:
-        return wp.vec3(east, -1.0, 0.0)
-    if least == south:
-        return wp.vec3(south, 0.0, 1.0)
-    return wp.vec3(north, 0.0, -1.0)
-
-
-@wp.func
-def wander(crowd: Crowd, before: States, after: States, row: int, mover: int):
-    """Moves a wanderer by one step."""
-    dt = crowd.dt
-    speed = crowd.settings[row, mover, SPEED]
-    start = before.position[row, mover]
-    direction = before.goal[row, mover]
-    draws = before.draws[row, mover]
-    clock = before.clock[row, mover] - dt
-    if clock <= 0.0:
-        key = crowd.keys[row, mover]
-        direction = heading_of(TWO_PI * uniform(key, DRAWS, wp.uint64(draws), 0))
-        clock += exponential(crowd.settings[row, mover, OWN], uniform(key, DRAWS, wp.uint64(draws), 1))
-        draws = draws + wp.int64(1)
-    kept = kept_distance(crowd, row, crowd.radius[row, mover])
-    ahead = start + speed * dt * direction
-    wall = wall_at(crowd, row, ahead)
-    edge = edge_at(crowd, row, mover, ahead)
-    if edge[0] < wall[0] - kept:
-        wall = wp.vec3(edge[0] + kept, edge[1], edge[2])
-    away = wp.vec2(wall[1], wall[2])
-    if wall[0] < kept:
-        direction = direction - 2.0 * wp.min(wp.dot(direction, away), 0.0) * away
-    point = walked(crowd, row, start, speed * dt * direction, kept)
-    if crowd.settings[row, mover, START] > 0.0:
-        point[0] = wp.clamp(point[0], crowd.settings[row, mover, START + 1], crowd.settings[row, mover, START + 2])
-        point[1] = wp.clamp(point[1], crowd.settings[row, mover, START + 3], crowd.settings[row, mover, START + 4])
-        if wall_at(crowd, row, point)[0] < kept - SLACK:
-            point = start
-    # In a corner, it turns back.
-    if wp.length(point - start) < 0.25 * speed * dt:
-        direction = -direction
-    after.position[row, mover] = point
-    after.velocity[row, mover] = (point - start) / dt
-    after.yaw[row, mover] = turned(before.yaw[row, mover], direction, dt)
-    after.goal[row, mover] = direction
-    after.clock[row, mover] = clock
-    after.draws[row, mover] = draws

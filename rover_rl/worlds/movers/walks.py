@@ -17,28 +17,22 @@ from rover_rl.worlds.region import Area
 Place: TypeAlias = Area | Point
 
 
-def checked_place(name: str, place: Any) -> Place | None:
-    """Returns a place in floats: a point ``(x, y)``, or an area ``((x_low, x_high), (y_low, y_high))``, m.
-
-    Raises:
-        ValueError: if it is neither.
-    """
+def _checked_place(name: str, place: Any) -> Place | None:
+    """Returns a place in floats: a point ``(x, y)``, or an area ``((x_low, x_high), (y_low, y_high))``, m."""
     if place is None:
         return None
-    message = f"{name} must be a point (x, y) or an area ((x_low, x_high), (y_low, y_high)), got {place}"
     try:
         numbers = torch.tensor(place, dtype=torch.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(message) from error
-    if numbers.shape not in ((2,), (2, 2)) or not numbers.isfinite().all():
-        raise ValueError(message)
-    if numbers.ndim == 2 and not (numbers[:, 0] < numbers[:, 1]).all():
-        raise ValueError(message)
+    except (TypeError, ValueError):
+        numbers = torch.empty(0)
+    is_place = numbers.shape in ((2,), (2, 2)) and bool(numbers.isfinite().all())
+    if not is_place or (numbers.ndim == 2 and not (numbers[:, 0] < numbers[:, 1]).all()):
+        raise ValueError(f"{name} must be a point (x, y) or an area ((x_low, x_high), (y_low, y_high)), got {place}")
     x, y = numbers.tolist()
     return (tuple(x), tuple(y)) if numbers.ndim == 2 else (x, y)
 
 
-def is_area(place: Place | None) -> bool:
+def _is_area(place: Place | None) -> bool:
     return place is not None and isinstance(place[0], Sequence)
 
 
@@ -50,13 +44,46 @@ def _numbers(place: Place | None) -> tuple[float, ...]:
     return (1.0, x_low, x_high, y_low, y_high)
 
 
-@dataclass(frozen=True)
-class Walk(Motion):
-    """Base of the motions that walk from goal to goal, in one kernel."""
+class _InKernels(Motion):
+    """Base of the motions whose law is in :mod:`~rover_rl.worlds.movers.crowd_kernels`."""
 
     has_walls: ClassVar[bool] = True
     law: ClassVar[str]
     """Name of the motion in the kernels."""
+
+    @classmethod
+    def begin(cls, inputs: MotionInput) -> MoverState:
+        """Draws where the movers start and where they go, with a thread for each row."""
+        return cls._launch(inputs, begins=True)
+
+    @classmethod
+    def advance(cls, inputs: MotionInput) -> MoverState:
+        """Moves the movers by a step, with a thread for each of them."""
+        return cls._launch(inputs)
+
+    @classmethod
+    def _launch(cls, inputs: MotionInput, begins: bool = False) -> MoverState:
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.native.warp import stream_of, wp
+        from rover_rl.worlds.movers import crowd_kernels, walking_kernels
+
+        state = inputs.state
+        after = MoverState(*(getattr(state, item.name).clone() for item in fields(MoverState)))
+        device = after.position.device
+        with wp.ScopedStream(stream_of(device)):
+            states = [walking_kernels.arrays_of(each) for each in ([after] if begins else [state, after])]
+            kernel = crowd_kernels.begin if begins else crowd_kernels.step
+            size: Any = len(inputs.mine) if begins else tuple(inputs.mine.shape)
+            law = walking_kernels.LAWS.index(cls.law)
+            wp.launch(
+                kernel, size, [walking_kernels.crowd_of(inputs), law, *states], device=wp.device_from_torch(device)
+            )
+        return after
+
+
+@dataclass(frozen=True)
+class Walk(_InKernels):
+    """Base of the motions that walk from goal to goal."""
 
     speed: float = 1.3
     start: Place | None = None
@@ -69,25 +96,16 @@ class Walk(Motion):
         check_at_least(0.0, MAX_TIME, pause=self.pause)
         check_positive(MAX_TIME, patience=self.patience)
         for name in ("start", "goal"):
-            object.__setattr__(self, name, checked_place(name, getattr(self, name)))
+            object.__setattr__(self, name, _checked_place(name, getattr(self, name)))
 
     def first_point(self) -> Point | None:
-        return None if is_area(self.start) else self.start  # type: ignore[return-value]
+        return None if _is_area(self.start) else self.start  # type: ignore[return-value]
 
     def tensors(self) -> dict[str, Tensor]:
         """Returns the settings in the order in which kernels read them."""
         own = (float(getattr(self, item.name)) for item in fields(self)[len(fields(Walk)) :])
         numbers = [self.speed, *_numbers(self.start), *_numbers(self.goal), self.pause, self.patience, *own]
         return {"walk": torch.tensor(numbers, dtype=torch.float32)}
-
-    @classmethod
-    def begin(cls, inputs: MotionInput) -> MoverState:
-        """Draws where the movers start and where they go."""
-        return launch(inputs, cls.law, begins=True)
-
-    @classmethod
-    def advance(cls, inputs: MotionInput) -> MoverState:
-        return launch(inputs, cls.law)
 
 
 @dataclass(frozen=True)
@@ -195,11 +213,10 @@ class Orca(Walk):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(MAX_TIME, horizon=self.horizon)
-        check_at_least(0.0, 10.0, margin=self.margin)
 
 
 @dataclass(frozen=True)
-class Wander(Motion):
+class Wander(_InKernels):
     """Walks straight ahead at constant speed, and takes another direction now and then, or where it meets a wall.
 
     It starts at a random free point of its area, at least 1.5 m from the rover, in a random direction. The times
@@ -216,7 +233,6 @@ class Wander(Motion):
         ValueError: if a number is not positive, or the ends of the area are not in order.
     """
 
-    has_walls: ClassVar[bool] = True
     law: ClassVar[str] = "wander"
 
     speed: float = 1.0
@@ -226,39 +242,11 @@ class Wander(Motion):
     def __post_init__(self) -> None:
         check_positive(MAX_SPEED, speed=self.speed)
         check_positive(MAX_TIME, turn_time=self.turn_time)
-        area = checked_place("area", self.area)
-        if area is not None and not is_area(area):
+        area = _checked_place("area", self.area)
+        if area is not None and not _is_area(area):
             raise ValueError(f"area must be ((x_low, x_high), (y_low, y_high)), got {self.area}")
         object.__setattr__(self, "area", area)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Returns the settings in the order in which kernels read them."""
         numbers = [self.speed, *_numbers(self.area), *_numbers(None), 0.0, 1.0, self.turn_time]
         return {"walk": torch.tensor(numbers, dtype=torch.float32)}
-
-    @classmethod
-    def begin(cls, inputs: MotionInput) -> MoverState:
-        """Starts at a random free point, in a random direction."""
-        return launch(inputs, cls.law, begins=True)
-
-    @classmethod
-    def advance(cls, inputs: MotionInput) -> MoverState:
-        return launch(inputs, cls.law)
-
-
-def launch(inputs: MotionInput, law: str, begins: bool = False) -> MoverState:
-    """Begins episodes, with a thread for each row, or moves movers by a step, with a thread for each of them."""
-    # Importing NVIDIA Warp takes half a second.
-    from rover_rl.native.warp import stream_of, wp
-    from rover_rl.worlds.movers import crowd_kernels, walking_kernels
-
-    state = inputs.state
-    after = MoverState(**{item.name: getattr(state, item.name).clone() for item in fields(MoverState)})
-    device = after.position.device
-    with wp.ScopedStream(stream_of(device)):
-        crowd = walking_kernels.crowd_of(inputs)
-        arrays = [walking_kernels.arrays_of(each) for each in ([after] if begins else [state, after])]
-        kernel = walking_kernels.begin if begins else crowd_kernels.step
-        size: Any = len(inputs.mine) if begins else tuple(inputs.mine.shape)
-        wp.launch(kernel, size, [crowd, walking_kernels.LAWS.index(law), *arrays], device=wp.device_from_torch(device))
-    return after

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -44,8 +44,6 @@ class Waypoints(Motion):
     Raises:
         ValueError: if there is no keyframe, a number is not finite, or the times are not in order.
     """
-
-    is_foreseen: ClassVar[bool] = True
 
     keys: Sequence[Keyframe]
     repeat: Repeat = "loop"
