@@ -8,20 +8,18 @@ in the same direction does not depend on how the wheels share the load.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from rover_rl.robots import Robot
 
-GRAVITY = 9.81
-"""Gravitational acceleration of the simulators, m/s^2."""
+GRAVITY = 9.81  # gravitational acceleration of the simulators, m/s^2
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Steady motion of the origin of the base frame: forward and leftward speed (m/s), and yaw rate (rad/s)."""
+class Motion(NamedTuple):
+    """Motion of the origin of the base frame: forward and leftward speed (m/s), and yaw rate (rad/s)."""
 
     forward: float
     sideways: float
@@ -29,20 +27,15 @@ class Motion:
 
 
 def steady_motion(robot: Robot, center: float, linear: float, angular: float) -> Motion:
-    """Solves for the steady motion in which the friction forces and their moment balance (quasi-static).
+    """Steady motion in which the friction forces and their moment balance (quasi-static).
 
-    Inertial forces are neglected. The load of each axle follows from the position of the center of mass and is
-    distributed uniformly over the width of the treads. The result does not depend on the friction coefficient, as all
-    forces are proportional to it.
+    Inertial forces are neglected. The load of each axle follows from the ``center`` of mass, x in the base frame (m),
+    and is distributed uniformly over the width of the treads. The friction coefficient does not matter, as all forces
+    are proportional to it.
 
     Args:
         robot: robot with two axles.
-        center: x coordinate of the center of mass in the base frame, m.
-        linear: commanded forward speed, m/s.
-        angular: commanded yaw rate, rad/s.
-
-    Raises:
-        ValueError: if the solver finds no balance.
+        linear, angular: commanded forward speed (m/s) and yaw rate (rad/s).
     """
     hubs = np.array(robot.wheels.hubs)
     front, rear = hubs[:, 0].max(), hubs[:, 0].min()
@@ -70,7 +63,7 @@ def steady_motion(robot: Robot, center: float, linear: float, angular: float) ->
 
 
 def friction_angle(friction: float) -> float:
-    """Returns the steepest slope that a rover stands on, in any direction, and that it climbs, degrees.
+    """The steepest slope that a rover stands on, in any direction, and that it climbs, degrees.
 
     All wheels can slip at once. Gravity pulls along the slope with ``m g sin s``, and friction holds or drives with at
     most ``mu m g cos s``: they balance at ``tan s = mu``. On a side slope too: wheels that roll without slip in their
@@ -80,67 +73,47 @@ def friction_angle(friction: float) -> float:
 
 
 def climbing_acceleration(friction: float, slope: float) -> float:
-    """Returns the acceleration up a slope while all wheels spin, ``g (mu cos s - sin s)``, m/s^2.
+    """Acceleration up a slope (degrees) while all wheels spin, ``g (mu cos s - sin s)``, m/s^2.
 
     Friction drives each wheel uphill with ``mu N`` for as long as its tread moves faster than the ground. Negative on
     slopes steeper than :func:`friction_angle`: the rover slides down although its wheels spin.
-
-    Args:
-        friction: Coulomb friction coefficient.
-        slope: slope of the ground, degrees.
     """
     angle = math.radians(slope)
     return GRAVITY * (friction * math.cos(angle) - math.sin(angle))
 
 
 def sliding_acceleration(friction: float, slope: float) -> float:
-    """Returns the acceleration down a slope with locked wheels, ``g (sin s - mu cos s)``, m/s^2, at least 0.
+    """Acceleration down a slope (degrees) with locked wheels, ``g (sin s - mu cos s)``, m/s^2, at least 0.
 
     The direction in which the rover faces does not matter: locked wheels slip straight down the slope, and the friction
     forces, in proportion to the loads, have no moment about the center of mass.
-
-    Args:
-        friction: Coulomb friction coefficient.
-        slope: slope of the ground, degrees.
     """
     angle = math.radians(slope)
     return max(0.0, GRAVITY * (math.sin(angle) - friction * math.cos(angle)))
 
 
 def climbing_time(friction: float, slope: float, speed: float) -> float:
-    """Returns the time from standing to ``speed`` (m/s) up a slope (degrees) with spinning wheels, ``v / a``, s.
-
-    From then on the wheels roll and the speed is the commanded one. Infinite on slopes that are too steep.
-    """
+    """Time from standing to ``speed`` (m/s) up a slope (degrees) with spinning wheels, s; infinite if too steep."""
     acceleration = climbing_acceleration(friction, slope)
     return speed / acceleration if acceleration > 0 else math.inf
 
 
 def braking_distance(friction: float, speed: float) -> float:
-    """Returns the distance in which locked wheels stop a rover on level ground, ``v^2 / (2 mu g)``, m.
+    """Distance in which wheels that lock at a speed (m/s) stop a rover on level ground, ``v^2 / (2 mu g)``, m.
 
-    Friction decelerates the rover by ``mu g``. A simulator that updates the velocity before the position (semi-implicit
-    Euler) stops ``v dt / 2`` earlier: from 1 m/s with steps of 10 ms by 5 mm.
-
-    Args:
-        friction: Coulomb friction coefficient.
-        speed: speed at which the wheels lock, m/s.
+    A simulator that updates the velocity before the position (semi-implicit Euler) stops ``v dt / 2`` earlier: from
+    1 m/s with steps of 10 ms by 5 mm.
     """
     return speed**2 / (2 * friction * GRAVITY)
 
 
 def front_load(robot: Robot, center: tuple[float, float], friction: float) -> float:
-    """Returns the share of the load on the front wheels of a two-axle rover whose wheels all slip along its length.
+    """Share of the load on the front wheels of a two-axle rover whose wheels all slip along its length.
 
-    The ground's force of direction ``(mu, 1)``, forward and up, passes through the center of mass, since the rover does
-    not rotate. It therefore meets the ground ``mu h`` behind the center of mass, at the height ``h`` above the ground,
-    and the loads balance about this point. The formulas above hold while every wheel is loaded: for shares between 0
-    and 1.
-
-    Args:
-        robot: robot with two axles.
-        center: position of the center of mass, x and z in the base frame, m.
-        friction: Coulomb friction coefficient if friction drives the rover forward; its negative if friction brakes.
+    The ground's force of direction ``(mu, 1)``, forward and up, passes through the ``center`` of mass (x and z in the
+    base frame, m), since the rover does not rotate. It meets the ground ``mu h`` behind the center of mass, at the
+    height ``h`` above the ground, and the loads balance about this point. ``friction`` is negative if it brakes. The
+    formulas above hold for shares between 0 and 1: while every wheel is loaded.
     """
     hubs = np.array(robot.wheels.hubs)
     front, rear = hubs[:, 0].max(), hubs[:, 0].min()

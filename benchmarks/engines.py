@@ -10,12 +10,11 @@ from rover_rl.sims import Backend, make_simulator
 from rover_rl.sims.backends import BACKENDS, resolve_backend
 from rover_rl.worlds import Terrain, World
 
-HARDWARE = ("ros2",)
-"""Built-in backends that are no simulators."""
+HARDWARE = ("ros2",)  # built-in backends that are no simulators
 
 
 def installed_engines() -> list[str]:
-    """Returns the names of the simulators of the package whose libraries are installed, Bullet first."""
+    """Names of the simulators of the package whose libraries are installed, Bullet first."""
     engines = sorted((name for name in BACKENDS if name not in HARDWARE), key=lambda name: (name != "bullet", name))
     return [name for name in engines if _is_installed(name)]
 
@@ -31,17 +30,12 @@ def _is_installed(name: str) -> bool:
 
 
 def choose_engines(names: tuple[str, ...]) -> list[str]:
-    """Returns the named simulators, or all installed ones if none is named.
-
-    Raises:
-        ValueError: for an unknown name.
-        ImportError: for a simulator whose library is not installed.
-    """
+    """The named simulators, or all installed ones if none is named. Raises an error for others."""
     for name in names:
         resolve_backend(name)
     return list(dict.fromkeys(names)) or installed_engines()
 
 
 def with_friction(engine: Any, friction: float) -> Backend:
-    """Returns the settings of a simulator, given by name or settings, with another friction on the ground."""
+    """Settings of a simulator, given by name or settings, with another friction on the ground."""
     return replace(resolve_backend(engine), ground_friction=friction)

@@ -25,25 +25,17 @@ from benchmarks.options import Options
 from benchmarks.ratios import told
 from rover_rl.robots import get_robot
 
-FRICTION = 0.5
-"""Friction coefficient between rover and ground."""
-BRAKING_FRICTION = 0.3
-"""Friction coefficient in the braking maneuver."""
-RELATIVE_BAR, DEGREES_BAR = 0.05, 1.0
-"""Largest error of a direction that passes: relative, and of angles in degrees."""
+FRICTION = 0.5  # friction coefficient between rover and ground
+BRAKING_FRICTION = 0.3  # friction coefficient in the braking maneuver
+RELATIVE_BAR, DEGREES_BAR = 0.05, 1.0  # largest error of a direction that passes: relative, and of angles in degrees
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity with a value by hand.
+    """A quantity, its value by hand (``law``), and a function that measures it in a simulator, ``[16]``.
 
-    Attributes:
-        name: description of the quantity.
-        ground: ``"plane"``, ``"triangles"``, or ``"slope"``.
-        unit: unit of the values; errors of quantities in ``"deg"`` are absolute.
-        law: value by hand.
-        measure: returns the value in each direction in a simulator, ``[16]``.
-        scale: value that relative errors refer to; ``None``: the value by hand.
+    ``ground`` is ``"plane"``, ``"triangles"`` or ``"slope"``. Errors of quantities in ``"deg"`` are absolute, others
+    are relative to ``scale``, by default to the value by hand.
     """
 
     name: str
@@ -53,16 +45,8 @@ class Quantity:
     measure: Callable[[Any], Tensor]
     scale: float | None = None
 
-    @property
-    def bar(self) -> float:
-        """Largest error that passes."""
-        return DEGREES_BAR if self.unit == "deg" else RELATIVE_BAR
-
     def compare(self, engine: Any) -> dict[str, Any]:
-        """Measures the quantity in a simulator: mean, least and greatest value, and the error of the worst direction.
-
-        The error is relative, and in degrees for angles. It has the sign of the deviation.
-        """
+        """Measures the quantity: mean, least and greatest value, and the error of the worst direction."""
         values = self.measure(engine).double()
         errors = (values - self.law) / (1.0 if self.unit == "deg" else self.scale or self.law)
         worst = errors[errors.abs().argmax()].item()
@@ -71,18 +55,17 @@ class Quantity:
             "least": values.min().item(),
             "greatest": values.max().item(),
             "worst_error": worst,
-            "passes": abs(worst) <= self.bar,
+            "passes": abs(worst) <= (DEGREES_BAR if self.unit == "deg" else RELATIVE_BAR),
         }
 
 
 def center_of_mass(robot_name: str = "rover_zero") -> tuple[float, float]:
-    """Returns the x and z coordinate of the center of mass of a rover in its base frame, m."""
+    """The x and z coordinate of the center of mass of a rover in its base frame, m."""
     center = torch.tensor(get_robot(robot_name).center_of_mass, dtype=torch.float64)
     return center[0].item(), center[2].item()
 
 
 def quantities() -> list[Quantity]:
-    """Returns all quantities, in the order of the table."""
     return [*_level_ground(), *_slopes(), *_side_slopes()]
 
 
@@ -129,13 +112,14 @@ def _slopes() -> Iterator[Quantity]:
             f"acceleration up {slope:g} deg, wheels spinning", "slope", "m/s^2", law, accelerate, _by_friction(slope)
         )
     limit = coulomb.friction_angle(FRICTION)
-    yield Quantity("steepest slope climbed", "slope", "deg", limit, steepest_climb)
-    yield Quantity("steepest slope stood on, facing up", "slope", "deg", limit, steepest_stand)
+    yield Quantity("steepest slope climbed", "slope", "deg", limit, _steepest(maneuvers.climbs))
+    yield Quantity("steepest slope stood on, facing up", "slope", "deg", limit, _steepest(maneuvers.stands))
 
 
 def _side_slopes() -> Iterator[Quantity]:
     limit = coulomb.friction_angle(FRICTION)
-    yield Quantity("steepest slope stood on, across", "slope", "deg", limit, steepest_stand_across)
+    across = _steepest(partial(maneuvers.stands, turned=math.pi / 2))
+    yield Quantity("steepest slope stood on, across", "slope", "deg", limit, across)
     for slope in (30.0, 35.0):
 
         def slide(engine: Any, slope: float = slope) -> Tensor:
@@ -161,23 +145,10 @@ def _set(engine: Any) -> Any:
     return with_friction(engine, FRICTION)
 
 
-def steepest_climb(engine: Any) -> Tensor:
-    """Steepest slopes that rovers climb, degrees ``[16]``."""
-    return _steepest(lambda slopes: maneuvers.climbs(_set(engine), slopes))
-
-
-def steepest_stand(engine: Any) -> Tensor:
-    """Steepest slopes that rovers stand on facing up, degrees ``[16]``."""
-    return _steepest(lambda slopes: maneuvers.stands(_set(engine), slopes))
-
-
-def steepest_stand_across(engine: Any) -> Tensor:
-    """Steepest slopes that rovers stand on facing across, degrees ``[16]``."""
-    return _steepest(lambda slopes: maneuvers.stands(_set(engine), slopes, math.pi / 2))
-
-
-def _steepest(holds: Callable[[Tensor], Tensor]) -> Tensor:
-    return maneuvers.steepest(holds, coulomb.friction_angle(FRICTION))
+def _steepest(holds: Callable[[Any, Tensor], Tensor]) -> Callable[[Any], Tensor]:
+    """Returns a function that finds the steepest slopes at which rovers hold in a simulator, degrees ``[16]``."""
+    limit = coulomb.friction_angle(FRICTION)
+    return lambda engine: maneuvers.steepest(lambda slopes: holds(_set(engine), slopes), limit)
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
@@ -199,7 +170,6 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
     engines = list(rows[0]["engines"])
     climbing, braking = (
         coulomb.front_load(get_robot("rover_zero"), center_of_mass(), friction)

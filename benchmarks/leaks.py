@@ -28,8 +28,7 @@ from rich.table import Table
 from rover_rl import make_env
 from rover_rl.worlds import Terrain, World, boulder, box
 
-WORLDS = ("inspect", "moon", "maze", "new")
-"""Built-in worlds, and ``"new"`` for a world created for each environment."""
+WORLDS = ("inspect", "moon", "maze", "new")  # built-in worlds, and "new" for a world created for each environment
 
 
 @dataclass
@@ -45,7 +44,7 @@ class Options:
 
 
 def growth(backend: str, cycles: int, warmup: int, worlds: Sequence[str] = WORLDS) -> dict[str, float]:
-    """Returns the growth of this process over ``cycles`` environments in each of ``worlds``, MB.
+    """Growth of this process over ``cycles`` environments in each of ``worlds``, MB.
 
     It is twice the difference between the lowest readings in the halves of the measurement: a leak raises the lowest
     reading, while memory that is freed late, some 14 MB in MuJoCo, does not.
@@ -90,7 +89,7 @@ def _hills(seed: int) -> World:
 
 
 def _memory() -> float:
-    """Returns the resident memory of this process, MB."""
+    """Resident memory of this process, MB."""
     gc.collect()
     if sys.platform == "linux":
         # By default, glibc keeps 40 MB of freed memory or none, depending on the order of the calls.

@@ -22,34 +22,23 @@ from rover_rl.sims import make_simulator
 from rover_rl.worlds import Terrain, World
 
 STEPS_PER_SECOND = 20
-DIRECTIONS = torch.arange(16) * (2 * math.pi / 16)
-"""Directions of the rovers, or toward which the ground rises, rad."""
-PLANE = World("plane", Terrain.flat((60, 60)))
-"""Level ground that simulators represent by a plane."""
-RESTING = 0.01
-"""Mean speed below which a rover stands, m/s."""
-NEARLY_LEVEL = 0.001
-"""Slope that makes simulators represent level ground by triangles, degrees."""
-_BRACKET = 16.0
-"""Largest distance of a measured limit from the expected one, degrees."""
-_BISECTIONS = 7
-"""Number of halvings of the bracket around a limit: to an eighth of a degree."""
+DIRECTIONS = torch.arange(16) * (2 * math.pi / 16)  # directions of the rovers, or toward which the ground rises, rad
+PLANE = World("plane", Terrain.flat((60, 60)))  # level ground that simulators represent by a plane
+RESTING = 0.01  # mean speed below which a rover stands, m/s
+NEARLY_LEVEL = 0.001  # slope that makes simulators represent level ground by triangles, degrees
+_BRACKET = 16.0  # largest distance of a measured limit from the expected one, degrees
+_BISECTIONS = 7  # number of halvings of the bracket around a limit: to an eighth of a degree
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Poses of rovers over time.
-
-    Attributes:
-        position: positions ``[T, N, 3]``, m.
-        euler: roll, pitch and yaw ``[T, N, 3]``, rad.
-    """
+    """Poses of rovers over time: positions ``[T, N, 3]`` (m), and roll, pitch and yaw ``[T, N, 3]`` (rad)."""
 
     position: Tensor
     euler: Tensor
 
     def difference(self, other: Trajectories) -> dict[str, float]:
-        """Returns medians over the rovers: final position (m), final yaw (rad), and mean roll and pitch (rad)."""
+        """Medians over the rovers: final position (m), final yaw (rad), and mean roll and pitch (rad)."""
         position = (self.position[-1, :, :2] - other.position[-1, :, :2]).norm(dim=-1)
         turned = wrap_angle(self.euler - other.euler).abs()
         return {
@@ -60,25 +49,20 @@ class Trajectories:
 
 
 def incline(degrees: float, direction: float = 0.0, size: float = 8.0, cell: float = 0.25) -> World:
-    """Returns a square plane of triangles that rises toward a direction.
+    """A square plane of triangles that rises toward a direction (rad), with sides and cells in m.
 
-    Args:
-        degrees: slope, degrees.
-        direction: direction, rad.
-        size: side length, m. Smaller planes are quicker to build.
-        cell: spacing of the vertices, m.
+    Smaller planes are quicker to build.
     """
     along = torch.linspace(-size / 2, size / 2, round(size / cell) + 1, dtype=torch.float64)
     heights = math.cos(direction) * along + math.sin(direction) * along[:, None]
     return World(f"incline {degrees:g}", Terrain(math.tan(math.radians(degrees)) * heights, cell))
 
 
-LEVEL_MESH = incline(NEARLY_LEVEL, size=60.0)
-"""Level ground that simulators represent by triangles."""
+LEVEL_MESH = incline(NEARLY_LEVEL, size=60.0)  # level ground that simulators represent by triangles
 
 
 def inclines(slopes: Tensor, size: float = 8.0) -> list[World]:
-    """Returns a plane for each of :data:`DIRECTIONS` with slopes ``[16]`` in degrees. See :func:`incline`."""
+    """A plane for each of :data:`DIRECTIONS` with slopes ``[16]`` in degrees."""
     return [incline(slope, to, size) for slope, to in zip(slopes.tolist(), DIRECTIONS.tolist(), strict=True)]
 
 
@@ -89,18 +73,13 @@ def drive(
     commands: list[tuple[Tensor, float]],
     robot: str | Robot = "rover_zero",
 ) -> Trajectories:
-    """Drives rovers from rest and returns their trajectories.
+    """Drives rovers from rest, each in its world, and returns their poses at the start and after each step.
 
     Args:
-        engine: name or settings of a simulator.
-        worlds: world of each rover, N entries.
+        engine: name or settings of a simulator, as for all maneuvers.
         starts: start poses: x, y (m) and yaw (rad), ``[N, 3]``.
         commands: commands in turn: forward speed (m/s) and yaw rate (rad/s), ``[2]`` or ``[N, 2]``, and for how many
             seconds.
-        robot: robot of all rovers.
-
-    Returns:
-        Poses after each step. The first entry is the start.
     """
     simulator = make_simulator(engine, worlds=worlds, robot=get_robot(robot))
     states = [simulator.reset(torch.ones(len(worlds), dtype=torch.bool), starts)]
@@ -141,15 +120,7 @@ def _acceleration(speeds: Tensor, start: float, end: float) -> Tensor:
 
 
 def turning_rate(engine: Any, world: World, linear: float, angular: float, seconds: float = 3.0) -> Tensor:
-    """Mean yaw rate on level ground under a constant command, without the first second, rad/s.
-
-    Args:
-        engine: name or settings of a simulator.
-        world: :data:`PLANE` or :data:`LEVEL_MESH`.
-        linear: commanded forward speed, m/s.
-        angular: commanded yaw rate, rad/s.
-        seconds: duration of the measurement, s.
-    """
+    """Mean yaw rate on level ground under a constant command (m/s, rad/s), without the first second, rad/s."""
     driven = drive(engine, [world] * 16, _starts(), [(_command(linear, angular), 1.0 + seconds)])
     return wrap_angle(driven.euler[STEPS_PER_SECOND:, :, 2].double().diff(dim=0)).sum(0) / seconds
 
@@ -191,23 +162,17 @@ def stands(engine: Any, slopes: Tensor, turned: float = 0.0) -> Tensor:
     """Whether rovers stand on slopes (degrees, ``[16]``) with their wheels held, bool ``[16]``.
 
     They stand if they move by less than 1 cm/s in the two seconds after the first, in which they settle. On a slope of
-    a degree more than the limit they slide by 0.38 m/s on average.
-
-    Args:
-        engine: name or settings of a simulator.
-        slopes: slopes, degrees.
-        turned: angle of the rovers from facing uphill, rad; ``math.pi / 2`` stands across the slope.
+    a degree more than the limit they slide by 0.38 m/s on average. They are ``turned`` from facing uphill, rad.
     """
     driven = drive(engine, inclines(slopes), _starts(turned), [(_command(0.0), 3.0)])
     return (driven.position[-1] - driven.position[STEPS_PER_SECOND]).norm(dim=-1) < RESTING * 2
 
 
 def steepest(holds: Callable[[Tensor], Tensor], expected: float) -> Tensor:
-    """Returns the steepest slopes at which rovers hold, degrees, by bisection in each direction.
+    """The steepest slopes at which rovers hold, degrees, by bisection in each direction.
 
-    Args:
-        holds: whether rovers hold on slopes (degrees, ``[16]``), bool ``[16]``.
-        expected: expected limit, degrees. Limits that differ by more than 16 degrees are given as 16 degrees.
+    ``holds`` tells whether rovers hold on slopes (degrees, ``[16]``), bool ``[16]``. Limits that differ by more than 16
+    degrees from the ``expected`` one are given as 16 degrees.
     """
     low, high = torch.full((16,), expected - _BRACKET), torch.full((16,), expected + _BRACKET)
     for _ in range(_BISECTIONS):
@@ -218,12 +183,9 @@ def steepest(holds: Callable[[Tensor], Tensor], expected: float) -> Tensor:
 
 
 def braking(engine: Any, world: World, friction: float) -> tuple[Tensor, Tensor]:
-    """Brakes from 1 m/s with wheels that lock at once, on level ground.
+    """Braking distances (m) from about 1 m/s on level ground, and the speeds (m/s) at which the wheels lock, ``[16]``.
 
     The acceleration limit of the drive is out of reach, so that friction alone brakes.
-
-    Returns:
-        Braking distances (m) and the speeds (m/s) at which the wheels lock, ``[16]`` each.
     """
     rover = get_robot("rover_zero")
     robot = replace(rover, drive=replace(rover.drive, max_linear_acceleration=1000.0))
@@ -234,10 +196,7 @@ def braking(engine: Any, world: World, friction: float) -> tuple[Tensor, Tensor]
 
 
 def sliding_acceleration(engine: Any, slope: float) -> Tensor:
-    """Mean acceleration down a slope (degrees) of rovers that stand across it with locked wheels, m/s^2.
-
-    Measured from 0.25 to 1.25 s after the start.
-    """
+    """Acceleration down a slope (degrees) of rovers across it with locked wheels, from 0.25 to 1.25 s on, m/s^2."""
     slopes = torch.full((16,), slope)
     driven = drive(engine, inclines(slopes), _starts(math.pi / 2), [(_command(0.0), 1.5)])
     return -_acceleration(_uphill(driven, slopes), 0.25, 1.25)

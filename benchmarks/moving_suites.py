@@ -24,17 +24,8 @@ import numpy as np
 import torch
 import tyro
 
-from rover_rl.algos.benchmarks.suite import (
-    COLUMNS,
-    Course,
-    Result,
-    Suite,
-    mean_rate,
-    open_world,
-    print_results,
-    run_suite,
-    write_results,
-)
+from rover_rl.algos.benchmarks import suite as suites
+from rover_rl.algos.benchmarks.suite import Course, Result, Suite
 from rover_rl.algos.driving import CONTACT
 from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.results import Evaluation
@@ -56,7 +47,9 @@ class MovingSuite(Suite):
     """Courses with movers. A run ends when the simulator tells the first contact, with a mover or with a wall."""
 
     score_name = "success"
-    columns: ClassVar = {**COLUMNS, "mover_rate": ("hits a mover", "%"), "wall_rate": ("hits a wall", "%")}
+    worlds = "Worlds of others in this simulator, no score of a public table."
+    robot = " (there: Jackal, chassis 0.42 x 0.31 m, 2 m/s)"
+    columns: ClassVar = {**suites.COLUMNS, "mover_rate": ("hits a mover", "%"), "wall_rate": ("hits a wall", "%")}
 
     def score(self, course: Course, run: Trajectory) -> float:
         return float(run.ending == "goal")
@@ -81,20 +74,18 @@ class MovingSuite(Suite):
         )
         hits = torch.tensor([run.ending == CONTACT for run in runs])
         rates = {"mover_rate": hits & ~walls, "wall_rate": hits & walls}
-        told = {name: mean_rate(result.by_course(flags.double().tolist())) for name, flags in rates.items()}
+        told = {name: suites.mean_rate(result.by_course(flags.double().tolist())) for name, flags in rates.items()}
         return {**result.common_metrics(), **told}
 
     def differences(self, env: EnvConfig) -> list[str]:
-        beams = "as in BARN" if self.name == "DynaBARN" else "720 beams, up to 5 m"
-        robot, lidar = f" ({self.name}: Jackal, chassis 0.42 x 0.31 m, 2 m/s)", f" ({self.name}: {beams})"
-        lines = [line for line in self.common_differences(env, robot, lidar) if not line.startswith("Contact")]
+        lines = [line for line in super().differences(env) if not line.startswith("Contact")]
         felt = "Contact: as the simulator tells it at 20 Hz, with a mover or a wall. What was hit is told by the walls."
-        more = "Cylinders pass through walls." if self.name == "DynaBARN" else PUBLISHED
-        return [f"{self.name} worlds in this simulator, no score of a public table.", *lines, felt, more]
+        return [*lines, felt, "Cylinders pass through walls." if self.name == "DynaBARN" else PUBLISHED]
 
 
 class DynaBarn(MovingSuite):
     name = "DynaBARN"
+    lidar = "as in BARN"
     start, goal = (11.0, 0.0, math.pi), (-9.0, 0.0)
     limits: ClassVar = {"goal_radius": 1.0, "seconds": 100.0}
 
@@ -106,13 +97,14 @@ class DynaBarn(MovingSuite):
         centers = np.array([(-away, 0.0, HEIGHT / 2), (0.0, away, HEIGHT / 2), (0.0, -away, HEIGHT / 2)])
         walls = boxes(centers, np.array([(WALL, length, HEIGHT)] + [(2 * HALF, WALL, HEIGHT)] * 2))
         corners = np.array((cls.start[:2], cls.goal, (-HALF, HALF), (-HALF, -HALF)))
-        world = open_world(f"dynabarn-{number}", walls, corners, movers)
+        world = suites.open_world(f"dynabarn-{number}", walls, corners, movers)
         group = next(name for name, most in GROUPS.items() if len(motions) <= most)
         return group, Course(number, world, cls.start, cls.goal, math.dist(cls.start[:2], cls.goal))
 
 
 class RosJackal(MovingSuite):
     name = "ros_jackal"
+    lidar = "720 beams, up to 5 m"
     start, goal = (-2.0, 3.0, 1.57), (-2.0, 13.0)
     limits: ClassVar = {"goal_radius": 0.4, "seconds": 80.0}
 
@@ -127,7 +119,7 @@ class RosJackal(MovingSuite):
             centers = fixed[fixed[:, 2] == radius, :2]
             solids += cylinders(np.column_stack((centers, np.full(len(centers), HEIGHT / 2))), radius, HEIGHT)
         points = np.vstack((cls.start[:2], cls.goal, fixed[:, :2]))
-        field = open_world(f"ros-jackal-{number}", solids, points, movers)
+        field = suites.open_world(f"ros-jackal-{number}", solids, points, movers)
         group = "boxes" if number < FIRST_WALLS else "walls"
         return group, Course(number, field, cls.start, cls.goal, math.dist(cls.start[:2], cls.goal))
 
@@ -175,10 +167,10 @@ class MovingSuites:
         kind = DynaBarn if self.suite == "dynabarn" else RosJackal
         for group, courses in read(kind, self.data).items():
             suite = kind(courses, runs=self.runs, seed=self.seed, **kind.limits)
-            results = run_suite(suite, envs)
+            results = suites.run_suite(suite, envs)
             print(group)
-            print_results(results)
-            write_results(self.out / f"{self.suite}-{group}.json", results)
+            suites.print_results(results)
+            suites.write_results(self.out / f"{self.suite}-{group}.json", results)
 
 
 if __name__ == "__main__":

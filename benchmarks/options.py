@@ -9,11 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the benchmarks.
-
-    Raises:
-        ValueError: for a number out of range.
-    """
+    """Options of the benchmarks. Raises ``ValueError`` for a number out of range."""
 
     world: str = "inspect"
     """Name of the world."""

@@ -27,8 +27,7 @@ from torch import Tensor
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.sims.settings import CONTROL_DT
 
-ATTEMPT = round(60 / CONTROL_DT)
-"""Number of steps in which a goal must be reached."""
+ATTEMPT = round(60 / CONTROL_DT)  # number of steps in which a goal must be reached
 
 
 class TimeIsUp(BaseException):
@@ -48,14 +47,10 @@ class Options:
 
 @dataclass
 class Meter:
-    """Counts steps and attempts of all environments of a program, and reports them.
+    """Counts simulated steps and attempts of all environments of a program, and reports them.
 
-    Attributes:
-        options: duration of the training, and number of reports.
-        started: processor time of the first step, s; 0 before it.
-        steps: number of simulated steps of all rovers.
-        reported: number of reports.
-        attempts, successes: number of attempts that ended since the last report.
+    ``started`` is the processor time of the first step, s. ``attempts`` and ``successes`` are those since the last
+    report.
     """
 
     options: Options

@@ -29,29 +29,22 @@ from benchmarks.ratios import told
 from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, World, box, get_world
 
-ROLLOVER_ANGLE = math.radians(85)
-"""Roll or pitch above which a rover counts as rolled over, rad."""
+ROLLOVER_ANGLE = math.radians(85)  # roll or pitch above which a rover counts as rolled over, rad
 TURNS = ((0.0, 1.0), (0.0, 2.0), (0.5, 1.0))
 """Commands (m/s, rad/s) whose steady yaw rates are compared with Coulomb's law."""
-BAR = 0.05
-"""Largest median difference in position after 5 s that passes on flat ground, slope and rough ground, m."""
-SECONDS = 5
-"""Duration on flat ground, slope and rough ground, s."""
-NUDGE = 0.001
-"""Shift of the start, m."""
-SENSITIVE = "bullet"
-"""Simulator that is also compared with itself after a shift of the start."""
+BAR = 0.05  # largest median difference in position after 5 s that passes on flat ground, slope and rough ground, m
+SECONDS = 5  # duration on flat ground, slope and rough ground, s
+NUDGE = 0.001  # shift of the start, m
+SENSITIVE = "bullet"  # simulator that is also compared with itself after a shift of the start
 
 
 @dataclass(frozen=True)
 class Scene:
     """World, start poses and commands of a comparison.
 
-    Attributes:
-        world: world of all rovers.
-        starts: start poses: x, y (m) and yaw (rad), ``[N, 3]``.
-        commands: commands, held for a second each: forward speed (m/s) and yaw rate (rad/s), ``[seconds, N, 2]``.
-        bar: largest median difference in position that passes, m; ``None`` where small differences grow large.
+    ``starts`` are x, y (m) and yaw (rad), ``[N, 3]``. ``commands``, held for a second each, are forward speed (m/s) and
+    yaw rate (rad/s), ``[seconds, N, 2]``. ``bar`` is the largest median difference in position that passes, m; ``None``
+    where small differences grow large.
     """
 
     world: World
@@ -60,20 +53,18 @@ class Scene:
     bar: float | None = None
 
     def simulate(self, engine: Any, nudge: float = 0.0) -> Trajectories:
-        """Simulates the scene, with starts shifted by ``nudge`` (m) along x, and returns the trajectories."""
+        """Simulates the scene, with starts shifted by ``nudge`` (m) along x."""
         starts = self.starts + torch.tensor((nudge, 0.0, 0.0))
         commands = [(command, 1.0) for command in self.commands]
         return maneuvers.drive(engine, [self.world] * len(starts), starts, commands)
 
 
 def scenes(count: int) -> dict[str, Scene]:
-    """Builds all scenes, with ``count`` rovers each."""
     random = torch.Generator().manual_seed(0)
 
     def uniform(low: tuple[float, ...], high: tuple[float, ...]) -> Tensor:
-        return torch.tensor(low) + (torch.tensor(high) - torch.tensor(low)) * torch.rand(
-            count, len(low), generator=random
-        )
+        width = torch.tensor(high) - torch.tensor(low)
+        return torch.tensor(low) + width * torch.rand(count, len(low), generator=random)
 
     anywhere = uniform((-8, -8, -math.pi), (8, 8, math.pi))
     changing = torch.stack([uniform((-0.6, -1.5), (1.0, 1.5)) for _ in range(SECONDS)])
@@ -92,7 +83,7 @@ def scenes(count: int) -> dict[str, Scene]:
 
 
 def grounds() -> dict[str, World]:
-    """Returns flat ground, a slope of 10 degrees, and the moon without its boulders."""
+    """Flat ground, a slope of 10 degrees, and the moon without its boulders."""
     x = torch.arange(161) * 0.25 - 20
     slope = Terrain((math.tan(math.radians(10)) * x).expand(161, -1), 0.25)
     return {
@@ -156,7 +147,6 @@ def _steady_turn(linear: float, angular: float, engines: list[str]) -> dict[str,
 
 
 def table(found: dict[str, Any]) -> Group:
-    """Formats the results as tables for the terminal."""
     pairs, engines = list(found["scenes"][0]["pairs"]), list(found["turns"][0]["engines"])
     differences = Table(
         "scene",

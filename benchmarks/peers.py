@@ -24,8 +24,7 @@ from benchmarks.ratios import paired, told
 from benchmarks.rollouts import rollouts
 
 BEAMS = 128
-PROCESS_BYTES = 2**28
-"""Memory of a process of a peer, bytes. Measurements that do not fit into memory are skipped."""
+PROCESS_BYTES = 2**28  # memory of a process of a peer, bytes. Measurements that do not fit into memory are skipped.
 
 
 @contextmanager
@@ -116,19 +115,13 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
-    table = Table(
-        "peer", "processes", "steps/s of the peer", "rover_rl", "ratio", title="Compared with a process for each rover"
-    )
+    headings = "peer", "processes", "steps/s of the peer", "rover_rl", "ratio"
+    table = Table(*headings, title="Compared with a process for each rover")
     for row in rows:
+        case = row["peer"], str(row["processes"])
         if "median" not in row:
-            table.add_row(row["peer"], str(row["processes"]), "not enough memory")
+            table.add_row(*case, "not enough memory")
             continue
-        table.add_row(
-            row["peer"],
-            str(row["processes"]),
-            f"{row['other']:,.0f}",
-            f"{row['rate']:,.0f}",
-            f"{row['median']:.2f} ({row['least']:.2f} to {row['most']:.2f})",
-        )
+        ratio = f"{row['median']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
+        table.add_row(*case, f"{row['other']:,.0f}", f"{row['rate']:,.0f}", ratio)
     return table

@@ -23,19 +23,11 @@ from rover_rl.sims.bullet.rover import load_rovers
 from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.worlds import get_world
 
-_RAYS, _ROVER, _STATIC = 1, 2, 4
-"""Collision groups. Bullet assigns rays to the first."""
+_RAYS, _ROVER, _STATIC = 1, 2, 4  # collision groups. Bullet assigns rays to the first.
 
 
 class PlainRover(gymnasium.Env):
-    """Point navigation with one rover.
-
-    Args:
-        world: name of the world.
-        beams: number of lidar beams.
-        settings: settings of the physics. ``None`` uses the defaults.
-        length: number of steps after which an episode is truncated.
-    """
+    """Point navigation with one rover. An episode is truncated after ``length`` steps."""
 
     def __init__(
         self, world: str = "inspect", beams: int = 128, settings: BulletSettings | None = None, length: int = 2000

@@ -13,15 +13,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Ratio:
-    """Ratio of two speeds.
-
-    Attributes:
-        rate: median steps per second of the first.
-        other: median steps per second of the second.
-        median: median of the ratios of the pairs.
-        least: smallest ratio.
-        most: largest ratio.
-    """
+    """Ratio of two speeds: median steps per second of each, and median, smallest and largest ratio of the pairs."""
 
     rate: float
     other: float
@@ -31,24 +23,14 @@ class Ratio:
 
 
 def paired(one: Callable[[], int], other: Callable[[], int], seconds: float, rounds: int) -> Ratio:
-    """Measures two functions alternately.
+    """Measures two functions alternately, each of which takes some steps and returns their number.
 
-    Args:
-        one: function that takes some steps and returns their number.
-        other: function that ``one`` is compared with.
-        seconds: approximate duration of each measurement, s.
-        rounds: number of pairs of measurements.
+    ``seconds`` is the approximate duration of each measurement, ``rounds`` the number of pairs.
     """
     one(), other()
-    pairs = [(rate(one, seconds), rate(other, seconds)) for _ in range(rounds)]
-    ratios = [a / b for a, b in pairs]
-    return Ratio(
-        rate=statistics.median(a for a, _ in pairs),
-        other=statistics.median(b for _, b in pairs),
-        median=statistics.median(ratios),
-        least=min(ratios),
-        most=max(ratios),
-    )
+    rates = [(rate(one, seconds), rate(other, seconds)) for _ in range(rounds)]
+    ratios = [a / b for a, b in rates]
+    return Ratio(*map(statistics.median, zip(*rates, strict=True)), statistics.median(ratios), min(ratios), max(ratios))
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:

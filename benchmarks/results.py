@@ -36,14 +36,10 @@ from rover_rl.algos.train import train
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.files import write_json, written_whole
 
-SUCCESS_THRESHOLD = 0.9
-"""Success rate whose number of training steps is reported."""
-OTHER_MAZES = ("maze:10001", "maze:10002", "maze:10003")
-"""Mazes that no policy was trained in."""
-FEW_EPISODES = 128
-"""Number of episodes for snapshots and other mazes."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+SUCCESS_THRESHOLD = 0.9  # success rate whose number of training steps is reported
+OTHER_MAZES = ("maze:10001", "maze:10002", "maze:10003")  # mazes that no policy was trained in
+FEW_EPISODES = 128  # number of episodes for snapshots and other mazes
+INTERRUPTED = 130  # exit code after Ctrl-C
 
 
 @dataclass
@@ -67,7 +63,6 @@ class Options:
 
 
 def settings(name: str, seed: int, options: Options) -> TrainingConfig:
-    """Settings of a policy of the package, with another seed."""
     config = load_pretrained(name).config
     config = with_settings(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs), workers=None)
     if options.minutes is None:
@@ -136,8 +131,7 @@ def _failures(endings: list[str]) -> dict[str, float]:
 def _steps_to_enough(folder: Path, episodes: EpisodeSet, drive: Callable[..., Evaluation]) -> int | None:
     """Number of steps of the first snapshot with a success rate of 90 %; ``None`` if there is none.
 
-    To save time, snapshots are only evaluated if at least half of the training episodes since the last snapshot reached
-    a goal.
+    Snapshots are only evaluated if at least half of the training episodes since the last one reached a goal.
     """
     progress, before = read_progress(folder / "progress.csv"), 0
     for path in sorted((folder / "snapshots").glob("*.pt")):
@@ -188,13 +182,8 @@ def main(options: Options) -> int:
             if not trained(config, folders[-1]):
                 return INTERRUPTED
     draw_learning_curve(folders, options.runs / "learning_curves.png")
-    results = dict(
-        zip(
-            [folder.name for folder in folders],
-            over_cores(partial(measured, options=options), folders, "measuring"),
-            strict=True,
-        )
-    )
+    found = over_cores(partial(measured, options=options), folders, "measuring")
+    results = {folder.name: result for folder, result in zip(folders, found, strict=True)}
     write_json(options.runs / "results.json", results)
     with written_whole(options.runs / "results.md") as temporary:
         temporary.write_text(table(results))

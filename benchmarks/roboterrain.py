@@ -21,7 +21,7 @@ from rich.console import Console
 
 from rover_rl.algos.driving import drives
 from rover_rl.algos.evaluation.metrics import Estimate, ratio
-from rover_rl.algos.evaluation.tables import Column, cell, print_tables
+from rover_rl.algos.evaluation.report import Column, cell, print_tables
 from rover_rl.algos.evaluation.trajectory import count_runs
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, sensors_for

@@ -25,18 +25,13 @@ from benchmarks.ratios import rate, told
 from rover_rl import make_env
 from rover_rl.native.bullet import pybullet
 
-ROLLOUT_LENGTH = 16
-"""Number of steps of each rover in a batch, as in PPO."""
-WARM_UP = 3
-"""Number of initial steps that are not measured."""
+ROLLOUT_LENGTH = 16  # number of steps of each rover in a batch, as in PPO
+WARM_UP = 3  # number of initial steps that are not measured
 
 
 @contextmanager
 def rollouts(world: str, rovers: int, beams: int, workers: int) -> Iterator[Callable[[], int]]:
-    """Opens a collector; a context manager that gives a function.
-
-    The function collects a batch of ``ROLLOUT_LENGTH`` steps of all rovers and returns their number.
-    """
+    """Opens a collector, and gives a function that collects a batch of steps of all rovers and returns their number."""
     each = rovers // workers
     makers = [partial(make_worker_env, world, each, beams, worker * each) for worker in range(workers)]
     common = {"frames_per_batch": rovers * ROLLOUT_LENGTH, "auto_register_policy_transforms": False}
@@ -60,16 +55,10 @@ def make_worker_env(world: str, rovers: int, beams: int, seed: int) -> EnvBase:
 
 @dataclass(frozen=True)
 class Row:
-    """Results of one environment.
+    """Results of one environment: steps per second of one process, and of all workers if they share the rovers equally.
 
-    Attributes:
-        num_envs: number of rovers.
-        beams: number of lidar beams per rover.
-        steps_per_s: steps per second of one process.
-        all_workers: steps per second of all worker processes. ``None`` if the workers cannot share the rovers equally.
-        physics: time in ``stepSimulation`` per rover and step, us.
-        rays: time in ``rayTestBatch`` per rover and step, us.
-        rest: remaining time per batched step, us.
+    ``physics`` and ``rays`` are the times in ``stepSimulation`` and ``rayTestBatch`` per rover and step, ``rest`` is
+    the remaining time per batched step, us.
     """
 
     num_envs: int
@@ -87,15 +76,10 @@ class Row:
 
 
 class Stopwatch:
-    """Wraps a function and accumulates the time of its calls.
-
-    Args:
-        function: function to time.
-    """
+    """Wraps a function and accumulates the time of its calls."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.seconds = 0.0
-        self._function = function
+        self.seconds, self._function = 0.0, function
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         start = time.perf_counter()
@@ -172,7 +156,6 @@ def _measure(options: Options, beams: int, num_envs: int) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
     headings = "rovers", "beams", "steps/s", "all workers", "us/rover: physics", "rays", "us/batch: rest", "share"
     table = Table(*headings, title="Batched rollouts")
     for row in (Row(**row) for row in rows):

@@ -90,7 +90,6 @@ def measure(options: Options) -> dict[str, Any]:
 
 
 def table(found: dict[str, Any]) -> Table:
-    """Formats the results for the terminal."""
     headings = "measured", "steps/s", "Bullet or one thread, steps/s", "speedup"
     ratios = Table(*headings, title="Simulators: speed")
     for row in found["ratios"]:

@@ -160,7 +160,6 @@ class WallClock(BaseCallback):
 
     @property
     def seconds(self) -> float:
-        """Seconds since the training began."""
         return time.perf_counter() - self._started
 
     def _on_training_start(self) -> None:
@@ -198,7 +197,6 @@ def make_config(options: Options, algo: str, folder: Path) -> TrainingConfig:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
     table = Table("algorithm", "training", "steps/s", "speedup of rover_rl", title="Training, end to end")
     ours = {row["algo"]: row["steps_per_s"] for row in rows if row["name"] == "rover_rl"}
     for row in rows:

@@ -114,7 +114,7 @@ def draw_follow(browser: Browser) -> None:
 def draw_many(browser: Browser) -> None:
     """Many rovers from above."""
     with viewer_of("pretrained:anywhere", 3.0, world="moon", num_envs=64, seed=0) as viewer:
-        viewer.cameras.select("top")
+        viewer.stage.cameras.select("top")
         with page_of(browser, viewer, (1100, 700), "Show") as page:
             save(page.screenshot(), "viewer-many.png")
 

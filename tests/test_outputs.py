@@ -12,7 +12,7 @@ from PIL import Image
 
 from rover_rl import Terrain, World
 from rover_rl.algos.config import training_config
-from rover_rl.algos.evaluation.tables import write_rows
+from rover_rl.algos.evaluation.report import write_rows
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.cli import main

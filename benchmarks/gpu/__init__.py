@@ -62,7 +62,6 @@ def _module(name: str) -> ModuleType:
 
 
 def table(results: dict[str, Any] | None) -> Group:
-    """Formats the results as tables for the terminal."""
     if results is None:
         return Group("GPU: skipped, torch finds no CUDA device (--device cpu rehearses the measurement)")
     parts = []

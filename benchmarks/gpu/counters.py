@@ -43,8 +43,7 @@ _NUMBERS = {
 _TIME = "gpu__time_duration.sum"
 METRICS = (_TIME, *_FLOPS, *_PERCENT.values(), *_NUMBERS.values(), *map(_STALL.format, _WAITS))
 """Names of the counters, as ``ncu --query-metrics --chips gh100`` lists them."""
-SHOWN_WAITS = 3
-"""Number of reasons for waiting that are reported."""
+SHOWN_WAITS = 3  # number of reasons for waiting that are reported
 TIMEOUT = 150.0
 """Time limit of the profiled program, s: it runs each kernel several times, as the counters do not fit into one run."""
 
@@ -52,8 +51,7 @@ TIMEOUT = 150.0
 def count(world: str, rovers: int, beams: int) -> list[dict[str, Any]]:
     """Profiles one launch of each kernel, and returns a row for each.
 
-    Raises:
-        RuntimeError: if Nsight Compute fails, as where the driver does not let users read the counters.
+    Raises ``RuntimeError`` if Nsight Compute fails, as where the driver does not let users read the counters.
     """
     command = [
         *("ncu", "--csv", "--page", "raw", "--print-units", "base", "--clock-control", "none"),
@@ -68,11 +66,7 @@ def count(world: str, rovers: int, beams: int) -> list[dict[str, Any]]:
 
 
 def read_counters(output: str) -> list[dict[str, Any]]:
-    """Reads what ``ncu --csv --page raw`` prints: names, units, and a line for each launch.
-
-    Raises:
-        RuntimeError: if there is no such table.
-    """
+    """Reads what ``ncu --csv --page raw`` prints: names, units, and a line for each launch, else ``RuntimeError``."""
     lines = [*csv.reader(line for line in output.splitlines() if line.startswith('"'))]
     if len(lines) < 3:
         raise RuntimeError(f"ncu printed no counters: {output[-800:]}")

@@ -42,8 +42,7 @@ REGISTERS, WARPS, PARTITIONS = 16384, 8, 4
 """Registers of a partition of a multiprocessor, its warps with blocks of one warp, and the number of partitions
 (compute capability 9.0). A warp takes registers in groups of 256, from one partition."""
 MULTIPROCESSORS = 132
-LANES = {"scan": GPU_LIDAR_LANES}
-"""Threads per rover of the kernels in which several share one."""
+LANES = {"scan": GPU_LIDAR_LANES}  # threads per rover of the kernels in which several share one
 ENTRY = re.compile(
     r"entry function '(\w+?)_[0-9a-f]{8}_\w+'.*?(\d+) bytes stack frame, (\d+) bytes spill stores"
     r".*?Used (\d+) registers",
@@ -52,11 +51,7 @@ ENTRY = re.compile(
 
 
 def resident_threads(registers: int) -> int:
-    """Returns how many threads of a kernel fit on a multiprocessor of compute capability 9.0, in blocks of one warp.
-
-    Args:
-        registers: registers of a thread.
-    """
+    """How many threads of so many registers fit on a multiprocessor (compute capability 9.0), in blocks of a warp."""
     per_warp = -(-registers * 32 // 256) * 256
     return 32 * PARTITIONS * min(REGISTERS // per_warp, WARPS)
 
@@ -69,11 +64,6 @@ class Resources(NamedTuple):
     spilled: int
     registers: int
 
-    @property
-    def resident(self) -> int:
-        """Threads on a multiprocessor, in blocks of one warp."""
-        return resident_threads(self.registers)
-
 
 @dataclass(frozen=True)
 class Options:
@@ -84,11 +74,6 @@ class Options:
 
 
 def find_ptxas() -> str:
-    """Path of NVIDIA's assembler.
-
-    Raises:
-        SystemExit: if there is none.
-    """
     wheels = (path for folder in sys.path for path in Path(folder or ".").glob("nvidia/*/bin/ptxas"))
     found = next(map(str, wheels), None) or shutil.which("ptxas")
     if found is None:
@@ -99,8 +84,7 @@ def find_ptxas() -> str:
 def resources(module: str, arch: int, ptxas: str) -> Iterator[Resources]:
     """Compiles the kernels of a module and yields what each needs.
 
-    Raises:
-        SystemExit: if ``ptxas`` fails, as one that is older than Warp's compiler does.
+    Raises ``SystemExit`` if ``ptxas`` fails, as one that is older than Warp's compiler does.
     """
     with TemporaryDirectory() as folder:
         wp.compile_aot_module(import_module(module), arch=arch, module_dir=folder, use_ptx=True)
@@ -122,8 +106,9 @@ def main(options: Options) -> None:
     table = Table(*headings, title=f"Warp kernels on sm_{options.arch}")
     for module in MODULES:
         for each in resources(module, options.arch, ptxas):
-            rovers = each.resident * MULTIPROCESSORS // LANES.get(each.kernel, 1)
-            numbers = each.registers, each.stack, each.spilled, each.resident, rovers
+            resident = resident_threads(each.registers)
+            rovers = resident * MULTIPROCESSORS // LANES.get(each.kernel, 1)
+            numbers = each.registers, each.stack, each.spilled, resident, rovers
             table.add_row(each.kernel, *(f"{number:,}" for number in numbers))
     Console(width=max(120, Console().width)).print(table)
 

@@ -32,8 +32,7 @@ from rover_rl.sims.warp.simulator import GPU_BLOCK_SIZE
 
 KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_scans, close_ways, plan_routes)}
 """Kernels of a step, of a reset and of the map, by their names."""
-ROVERS = 65_536
-"""Number of rovers, at most."""
+ROVERS = 65_536  # number of rovers, at most
 
 
 def measure(options: Options, device: torch.device, results: dict[str, Any]) -> dict[str, Any]:
@@ -59,11 +58,7 @@ def measure(options: Options, device: torch.device, results: dict[str, Any]) -> 
 def counted(world: str, rovers: int, beams: int, machine: dict[str, Any]) -> dict[str, Any]:
     """Returns ``counters``, or ``counters_error`` if Nsight Compute fails: the times measured before remain.
 
-    Args:
-        world: name of the world.
-        rovers: number of rovers.
-        beams: number of lidar beams per rover.
-        machine: measured ceilings, ``flops_per_s`` and ``bytes_per_s``.
+    ``machine`` holds the measured ceilings, ``flops_per_s`` and ``bytes_per_s``.
     """
     try:
         return {"counters": _limits(count(world, rovers, beams), machine)}
@@ -86,7 +81,6 @@ def _limits(rows: list[dict[str, Any]], machine: dict[str, Any]) -> list[dict[st
 
 
 def table(found: dict[str, Any]) -> Group:
-    """Formats the results for the terminal."""
     case = f"{found['rovers']:,} rovers, {found['beams']} beams, {found['world']}"
     times = Table("kernels", "ms", "rovers/s", title=f"Kernels: {case}")
     for name, seconds in found["seconds"].items():

@@ -17,10 +17,8 @@ from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
 from rover_rl.native.warp import wp
 
-COPIED_BYTES = {"cuda": 2**32, "cpu": 2**26}
-"""Size of the tensor that is copied, several times that of the cache."""
-MATRIX = {"cuda": 8192, "cpu": 1024}
-"""Rows and columns of the float32 matrices that are multiplied."""
+COPIED_BYTES = {"cuda": 2**32, "cpu": 2**26}  # size of the tensor that is copied, several times that of the cache
+MATRIX = {"cuda": 8192, "cpu": 1024}  # rows and columns of the float32 matrices that are multiplied
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> dict[str, Any]:
@@ -77,7 +75,6 @@ def _ceilings(options: Options, device: torch.device) -> dict[str, float]:
 
 
 def _processor() -> str:
-    """Name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -86,7 +83,6 @@ def _processor() -> str:
 
 
 def table(found: dict[str, Any]) -> Table:
-    """Formats the results for the terminal."""
     table = Table("what", "value", title="Machine")
     units = {"bytes_per_s": (1e-12, "TB/s"), "flops_per_s": (1e-12, "TFLOP/s, float32"), "launch_s": (1e6, "us")}
     for name, value in found.items():

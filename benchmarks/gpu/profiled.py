@@ -14,10 +14,8 @@ import tyro
 from benchmarks.gpu.speed import Drive, driving
 from rover_rl.envs.seen_map.seen_map import SeenMap
 
-SEEN = 10
-"""Number of scans in the maps before the profiled one."""
-MAPS = 8192
-"""Number of rovers with a map, at most: Nsight Compute stores what a kernel writes before each of its runs."""
+SEEN = 10  # number of scans in the maps before the profiled one
+MAPS = 8192  # number of rovers with a map, at most: Nsight Compute stores what a kernel writes before each of its runs
 
 
 @dataclass

@@ -18,12 +18,9 @@ from rover_rl.algos.train.collectors import with_new_episodes
 from rover_rl.native.warp import wp
 from rover_rl.sims.warp import WarpSettings
 
-DRIVEN = 40
-"""Number of steps before a measurement: by then the rovers are in motion, and some episodes have ended."""
-LENGTH = 500
-"""Number of steps of an episode, as in the training of the package's policies."""
-MANY_ROVERS = 65_536
-"""Number of rovers, at most, in the other worlds."""
+DRIVEN = 40  # number of steps before a measurement: by then the rovers are in motion, and some episodes have ended
+LENGTH = 500  # number of steps of an episode, as in the training of the package's policies
+MANY_ROVERS = 65_536  # number of rovers, at most, in the other worlds
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[dict[str, Any]]:
@@ -60,31 +57,15 @@ def _case(options: Options, device: torch.device, world: str, rovers: int, beams
 class Drive:
     """Rovers that drive with random actions, in an environment with all rewards.
 
-    Args:
-        world: name of the world, or of a range of worlds.
-        rovers: number of rovers.
-        beams: number of lidar beams per rover.
-        device: device of the simulation.
-        settings: settings of the simulator.
-
-    Attributes:
-        env: environment.
-        used: memory that the environment takes on the GPU, bytes; ``None`` on the CPU.
+    ``used`` is the memory that the environment takes on the GPU, bytes; ``None`` on the CPU.
     """
 
     def __init__(
         self, world: str, rovers: int, beams: int, device: torch.device, settings: WarpSettings | None = None
     ) -> None:
         before = _used(device)
-        self.env = make_env(
-            world_n=world,
-            num_envs=rovers,
-            lidar_beams=beams,
-            backend=settings or WarpSettings(),
-            seed=0,
-            length=LENGTH,
-            device=str(device),
-        )
+        described = {"world_n": world, "num_envs": rovers, "lidar_beams": beams, "device": str(device)}
+        self.env = make_env(**described, backend=settings or WarpSettings(), seed=0, length=LENGTH)
         self._actions = [self.env.action_spec.rand() for _ in range(16)]
         self._now, self._steps = self.env.reset(), 0
         for _ in range(DRIVEN):
@@ -131,19 +112,7 @@ def _used(device: torch.device) -> int | None:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
-    headings = (
-        "world",
-        "rovers",
-        "beams",
-        "physics",
-        "lidar",
-        "environment",
-        "task",
-        "host, ms",
-        "step, ms",
-        "kB/rover",
-    )
+    headings = "world", "rovers", "beams", "physics", "lidar", "environment", "task", "host, ms", "step, ms", "kB/rover"
     table = Table(*headings, title="Steps/s, and the share of a step outside the two kernels")
     for row in rows:
         case = row["world"], f"{row['rovers']:,}", str(row["beams"])

@@ -20,10 +20,8 @@ from benchmarks.gpu.timing import profiled, timed
 from benchmarks.options import Options
 from rover_rl.algos.train.collectors import with_new_episodes
 
-CALLS = 3
-"""Number of profiled calls."""
-LARGEST = 12
-"""Number of kernels that are listed."""
+CALLS = 3  # number of profiled calls
+LARGEST = 12  # number of kernels that are listed
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[dict[str, Any]]:
@@ -67,7 +65,6 @@ def _kernels(work: Callable[[], object]) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> Group:
-    """Formats the rows for the terminal."""
     calls = Table("rovers", "call", "ms", "host, ms", "device, ms", "launches", title="A step of the environment")
     for row in rows:
         device = (f"{1000 * row['device_s']:.2f}", f"{row['launches']:.0f}") if "device_s" in row else ()

@@ -12,20 +12,17 @@ import torch
 from torch.autograd import DeviceType
 from torch.profiler import ProfilerActivity, profile
 
-WARM_UP = 3
-"""Number of calls before the measurement. The first one compiles kernels."""
-LEAST, MOST = 5, 2000
-"""Numbers of calls in a measurement."""
+WARM_UP = 3  # number of calls before the measurement. The first one compiles kernels.
+LEAST, MOST = 5, 2000  # numbers of calls in a measurement
 
 
 @dataclass(frozen=True)
 class Timing:
     """Time of one call, s.
 
-    Attributes:
-        wall: mean time from one call to the next, with the device kept busy.
-        device: median time between two events on the device, before and after a call. Without a GPU, that of ``host``.
-        host: median time until a call returns. If it is near ``wall``, the host does not keep up with the device.
+    ``wall`` is the mean time from one call to the next, with the device kept busy, ``device`` the median time between
+    two events on the device, before and after a call (without a GPU, that of ``host``), and ``host`` the median time
+    until a call returns. If it is near ``wall``, the host does not keep up with the device.
     """
 
     wall: float
@@ -34,12 +31,7 @@ class Timing:
 
 
 class Phase(NamedTuple):
-    """What a GPU does during some work.
-
-    Attributes:
-        wall: duration, s.
-        kernels: name and duration (s) of each kernel and copy.
-    """
+    """What a GPU does during some work: its duration (s), and name and duration (s) of each kernel and copy."""
 
     wall: float
     kernels: list[tuple[str, float]]
@@ -48,13 +40,9 @@ class Phase(NamedTuple):
 def timed(
     work: Callable[[], object], device: torch.device, seconds: float, before: Callable[[], object] | None = None
 ) -> Timing:
-    """Calls ``work`` for about ``seconds`` and returns its times.
+    """Calls ``work``, which may return before the device has finished, for about ``seconds``, and returns its times.
 
-    Args:
-        work: function to time. It may return before the device has finished.
-        device: device that does the work.
-        seconds: approximate duration of the measurement, s.
-        before: function to call before each call of ``work``. Only ``wall`` contains its time.
+    ``before`` is called before each call of ``work``. Only ``wall`` contains its time.
     """
     on_gpu = device.type == "cuda"
     prepare = before or (lambda: None)

@@ -20,14 +20,10 @@ from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_conf
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run import TrainingRun, prepare
 
-BATCHES = 3
-"""Number of batches before the measurement, and of measured ones."""
-SIMULATION = tuple(KERNELS)
-"""Beginnings of the names of the package's kernels, as a profiler shows them."""
-MINIBATCHES = 4
-"""Number of minibatches that a batch is divided into."""
-LEAST_MINIBATCH = 2048
-"""Least number of decisions of a minibatch."""
+BATCHES = 3  # number of batches before the measurement, and of measured ones
+SIMULATION = tuple(KERNELS)  # beginnings of the names of the package's kernels, as a profiler shows them
+MINIBATCHES = 4  # number of minibatches that a batch is divided into
+LEAST_MINIBATCH = 2048  # least number of decisions of a minibatch
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[dict[str, Any]]:
@@ -79,12 +75,7 @@ def _measure(config: TrainingConfig, device: torch.device) -> dict[str, Any]:
 
 
 def shares_of(collection: Phase, update: Phase) -> dict[str, float]:
-    """Returns shares of the wall-clock time of a batch, by what the device does.
-
-    Args:
-        collection: collection of the batch.
-        update: update of the networks.
-    """
+    """Shares of the wall-clock time of a batch, by what the device does in its collection and the networks' update."""
     wall = collection.wall + update.wall
     simulation = sum(seconds for name, seconds in collection.kernels if name.startswith(SIMULATION))
     spent = {
@@ -97,7 +88,6 @@ def shares_of(collection: Phase, update: Phase) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Formats the rows for the terminal."""
     shares = sorted({key for row in rows for key in row if key.startswith("device: ")})
     table = Table("rovers", "map", "minibatch", "steps/s", *shares, title="PPO, whole loop")
     for row in rows:

@@ -81,7 +81,7 @@ class JaxNavBenchmark(_Benchmark):
 
         courses, unsolvable = read_jaxnav(self.data)
         limits = {"goal_radius": self.goal_radius, "seconds": self.seconds}
-        return _run(JaxNav(courses, unsolvable, runs=self.runs, seed=self.seed, **limits), self)
+        return _run(JaxNav(courses, unsolvable=unsolvable, runs=self.runs, seed=self.seed, **limits), self)
 
 
 @dataclass(frozen=True)

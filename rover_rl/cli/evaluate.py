@@ -21,7 +21,7 @@ from rover_rl.sims.backends import name_of
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
-    from rover_rl.algos.evaluation.parallel import Request
+    from rover_rl.algos.evaluation.evaluate import Request
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import EnvConfig
@@ -92,8 +92,7 @@ class Evaluate:
 
     def __call__(self) -> int:
         from rover_rl.algos.deploy.drive_log import read_drives
-        from rover_rl.algos.evaluation.evaluate import check_options
-        from rover_rl.algos.evaluation.parallel import evaluate_all
+        from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
@@ -199,7 +198,7 @@ class Evaluate:
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None], out: Path
     ) -> list[_Run]:
         from rover_rl.algos.evaluation.episodes import endless_episodes
-        from rover_rl.algos.evaluation.parallel import Request
+        from rover_rl.algos.evaluation.evaluate import Request
         from rover_rl.algos.evaluation.plots import TRACE
 
         runs = []

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 import viser
 
-from rover_rl.view.stage import ROOT
 from rover_rl.worlds import World
 from rover_rl.worlds.region import union
 
 Vector: TypeAlias = Sequence[float] | np.ndarray
 Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
+ROOT = "/world"  # scene node of everything but light and sky, which the cameras move
 BEHIND, OVER_WALLS = (2.8, 1.5), (2.0, 3.4)
 """Distances of the follow camera behind and above the rover at first, m, in the open and among walls."""
 WALL = 0.8  # height from which on obstacles are walls, m: the median of their tops
@@ -35,20 +35,11 @@ class Cameras:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server, self.mode, self._offset = server, MODES[0], np.zeros(3)
         self._yaw, self._span, self._center, self._steep = 0.0, 10.0, np.zeros(3), False
-        self._world: World | None = None
         self._root = server.scene.add_frame(ROOT, show_axes=False)
         server.on_client_connect(self._aim)
 
-    def add_choice(self) -> None:
-        """Adds the choice of a camera to the page."""
-        mode = self._server.gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
-        mode.on_update(lambda _: self.select(mode.value))
-
     def enter(self, world: World) -> None:
         """Sees a new world as a whole from above, and over its walls from behind a rover."""
-        if world is self._world:
-            return
-        self._world = world
         tops = [(one.vertices[:, 2] - world.height_at(one.vertices[:, :2])).max() for one in world.obstacles]
         self._steep = bool(tops) and torch.stack(tops).median().item() > WALL
         (left, right), (bottom, top) = union(world.spawn_range, world.goal_range)
@@ -75,7 +66,7 @@ class Cameras:
         self._move(np.array((-position[0], -position[1], -position[2] if far else height)))
 
     def ground_at(self, world: World, eye: Vector, toward: Vector) -> tuple[float, float] | None:
-        """Returns the point of the ground in a direction from the camera, x and y (m); ``None`` for the sky."""
+        """Point of the ground in a direction from the camera, x and y (m); ``None`` for the sky."""
         start, direction = np.array(eye) - self._offset, np.array(toward) / np.linalg.norm(toward)
         points = torch.from_numpy(start + np.arange(0, SIGHT, _STEP)[:, None] * direction)
         (left, right), (bottom, top) = world.terrain.extent
@@ -85,8 +76,7 @@ class Cameras:
         return None if not len(below) else (x[below[0, 0]].item(), y[below[0, 0]].item())
 
     def _move(self, offset: np.ndarray) -> None:
-        self._offset = offset
-        self._root.position = offset
+        self._offset = self._root.position = offset
 
     def _aim(self, client: viser.ClientHandle) -> None:
         """Puts the camera of a client to where its mode has it at first."""
@@ -94,7 +84,7 @@ class Cameras:
         client.camera.position, client.camera.look_at = self.place(), LOOK_AT
 
     def place(self) -> np.ndarray:
-        """Returns where the camera is at first, ``[3]``, m: behind the rover, or above the world."""
+        """Where the camera is at first, ``[3]``, m: behind the rover, or above the world."""
         if self.mode == "top":
             return np.array((0.0, -0.01, 1.05 * self._span))
         behind, above = OVER_WALLS if self._steep else BEHIND

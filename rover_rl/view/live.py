@@ -15,10 +15,8 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds
-from rover_rl.rotations import quaternion_to_euler
-from rover_rl.view.cameras import Cameras
+from rover_rl.view.controls import Pilot
 from rover_rl.view.page import HOST, PORT, Page
-from rover_rl.view.pilot import Pilot
 from rover_rl.view.stage import Stage
 
 FRAMES = 15  # number of updates of the page, 1/s
@@ -49,17 +47,15 @@ class LivePage(Page):
         gui.add_command("Stop the rover", hotkey="escape").on_trigger(self._stop)
         self._status = gui.add_markdown("Waiting for the rover.")
         self.pilot = Pilot(gui)
-        self._stage, self._cameras = Stage(self.server), Cameras(self.server)
-        self._cameras.add_choice()
-        self._stage.add_checkboxes()
+        self._stage = Stage(self.server)
+        self._stage.add_controls()
         self._latest: tuple[RoverEnv, Moment, Status] | None = None
 
     async def _stop(self, _: object) -> None:
-        if self.stopped:
-            return
-        self.stopped = True
-        self.on_stop()
-        self._status.content = "**Stopped.** The drive has ended."
+        if not self.stopped:
+            self.stopped = True
+            self.on_stop()
+            self._status.content = "**Stopped.** The drive has ended."
 
     def check(self) -> None:
         """Raises ``InterruptedError`` if the stop button was pressed. Call it before each command and after each."""
@@ -67,7 +63,7 @@ class LivePage(Page):
             raise InterruptedError("the stop button was pressed, and the rover stands")
 
     def runner(self, policy: Policy, env: RoverEnv) -> PolicyRunner:
-        """Returns a runner of a policy whose actions a person may replace."""
+        """A runner of a policy whose actions a person may replace."""
         return _StoppableRunner(policy, env, self)
 
     def show(self, env: RoverEnv, status: Status) -> None:
@@ -84,10 +80,7 @@ class LivePage(Page):
 
     def _show(self, env: RoverEnv, moment: Moment, status: Status) -> None:
         self._stage.enter(env.worlds[0], env.robot, env.scanner.angles)
-        self._cameras.enter(env.worlds[0])
-        pose = Pose.of(moment.rover)
-        self._stage.show(moment, 0, torch.zeros(1, dtype=torch.int64), pose)
-        self._cameras.follow(pose.position[0].numpy(), quaternion_to_euler(pose.orientation)[0, 2].item())
+        self._stage.show(moment, 0, torch.zeros(1, dtype=torch.int64), Pose.of(moment.rover))
         speed, turn = status.command
         self._status.content = (
             f"goal {status.distance:.2f} m · {status.speed:.2f} m/s · nearest {status.nearest:.2f} m · command "

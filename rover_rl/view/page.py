@@ -21,18 +21,11 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8080  # default address of the page: only this machine reaches it
 _PORTS = 65535
+_Z_UP = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)  # turns the light of the sky, which comes from above along y
 
 
 def open_page(host: str = HOST, port: int = PORT) -> viser.ViserServer:
-    """Starts the server of a page with light and sky.
-
-    Args:
-        host: address that the server listens on. ``"0.0.0.0"`` lets other machines reach the page.
-        port: port; 0 takes a free one.
-
-    Raises:
-        OSError: if the port is taken or the host is not an address of this machine.
-    """
+    """Starts the server of a page with light and sky. Raises ``OSError`` as :func:`check_address` does."""
     port = check_address(host, port)
     with contextlib.redirect_stdout(io.StringIO()):
         # viser prints messages of its own.
@@ -40,12 +33,11 @@ def open_page(host: str = HOST, port: int = PORT) -> viser.ViserServer:
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.set_panel_label("rover_rl")
-    light(server)
+    _light(server.scene)
     return server
 
 
 def close_page(server: viser.ViserServer) -> None:
-    """Stops the server of a page."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -75,7 +67,6 @@ class Page(ABC):
         """Updates the page until it is closed."""
 
     def start(self) -> None:
-        """Starts the thread."""
         self._thread.start()
 
     def wait(self) -> None:
@@ -113,28 +104,7 @@ class Page(ABC):
 
 
 def address_of(host: str, port: int) -> str:
-    """Returns the address of a page that is served on a host and port."""
     return f"http://{'localhost' if host in ('0.0.0.0', HOST) else host}:{port}"
-
-
-def light(server: viser.ViserServer) -> None:
-    """Adds a sun, the light of the sky and the dome of the sky."""
-    scene = server.scene
-    scene.set_up_direction("+z")
-    scene.configure_default_lights(enabled=False)
-    scene.configure_environment_map(None)
-    sky, soil = (231, 238, 255), (150, 128, 106)
-    scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
-    position = tuple(60 * np.array(SUN))
-    # The shadows of what does not move are in the colors of the world. The others are drawn near the middle, where the
-    # followed rover is.
-    color, shadow = (255, 243, 222), True
-    scene.add_light_directional("/light/sun", color=color, intensity=2.6, position=position, cast_shadow=shadow)
-    scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
-    scene.world_axes.visible = False
-
-
-_Z_UP = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)  # turns the light of the sky, which comes from above along y
 
 
 def check_address(host: str, port: int) -> int:
@@ -148,3 +118,18 @@ def check_address(host: str, port: int) -> int:
         except OSError as error:
             raise OSError(f"cannot open a page on {host}:{port} ({error.strerror}); choose another --port") from error
         return int(probe.getsockname()[1])
+
+
+def _light(scene: viser.SceneApi) -> None:
+    """Adds a sun, the light of the sky and the dome of the sky."""
+    scene.set_up_direction("+z")
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(None)
+    sky, soil = (231, 238, 255), (150, 128, 106)
+    scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
+    # The shadows of what does not move are in the colors of the world. The others are drawn near the middle, where the
+    # followed rover is.
+    position, color = tuple(60 * np.array(SUN)), (255, 243, 222)
+    scene.add_light_directional("/light/sun", color=color, intensity=2.6, position=position, cast_shadow=True)
+    scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
+    scene.world_axes.visible = False

@@ -1,40 +1,48 @@
 """Replays of recorded drives: in one HTML file that opens offline, and on a page. Both have a time slider.
 
-The file holds viser's client and its recording of the scene, so that it shows what the page shows.
+The file holds viser's client and its recording of the scene, so that it shows what the page shows, and plots and
+captions over it, which follow the slider.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import torch
 import viser
 
-from rover_rl.algos.video.overlay import caption_of, overlay, stride_of
+from rover_rl.algos.evaluation.plots import BLUE, GREY, RED
 from rover_rl.algos.video.recording import Moment, Recording, curves_of
 from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
-from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.paths import PathDistances
-from rover_rl.view.cameras import LOOK_AT, Cameras
+from rover_rl.view.cameras import LOOK_AT
+from rover_rl.view.controls import Recorder
 from rover_rl.view.page import HOST, PORT, Page, close_page, open_page
 from rover_rl.view.panels import Plot
-from rover_rl.view.recorder import Recorder
 from rover_rl.view.stage import Stage
 
 FRAMES = 20  # number of updates of the page, 1/s
+RATE = 10.0  # largest number of moments in a file, 1/s. Between two, the rovers go on in small steps
+_BOX = (
+    "position:fixed;left:8px;right:8px;bottom:56px;padding:4px 8px;font:11px sans-serif;"
+    "background:rgba(255,255,255,0.8);border-radius:6px;pointer-events:none"
+)
+_SCRIPT = Path(__file__).with_name("overlay.js")
 
 
 class Projector:
     """Shows moments of recordings on a page."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self.stage, self.cameras = Stage(server), Cameras(server)
+        self.stage = Stage(server)
         self.recording: Recording | None = None
 
     def load(self, recording: Recording) -> None:
@@ -42,7 +50,6 @@ class Projector:
         self.recording = recording
         self.stage.enter(recording.world, recording.robot, recording.ray_angles)
         self.stage.forget_path()
-        self.cameras.enter(recording.world)
         self._distances = PathDistances([recording.world], recording.robot)
         self._goal: torch.Tensor | None = None
         self.show(0)
@@ -53,7 +60,6 @@ class Projector:
         moment = self.recording.moments[index]
         pose = Pose.of(moment.rover)
         self.stage.show(moment, 0, torch.arange(len(moment.goal)), pose)
-        self.cameras.follow(pose.position[0].numpy(), quaternion_to_euler(pose.orientation[:1])[0, 2].item())
         if self._goal is None or not moment.goal[0].equal(self._goal):
             self._goal = moment.goal[0]
             self.stage.show_route(self._distances.path(0, pose.position[0, :2], self._goal.cpu()))
@@ -61,24 +67,20 @@ class Projector:
 
 
 def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[str] | None = None) -> None:
-    """Writes recorded drives to an HTML file, one after another, with their ``titles``.
-
-    Raises:
-        ImportError: if the extra ``view`` is not installed.
-        OSError: if the file cannot be written.
-    """
+    """Writes recorded drives to an HTML file, one after another, with their ``titles``."""
     server = open_page(port=0)
     try:
         projector = Projector(server)
         projector.load(recordings[0])
-        server.initial_camera.position, server.initial_camera.look_at = projector.cameras.place(), LOOK_AT
+        camera = server.initial_camera
+        camera.position, camera.look_at = projector.stage.cameras.place(), LOOK_AT
         captions = []
         serializer = server.get_scene_serializer()
         with ProgressDisplay("drawing") as display:
             for number, (recording, title) in enumerate(zip(recordings, titles or [""] * len(recordings), strict=True)):
                 if recording is not projector.recording:
                     projector.load(recording)
-                stride = stride_of(recording)
+                stride = _stride(recording)
                 for index in range(0, len(recording.moments), stride):
                     caption = caption_of(projector.show(index))
                     captions.append(f"{title} · {caption}" if title else caption)
@@ -88,7 +90,46 @@ def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[s
     finally:
         close_page(server)
     with written_whole(path) as temporary:
-        temporary.write_text(page.replace("</body>", f"{overlay(recordings, captions)}</body>"), encoding="utf-8")
+        temporary.write_text(page.replace("</body>", f"{_overlay(recordings, captions)}</body>"), encoding="utf-8")
+
+
+def caption_of(moment: Moment) -> str:
+    """Time, speed, distance to the goal and recent event of the first rover as text."""
+    distance = torch.dist(moment.rover.position[0, :2].cpu(), moment.goal[0].cpu()).item()
+    # Without the minus of a small negative number that is rounded to zero.
+    speed = round(moment.rover.linear_velocity[0].item(), 2) + 0.0
+    event, since = moment.event
+    recent = f" · {event}" if event and moment.seconds < since + 3 else ""
+    return f"{moment.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m{recent}"
+
+
+def _stride(recording: Recording) -> int:
+    return max(1, round(1 / (RATE * recording.dt)))
+
+
+def _overlay(recordings: Sequence[Recording], captions: Sequence[str]) -> str:
+    """Plots of the drives over the whole time, and captions, which follow the time slider."""
+    each = [(curves_of(one), _stride(one)) for one in recordings]
+    names = dict.fromkeys(chain.from_iterable(curves for curves, _ in each))
+    curves = {name: np.concatenate([curves[name][::stride] for curves, stride in each]) for name in names}
+    plots = "".join(_curve_plot(name, values) for name, values in curves.items())
+    script = f"<script>const captions = {json.dumps(captions)};{_SCRIPT.read_text()}</script>"
+    shown = f'<div style="display:flex;gap:12px">{plots}</div>'
+    return f'<div style="{_BOX}"><div class="caption" style="font-size:13px"></div>{shown}</div>{script}'
+
+
+def _curve_plot(name: str, values: np.ndarray) -> str:
+    """A plot in SVG, of the class ``curve``, whose horizontal axis goes from 0 to 100 for the first to the last."""
+    low, high = min(0.0, float(values.min())), max(float(values.max()), 1e-3)
+    x = 100 * np.arange(len(values)) / max(len(values) - 1.0, 1e-9)
+    points = zip(x, 38 - 36 * (values - low) / (high - low), strict=True)
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
+    return (
+        f'<div style="flex:1"><b>{name}</b> <span style="color:{GREY}">up to {high:.3g}</span>'
+        f'<svg class="curve" viewBox="0 0 100 40" preserveAspectRatio="none" style="width:100%;height:44px">'
+        f'<polyline points="{line}" fill="none" stroke="{BLUE}" vector-effect="non-scaling-stroke"/>'
+        f'<line class="now" y2="40" stroke="{RED}" vector-effect="non-scaling-stroke"/></svg></div>'
+    )
 
 
 class ReplayPage(Page):
@@ -100,11 +141,10 @@ class ReplayPage(Page):
     """
 
     def __init__(self, drives: Mapping[str, Callable[[], Recording]], host: str = HOST, port: int = PORT) -> None:
-        self._drives = drives
+        self._drives, self._lock = drives, threading.Lock()
         first = next(iter(drives))
         recording = drives[first]()
         super().__init__(host, port)
-        self._lock = threading.Lock()
         gui = self.server.gui
         self._status = gui.add_markdown("")
         chosen = gui.add_dropdown("Drive", tuple(drives), initial_value=first)
@@ -114,8 +154,7 @@ class ReplayPage(Page):
         self._time.on_update(lambda event: self._seek(self._time.value) if event.client is not None else None)
         self.projector = Projector(self.server)
         with gui.add_folder("Show", expand_by_default=False):
-            self.projector.cameras.add_choice()
-            self.projector.stage.add_checkboxes()
+            self.projector.stage.add_controls()
             Recorder(gui)
         self._plots: dict[str, Plot] = {}
         self._folder = gui.add_folder(None)
@@ -136,8 +175,8 @@ class ReplayPage(Page):
             self._time.max = max(recording.dt, recording.seconds)
             x = np.arange(len(recording.moments)) * recording.dt
             for name, values in curves_of(recording).items():
-                plot = self._plots.setdefault(name, Plot(self._folder, name))
-                plot.show(self.server, x, {name: values})
+                plot = self._plots.setdefault(name, Plot(self.server.gui, self._folder, name))
+                plot.show(x, {name: values})
 
     def _seek(self, seconds: float) -> None:
         self.play(False)

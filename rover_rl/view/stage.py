@@ -1,4 +1,4 @@
-"""The stage of a page: rovers and all that is around them, as layers that checkboxes show and hide."""
+"""The stage of a page: rovers and all that is around them, as layers that checkboxes show and hide, and its cameras."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.algos.video.views import lidar_beams
 from rover_rl.robots import Robot
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.rendering.daylight import solid, world_meshes
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Form, Surface, forms_of, part_surface, post_surface
+from rover_rl.view.cameras import MODES, ROOT, Cameras
 from rover_rl.worlds import World, hull
 from rover_rl.worlds.movers.parts import Parts
 
 Color: TypeAlias = tuple[int, int, int]
-ROOT = "/world"  # scene node of everything but light and sky. The cameras move it: see :mod:`rover_rl.view.cameras`
 RAY, HIT, DRIVEN, SHORTEST = (255, 196, 0), (255, 120, 0), (30, 120, 255), (20, 190, 90)
 """Colors of lidar rays, hits, the driven path and the shortest path."""
 PLANNED, TRACKED = (200, 40, 200), (40, 200, 220)
@@ -50,7 +51,7 @@ _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 
 
 def without_high_walls(world: World) -> World:
-    """Returns a world for the eye, in which high walls are cut and what hangs above is left out, as they hide rovers.
+    """A world for the eye: high walls, which hide rovers, are cut, and what hangs above is left out.
 
     Rocks, trunks and all that is thick stay whole.
     """
@@ -63,8 +64,7 @@ def without_high_walls(world: World) -> World:
         flat = points[:, :2] - points[:, :2].mean(0)
         low, high = (flat @ torch.linalg.svd(flat, full_matrices=False)[2].T).aminmax(dim=0)
         width, length = (high - low).sort()[0].tolist()
-        thickness = min(width, float(top - bottom))
-        if top > CUT and length > _LONG and thickness < _THIN:
+        if top > CUT and length > _LONG and min(width, float(top - bottom)) < _THIN:
             if bottom > CUT / 2:
                 continue
             cut = torch.minimum(points[:, 2], ground + CUT)
@@ -74,13 +74,14 @@ def without_high_walls(world: World) -> World:
 
 
 class Stage:
-    """Shows moments of rovers in a world, on a page."""
+    """Shows moments of rovers in a world, on a page. ``shown`` tells which layers are shown."""
+
+    world: World
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self.world: World | None = None
         self._robot: Robot | None = None
-        self._shown: dict[str, bool] = {}
+        self.shown: dict[str, bool] = {}
         self.on_drag: Callable[[viser.SceneNodeDragEvent], None] | None = None
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         self._forms: dict[Form, int] = {}
@@ -88,6 +89,7 @@ class Stage:
         server.scene.add_frame(ROOT, show_axes=False)
         for layer in LAYERS:
             self.show_layer(layer, layer != MAP)
+        self.cameras = Cameras(server)
 
     def enter(self, world: World, robot: Robot, ray_angles: Tensor) -> None:
         """Shows a world for a robot, with the direction of each lidar beam in its frame, ``[beams]``, rad."""
@@ -95,7 +97,7 @@ class Stage:
         if robot is not self._robot:
             self._robot = robot
             self._forget("rovers/")
-        if world is self.world:
+        if world is getattr(self, "world", None):
             return
         self.world = world
         meshes = world_meshes(without_high_walls(world))
@@ -108,6 +110,7 @@ class Stage:
         self._forget("movers/")
         self._forms.clear()
         self.forget_path()
+        self.cameras.enter(world)
 
     def _forget(self, prefix: str) -> None:
         for key in [key for key in self._nodes if key.startswith(prefix)]:
@@ -117,25 +120,23 @@ class Stage:
         """Starts a new driven path."""
         self._path.clear()
         self.show_route(torch.zeros(0, 2))
-        self._lines("driven path", np.zeros((0, 2, 3)), DRIVEN, 0.05)
+        self._lines("driven path", np.zeros((0, 2, 3)), DRIVEN)
 
-    def add_checkboxes(self) -> None:
-        """Adds a checkbox for each layer to the page."""
+    def add_controls(self) -> None:
+        """Adds the choice of a camera to the page, and a checkbox for each layer."""
+        gui = self._server.gui
+        mode = gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
+        mode.on_update(lambda _: self.cameras.select(mode.value))
         for layer in LAYERS:
-            box = self._server.gui.add_checkbox(layer, self._shown[layer])
+            box = gui.add_checkbox(layer, self.shown[layer])
             box.on_update(lambda _, layer=layer, box=box: self.show_layer(layer, box.value))
 
-    def shows(self, layer: str) -> bool:
-        """Returns whether a layer is shown."""
-        return self._shown[layer]
-
     def show_layer(self, layer: str, shown: bool) -> None:
-        """Shows or hides a layer."""
-        self._shown[layer] = shown
+        self.shown[layer] = shown
         self._server.scene.add_frame(self._name(layer), show_axes=False, visible=shown)
 
     def show(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
-        """Shows a moment.
+        """Shows a moment, and lets the camera follow.
 
         Args:
             moment: moment of all rovers.
@@ -144,71 +145,63 @@ class Stage:
             pose: poses at which rovers are drawn, which may be between those of two moments.
         """
         assert self._robot is not None
-        assert self.world is not None
         position, orientation = pose.position[rows].numpy(), pose.orientation[rows].numpy()
         self._many("rovers", "rover", partial(robot_surface, self._robot), position, orientation[:, [3, 0, 1, 2]])
-        if self._shown["lidar rays"] or self._shown["lidar hits"]:
+        if self.shown["lidar rays"] or self.shown["lidar hits"]:
             self._show_lidar(moment, row, rows)
-        if self._shown["goals"]:
+        if self.shown["goals"]:
             goal = moment.goal[rows].cpu()
             height = self.world.height_at(goal.double()).float()
             places = torch.cat((goal, height.reshape(-1, 1)), -1).numpy()
             scales = np.where(rows.numpy() == row, 1.0, OTHERS)
             self._many("goals", "post", post_surface, places, np.tile(_NO_ROTATION, (len(places), 1)), scales)
-        if moment.movers is not None and self._shown["movers"]:
+        if moment.movers is not None and self.shown["movers"]:
             self._show_movers(moment.movers)
         self._extend_path(pose.position[row].numpy())
+        yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
+        self.cameras.follow(pose.position[row].numpy(), yaw)
 
     def show_route(self, points: Tensor) -> None:
         """Shows the shortest path, ``[points, 2]``, m."""
-        assert self.world is not None
-        line = self._on_ground(points)
-        self._lines("shortest path", np.stack((line[:-1], line[1:]), 1), SHORTEST, 0.05)
+        self._polyline("shortest path", self._on_ground(points), SHORTEST)
 
     def show_map(self, seen: tuple[Tensor, Tensor] | None, tracked: Tensor) -> None:
         """Shows what a policy has seen, its route, and the movers that it tracks, with their ways of the next second.
 
-        See :meth:`~rover_rl.algos.video.session.Session.seen_map` and
-        :meth:`~rover_rl.algos.video.session.Session.tracked`.
+        The arguments are those that ``Session.seen_map`` and ``Session.tracked`` return.
         """
         cells, route = seen or (torch.zeros(0, 3), torch.zeros(0, 2))
         for level, color in enumerate(MARKED):
             self._cloud(f"{MAP}/{level}", self._on_ground(cells[cells[:, 2] == level, :2]), color, 0.06)
-        line = self._on_ground(route)
-        self._lines(f"{MAP}/route", np.stack((line[:-1], line[1:]), 1), PLANNED, 0.05)
+        self._polyline(f"{MAP}/route", self._on_ground(route), PLANNED)
         place, velocity, radius = tracked[:, None].split((2, 2, 1), -1)
         outline = place + radius * torch.from_numpy(CIRCLE).float()
         sides = torch.stack((outline[:, :-1], outline[:, 1:]), 2).reshape(-1, 2)
         ends = torch.cat((sides, torch.cat((place, place + velocity), 1).reshape(-1, 2)))
-        self._lines(f"{MAP}/movers", self._on_ground(ends).reshape(-1, 2, 3), TRACKED, 0.05)
+        self._lines(f"{MAP}/movers", self._on_ground(ends).reshape(-1, 2, 3), TRACKED)
 
     def _on_ground(self, places: Tensor) -> np.ndarray:
-        """Returns points just above the ground, ``[n, 3]``, at ``places [n, 2]``, m."""
-        assert self.world is not None
+        """Points just above the ground, ``[n, 3]``, at ``places [n, 2]``, m."""
         return torch.cat((places, self.world.height_at(places.double()).float()[:, None] + _LIFT), -1).numpy()
 
     def _name(self, layer: str) -> str:
         return f"{ROOT}/{layer.replace(' ', '_')}"
 
     def _extend_path(self, position: np.ndarray) -> None:
-        """Adds a point to the driven path, if the rover has moved."""
-        assert self.world is not None
         step = np.linalg.norm(position[:2] - self._path[-1][:2]) if self._path else np.inf
         if step < _SPACING:
             return
         if step > _JUMP:
             self._path.clear()
         self._path = [*self._path[-MAX_PATH:], self._on_ground(torch.from_numpy(position[None, :2]))[0]]
-        points = np.array(self._path)
-        self._lines("driven path", np.stack((points[:-1], points[1:]), 1), DRIVEN, 0.05)
+        self._polyline("driven path", np.array(self._path), DRIVEN)
 
     def _show_lidar(self, moment: Moment, row: int, rows: Tensor) -> None:
         """Shows where the beams of all rovers hit something, and the beams of the followed one."""
         assert self._robot is not None
         stride = max(1, -(-len(rows) * len(self._angles) // MAX_HITS))
         starts, ends = lidar_beams(moment.rover[rows], moment.scan[rows, ::stride], self._robot, self._angles[::stride])
-        points = ends[ends.isfinite().all(-1)].numpy()
-        self._cloud("lidar hits", points, HIT, 0.04)
+        self._cloud("lidar hits", ends[ends.isfinite().all(-1)].numpy(), HIT, 0.04)
         own = rows.tolist().index(row)
         hit = ends[own].isfinite().all(-1)
         rays = torch.stack((starts[own].expand_as(ends[own]), ends[own]), 1)[hit][:: -(-len(self._angles) // MAX_RAYS)]
@@ -216,7 +209,6 @@ class Stage:
 
     def _show_movers(self, parts: Parts) -> None:
         """Shows the movers of a row: those of the same form in one node. Other rovers of a group are shown already."""
-        assert self.world is not None
         groups: dict[Form, list[int]] = {}
         for part, form in enumerate(forms_of(self.world, parts)):
             if parts.mover[0, part] < len(self.world.movers):
@@ -227,7 +219,6 @@ class Stage:
             self._many("movers", key, partial(part_surface, form), position, turn[:, [3, 0, 1, 2]])
 
     def _cloud(self, layer: str, points: np.ndarray, color: Color, size: float) -> None:
-        """Shows points ``[n, 3]``, m."""
         if isinstance(cloud := self._nodes.get(layer), viser.PointCloudHandle):
             cloud.points = points
             return
@@ -235,7 +226,10 @@ class Stage:
         name = f"{self._name(layer)}/points"
         self._nodes[layer] = self._server.scene.add_point_cloud(name, points, color, point_shading="flat", **style)
 
-    def _lines(self, layer: str, points: np.ndarray, color: Color, thickness: float) -> None:
+    def _polyline(self, layer: str, points: np.ndarray, color: Color) -> None:
+        self._lines(layer, np.stack((points[:-1], points[1:]), 1), color)
+
+    def _lines(self, layer: str, points: np.ndarray, color: Color, thickness: float = 0.05) -> None:
         """Shows line segments ``[n, 2, 3]``, m. Segments without a length fill them up, so that few numbers occur."""
         filled = np.zeros((-(-(len(points) + 1) // _SEGMENTS) * _SEGMENTS, 2, 3), dtype=np.float32)
         filled[: len(points)] = points
@@ -262,8 +256,7 @@ class Stage:
         if isinstance(node, viser.BatchedGlbHandle) and len(node.batched_positions) == len(position):
             node.batched_positions, node.batched_wxyzs, node.batched_scales = position, wxyz, scales
             return
-        lod: Any = "off" if len(position) <= FEW else "auto"
-        options: dict[str, Any] = {"batched_scales": scales, "lod": lod}
+        options: dict[str, Any] = {"batched_scales": scales, "lod": "off" if len(position) <= FEW else "auto"}
         mesh, name = solid(surface()), f"{self._name(layer)}/{key}"
         node = self._server.scene.add_batched_meshes_trimesh(name, mesh, wxyz, position, **options)
         self._nodes[f"{layer}/{key}"] = node

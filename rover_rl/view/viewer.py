@@ -28,19 +28,14 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.train.live import INTERVAL
-from rover_rl.algos.video.diagrams import sensor_picture
-from rover_rl.algos.video.live import LiveMoment
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import ROBOTS
-from rover_rl.rotations import quaternion_to_euler
-from rover_rl.view.cameras import Cameras
+from rover_rl.view.controls import Pilot, Recorder
 from rover_rl.view.page import HOST, PORT, Page, check_address
 from rover_rl.view.panels import Panels, episode_table
-from rover_rl.view.pilot import Pilot
-from rover_rl.view.recorder import Recorder
-from rover_rl.view.runs import Load, TrainingPanel
+from rover_rl.view.runs import LiveMoment, Load, TrainingPanel
 from rover_rl.view.stage import MAP, Stage
 from rover_rl.worlds import world_names
 
@@ -55,7 +50,6 @@ BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
 
 
 def named_policy(name: str) -> Policy | None:
-    """Returns a policy by name: ``random``, a baseline, ``pretrained:NAME``, the folder of a run or a checkpoint."""
     return None if name == RANDOM else make_policy(name)
 
 
@@ -71,7 +65,8 @@ class Viewer(Page):
         name: name of the policy on the page.
         host: address that the page is served on. ``"0.0.0.0"`` lets other machines reach it.
         port: port of the page; 0 takes a free one.
-        find_policy: function that returns the policy of a name.
+        find_policy: function that returns the policy of a name. By default: ``random``, a baseline,
+            ``pretrained:NAME``, the folder of a run or a checkpoint.
         run: run whose learning curve and snapshots the page shows.
 
     Attributes:
@@ -96,13 +91,11 @@ class Viewer(Page):
         run: RunFiles | None = None,
     ) -> None:
         check_address(host, port)
-        self._find, self._run_folder = find_policy, run
-        self._given: dict[str, Policy] = {}
+        self._find = find_policy
         if isinstance(policy, str):
             name, policy = policy, find_policy(policy)
         name = name or (RANDOM if policy is None else "given")
-        if policy is not None:
-            self._given[name] = policy
+        self._given = {} if policy is None else {name: policy}
         self.session = Session(env, policy)
         # Those of a training stay the same whatever a person chooses.
         self._trained = self.session.rovers.robot, self.session.rovers.scanner.angles.cpu()
@@ -112,8 +105,7 @@ class Viewer(Page):
         self._training: TrainingPanel | None = None
         self._watching, self._due, self._last, self._read = False, 0.0, 0.0, 0.0
         self.stage = Stage(self.server)
-        self.cameras = Cameras(self.server)
-        self._make_page(name)
+        self._make_page(name, run)
         self._show_world()
         self.start()
 
@@ -141,25 +133,24 @@ class Viewer(Page):
         self.error = "" if playing else self.error
         super().play(playing)
 
-    def _make_page(self, policy: str) -> None:
-        gui = self.server.gui
+    def _make_page(self, policy: str, run: RunFiles | None) -> None:
+        gui, scene = self.server.gui, self.server.scene
         self._status = gui.add_markdown("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Drive"):
             self._make_drive_tab(policy)
         with tabs.add_tab("Show"):
-            self.cameras.add_choice()
-            self.stage.add_checkboxes()
+            self.stage.add_controls()
             Recorder(gui)
         with tabs.add_tab("Inside"):
-            self.panels = Panels(self.server, gui.add_folder(None))
+            self.panels = Panels(gui)
         with tabs.add_tab("Episodes"):
             self._episodes = gui.add_markdown("No episode has ended yet.")
-        if self._run_folder is not None:
+        if run is not None:
             with tabs.add_tab("Training"):
-                self._training = TrainingPanel(self.server, self._run_folder, self._drive_with)
-        self.server.scene.on_click()(self._on_click)
-        self.server.scene.on_click(modifier="shift")(self._on_click)
+                self._training = TrainingPanel(gui, run, self._drive_with)
+        scene.on_click()(self._on_click)
+        scene.on_click(modifier="shift")(self._on_click)
         self.stage.on_drag = self._on_drag
 
     def _make_drive_tab(self, policy: str) -> None:
@@ -194,7 +185,7 @@ class Viewer(Page):
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
         session, row = self.session, self.session.row
-        place = self.cameras.ground_at(session.rovers.worlds[row], event.ray_origin, event.ray_direction)
+        place = self.stage.cameras.ground_at(session.rovers.worlds[row], event.ray_origin, event.ray_direction)
         if place is None:
             return
         if event.modifier == "shift":
@@ -208,7 +199,7 @@ class Viewer(Page):
             return
         session = self.session
         row, eye = int(session.neighbors()[event.instance_index]), event.client.camera.position
-        place = self.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
+        place = self.stage.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
         if place is not None:
             self._drive(lambda: session.put(row, place), self._moved)
 
@@ -233,8 +224,7 @@ class Viewer(Page):
         self._moved()
 
     def _follow(self, row: int) -> None:
-        self.session.row = row
-        self.session.history = {}
+        self.session.row, self.session.history = row, {}
         self._moved()
 
     def _moved(self) -> None:
@@ -245,10 +235,8 @@ class Viewer(Page):
     def _show_world(self) -> None:
         """Shows the world of the followed rover and its shortest path."""
         rovers = self.session.rovers
-        world = rovers.worlds[self.session.row]
-        self.stage.enter(world, rovers.robot, rovers.scanner.angles.cpu())
-        self.cameras.enter(world)
-        self._before = self._now = Pose.of(self.session.rovers.rover_state)
+        self.stage.enter(rovers.worlds[self.session.row], rovers.robot, rovers.scanner.angles.cpu())
+        self._before = self._now = Pose.of(rovers.rover_state)
         self._show_route()
 
     def _show_route(self) -> None:
@@ -257,7 +245,6 @@ class Viewer(Page):
 
     @single_threaded()
     def _run(self) -> None:
-        """Updates the page. An error pauses the simulation."""
         frame = time.monotonic()
         while not self._closed.is_set():
             live = None
@@ -327,14 +314,17 @@ class Viewer(Page):
         self._show_moment(session.moment(), session.row, session.neighbors(), pose)
         if self.frames % PANELS_EVERY == 0:
             self._show_status()
-            self._show_panels()
+            self.panels.show(session)
+            if self.stage.shown[MAP]:
+                self.stage.show_map(session.seen_map(), session.tracked())
+            if session.episodes:
+                self._episodes.content = episode_table(session.episodes)
 
     def _show_live(self, live: LiveMoment) -> None:
         """Shows the rovers of a training."""
         row = min(self.session.row, len(live.worlds) - 1)
         world, moment, rows = live.of(row)
         self.stage.enter(world, *self._trained)
-        self.cameras.enter(world)
         if not self._watching:
             self._watching = True
             self.stage.forget_path()
@@ -347,8 +337,6 @@ class Viewer(Page):
         self.frames += 1
         with self.server.atomic():
             self.stage.show(moment, row, rows, pose)
-            yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
-            self.cameras.follow(pose.position[row].numpy(), yaw)
 
     def _show_status(self) -> None:
         session = self.session
@@ -363,18 +351,3 @@ class Viewer(Page):
         self._status.content = (
             f"{world} · {session.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · {driver}{recent}"
         )
-
-    def _show_panels(self) -> None:
-        session, row = self.session, self.session.row
-        lidar = session.observation.get("lidar", None)
-        readings: np.ndarray | None = None if lidar is None else lidar[row].cpu().numpy()
-        dt, max_range = session.rovers.control_dt, session.config.lidar.max_range
-        self.panels.show(session.history, dt, readings, max_range, session.inside(), session.action_spread())
-        images = {key: sensor for key, sensor in session.rovers.sensors.items() if sensor.image}
-        self.panels.show_images(
-            {key: sensor_picture(one, session.observation[key][row]) for key, one in images.items()}
-        )
-        if self.stage.shows(MAP):
-            self.stage.show_map(session.seen_map(), session.tracked())
-        if session.episodes:
-            self._episodes.content = episode_table(session.episodes)

@@ -50,7 +50,7 @@ def settle(viewer: Viewer) -> None:
 
 def training_in(runs: Path, **settings: Any) -> Iterator[None]:
     """Trains in the folder ``run``, and yields in each batch."""
-    given = {"world": "moon", "num_envs": 8, "backend": "warp", "seed": 0, "runs": str(runs), "name": "run"}
+    given = {"world": "maze", "num_envs": 8, "backend": "warp", "seed": 0, "runs": str(runs), "name": "run"}
     config = prepare(training_config("ppo", **given, rollout_length=2, hidden=(8,), minibatch=16, **settings))
     with quick_workers(), TrainingRun(config, PPOLearner(config)) as training:
         for batch in training.batches():

@@ -13,7 +13,7 @@ from PIL import Image
 
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.view import recorder
+from rover_rl.view import controls
 from rover_rl.view.live import LivePage
 from tests.view.conftest import settle, training_in, until
 
@@ -139,7 +139,7 @@ def test_what_the_page_shows_is_saved_as_a_picture_and_as_a_film(open_viewer, op
     # Not of one color.
     assert len(picture.convert("RGB").resize((32, 18)).getcolors(32 * 18)) > 20
     # Software draws small films soon.
-    monkeypatch.setattr(recorder, "SIZE", (96, 160))
+    monkeypatch.setattr(controls, "SIZE", (96, 160))
     page.get_by_role("button", name="Record a film").click()
     button = page.get_by_role("button", name="Stop and save the film")
     button.wait_for()
@@ -165,7 +165,7 @@ def test_the_rovers_of_a_training_are_on_the_page_until_a_person_drives(tmp_path
     try:
         viewer = open_viewer(None, run=RunFiles.find(tmp_path / "run"))
         page = open_page(viewer.address)
-        page.get_by_text("moon · training").wait_for()
+        page.get_by_text("maze · training").wait_for()
         seconds = viewer.session.seconds
         page.wait_for_timeout(300)
         assert viewer.session.seconds == seconds

@@ -23,8 +23,6 @@ from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import FOLDER
-from rover_rl.algos.video.diagrams import lidar_picture, reward_bars, sensor_picture, spread_bars
-from rover_rl.algos.video.live import LiveWatch
 from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main, training_page
@@ -32,10 +30,12 @@ from rover_rl.cli.training_page import TrainingPage, open_viewer
 from rover_rl.envs.sensors.color_camera import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.view import Viewer
+from rover_rl.view.controls import TURN
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
-from rover_rl.view.pilot import TURN
+from rover_rl.view.panels import lidar_picture, reward_bars, sensor_picture, spread_bars
 from rover_rl.view.replay import ReplayPage, write_replay
+from rover_rl.view.runs import watch_training
 from rover_rl.view.stage import CUT, without_high_walls
 from rover_rl.worlds import box, get_world
 from tests.view.conftest import settle, training_in, until
@@ -47,58 +47,60 @@ def paused(viewer: Viewer) -> Viewer:
     return viewer
 
 
-def test_the_rovers_drive_in_real_time_until_the_viewer_is_closed(open_viewer):
+def test_rovers_drive_until_the_viewer_is_closed_and_errors_pause_them(open_viewer):
     viewer = open_viewer(num_envs=3)
-    until(lambda: viewer.session.seconds > 1)
+    until(lambda: viewer.session.seconds > 0.2)
     assert viewer.address == f"http://localhost:{viewer.server.get_port()}"
+
+    def fail(observation: TensorDictBase) -> TensorDictBase:
+        raise ArithmeticError("no idea")
+
+    viewer.request(lambda: viewer.session.set_policy(fail))
+    until(lambda: viewer.error)
+    assert viewer.error == "ArithmeticError: no idea"
+    assert not viewer.playing
+    # An unknown policy or world is one sentence, and the old one stays.
+    viewer.request(lambda: viewer.set_policy("scripted"))
+    until(lambda: not viewer.error)
+    viewer.request(lambda: viewer.set_policy("pretrained:anywere"))
+    until(lambda: "perhaps 'anywhere'" in viewer.error)
+    viewer.request(lambda: viewer._change(world="mooon"))
+    until(lambda: "mooon" in viewer.error)
+    viewer.play(True)
+    seconds = viewer.session.seconds
+    until(lambda: viewer.session.seconds > seconds)
     viewer.close()
     seconds = viewer.session.seconds
     viewer.close()
     assert viewer.session.seconds == seconds
 
 
-def test_an_error_in_the_policy_pauses_the_page(open_viewer):
-    def fail(observation: TensorDictBase) -> TensorDictBase:
-        raise ArithmeticError("no idea")
-
-    viewer = open_viewer(fail)
-    until(lambda: viewer.error)
-    assert viewer.error == "ArithmeticError: no idea"
-    assert not viewer.playing
-    viewer.request(lambda: viewer.set_policy("scripted"))
-    until(lambda: not viewer.error)
-    viewer.play(True)
-    until(lambda: viewer.session.seconds > 0.5)
-
-
-def test_an_unknown_policy_or_world_is_one_sentence_and_the_old_one_stays(open_viewer):
-    viewer = open_viewer()
-    viewer.request(lambda: viewer.set_policy("pretrained:anywere"))
-    until(lambda: viewer.error)
-    assert "perhaps 'anywhere'" in viewer.error
-    viewer.request(lambda: viewer._change(world="mooon"))
-    until(lambda: "mooon" in viewer.error)
-    viewer.play(True)
-    seconds = viewer.session.seconds
-    until(lambda: viewer.session.seconds > seconds)
-
-
-def test_a_policy_brings_the_environment_that_it_was_made_for(open_viewer):
-    viewer = open_viewer("scripted", num_envs=2)
-    viewer.request(lambda: viewer.set_policy("pretrained:anywhere"))
-    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
+def test_policies_worlds_and_robots_are_chosen(open_viewer):
+    viewer = paused(open_viewer("gridplanner", num_envs=2))
+    session, stage = viewer.session, viewer.stage
+    viewer.request(lambda: viewer._change(world="rooms"))
+    settle(viewer)
+    assert stage.world.name == "rooms"
+    viewer.request(lambda: viewer.set_robot("jackal"), viewer._step_once)
+    settle(viewer)
     assert not viewer.error
-    assert viewer.session.rovers.num_envs == 2
+    assert session.rovers.robot.name == "jackal"
+    # The planner's map of what it has seen, around the rover, and its route.
+    cells, route = session.seen_map()
+    rover = session.rovers.rover_state.position[0, :2]
+    assert len(cells) > 20
+    assert (cells[:, :2] - rover).norm(dim=-1).max() < 20
+    assert route[0].equal(rover)
+    stage.show_map((cells, route), torch.zeros(0, 5))
+    # A policy brings the environment that it was made for, and is for one robot.
+    viewer.request(lambda: viewer.set_policy("pretrained:anywhere"))
+    settle(viewer)
+    assert (session.rovers.config.lidar.points, session.rovers.num_envs) == (128, 2)
+    viewer.request(lambda: viewer.set_robot("husky"))
+    until(lambda: "the policy was made for the robot" in viewer.error)
 
 
-def test_another_world_is_shown_and_driven_in(open_viewer):
-    viewer = open_viewer()
-    viewer.request(lambda: viewer._change(world="maze"))
-    until(lambda: viewer.stage.world is not None and viewer.stage.world.name == "maze")
-    until(lambda: viewer.session.seconds > 0.2)
-
-
-def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(open_viewer):
+def test_goals_are_set_and_rovers_put_and_dragged(open_viewer):
     viewer = paused(open_viewer(num_envs=2))
     session = viewer.session
     other = session.rovers.goal[1].clone()
@@ -113,43 +115,19 @@ def test_a_goal_that_is_set_is_driven_to_and_a_rover_that_is_put_keeps_its_goal(
     settle(viewer)
     assert session.rovers.rover_state.position[0, 0] == -1.0
     assert session.rovers.goal[0].tolist() == [1.0, 2.0]
-
-
-def test_a_rover_that_is_dragged_is_put_where_it_is_dropped(open_viewer):
-    viewer = paused(open_viewer(num_envs=2))
-    before = viewer.session.rovers.rover_state.position.clone()
+    before = session.rovers.rover_state.position.clone()
     viewer._on_drag(SimpleNamespace(phase="start", instance_index=1))
     # The last step may still be shown after the first wait. Then the follow camera rests.
     settle(viewer)
-    assert viewer.session.rovers.rover_state.position.equal(before)
+    assert session.rovers.rover_state.position.equal(before)
     # The camera is above the point, and the world is where the follow camera has moved it.
-    above = viewer.cameras._offset + np.array((1.0, -2.0, 20.0))
+    above = viewer.stage.cameras._offset + np.array((1.0, -2.0, 20.0))
     client = SimpleNamespace(camera=SimpleNamespace(position=above))
     event = {"instance_index": 1, "client": client, "end_position": above - np.array((0.0, 0.0, 1.0))}
     viewer._on_drag(SimpleNamespace(phase="end", **event))
     settle(viewer)
-    assert viewer.session.rovers.rover_state.position[1, :2].tolist() == pytest.approx([1.0, -2.0])
-    assert viewer.session.rovers.rover_state.position[0].equal(before[0])
-
-
-def test_a_robot_is_chosen_for_a_baseline_and_refused_for_a_policy_of_another(open_viewer):
-    viewer = paused(open_viewer("gridplanner"))
-    viewer.request(lambda: viewer.set_robot("jackal"))
-    until(lambda: viewer.session.rovers.robot.name == "jackal" or viewer.error)
-    assert not viewer.error
-    viewer.request(viewer._step_once)
-    settle(viewer)
-    assert not viewer.error
-    # The planner's map of what it has seen, around the rover, and its route.
-    cells, route = viewer.session.seen_map()
-    rover = viewer.session.rovers.rover_state.position[0, :2]
-    assert len(cells) > 20
-    assert (cells[:, :2] - rover).norm(dim=-1).max() < 20
-    assert route[0].equal(rover)
-    viewer.stage.show_map((cells, route), torch.zeros(0, 5))
-    viewer.request(lambda: viewer.set_policy("pretrained:anywhere"), lambda: viewer.set_robot("husky"))
-    until(lambda: viewer.error)
-    assert "the policy was made for the robot" in viewer.error
+    assert session.rovers.rover_state.position[1, :2].tolist() == pytest.approx([1.0, -2.0])
+    assert session.rovers.rover_state.position[0].equal(before[0])
 
 
 def test_the_movers_that_a_policy_tracks_are_where_they_are(open_viewer):
@@ -164,7 +142,7 @@ def test_the_movers_that_a_policy_tracks_are_where_they_are(open_viewer):
     viewer.stage.show_map(viewer.session.seen_map(), tracked)
 
 
-def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):
+def test_a_person_drives_one_rover_and_nobody_after_a_stop(open_viewer):
     viewer = paused(open_viewer(num_envs=2))
     action = torch.ones(2, 2)
     assert viewer.pilot.steered(action, 1, 1.0).equal(action)
@@ -174,14 +152,17 @@ def test_a_person_drives_one_rover_and_the_policy_the_others(open_viewer):
     assert viewer.pilot.steered(action, 1, 0.5)[1].tolist() == pytest.approx([0.5, -TURN])
     viewer.pilot.give_back()
     assert viewer.pilot.steered(action, 1, 1.0).equal(action)
+    with LivePage(port=0) as page:
+        runner = page.runner(viewer.session._policy, viewer.session.rovers)
+        assert runner(viewer.session.observation).shape == (2, 2)
+        page.stopped = True
+        with pytest.raises(InterruptedError, match="the rover stands"):
+            runner(viewer.session.observation)
 
 
-def test_an_environment_without_a_batch_is_rejected():
+def test_an_environment_without_a_batch_and_a_taken_port_are_one_sentence(capsys, tmp_path):
     with pytest.raises(ValueError, match="num_envs=1, not None"):
         Viewer(RoverEnv(world="maze", num_envs=None, backend="warp"), port=0)
-
-
-def test_a_taken_port_is_one_sentence(capsys, tmp_path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -205,7 +186,7 @@ def test_poses_between_two_steps():
     assert middle.orientation[1].tolist() == [0, 0, 1, 0]
 
 
-def test_pictures_of_lidar_and_rewards():
+def test_pictures_of_readings_rewards_and_actions():
     picture = lidar_picture(np.array([0.2, 30.0, 1.0]), 12.0)
     assert picture.count("<path") == 4
     assert "3 readings up to 12 m" in picture
@@ -217,67 +198,19 @@ def test_pictures_of_lidar_and_rewards():
     bar = spread_bars(torch.tensor([[-1.0, -0.5, 0.0, 0.5, 1.0], [0.0, 0.5, 1.0, 1.5, 2.0]]))
     assert bar.count('x="49.5"') == 2
     assert bar.count('width="50.0"') == 2
-
-
-def test_a_page_shows_what_a_camera_sees():
-    with closing(
-        Viewer(make_env(world="moon", num_envs=1, seed=0, backend="warp", sensors=["heights"]), port=0)
-    ) as viewer:
-        until(lambda: "heights" in viewer.panels._images or viewer.error)
-        assert viewer.panels._images["heights"].image.shape == (192, 192, 3)
-        viewer.request(lambda: viewer.panels.show_images({}))
-        settle(viewer)
-    scan = HeightScan(size=(2, 2))
-    picture = sensor_picture(scan, torch.tensor([-1.0, 1.0, 0.0, 0.0]))
-    assert picture[0, 0].tolist() == [68, 1, 84]
-    assert picture[0, -1].tolist() == [253, 231, 36]
+    picture = sensor_picture(HeightScan(size=(2, 2)), torch.tensor([-1.0, 1.0, 0.0, 0.0]))
+    assert picture[0, [0, -1]].tolist() == [[68, 1, 84], [253, 231, 36]]
     assert (picture[96:] == picture[96, 0]).all()
     red_and_green = torch.tensor([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
     colors = sensor_picture(ColorCamera(size=(1, 2)), red_and_green)
     assert colors[0, [0, -1]].tolist() == [[255, 0, 0], [0, 255, 0]]
 
 
-@pytest.fixture
-def run(tmp_path) -> RunFiles:
-    """A run that was killed while it wrote its table."""
-    folder = tmp_path / "ppo-moon"
-    folder.mkdir()
-    write_config(folder / "config.yaml", default_config("ppo", "warp"))
-    header = "steps,minutes,attempts,attempts_reached,goals_per_2000_steps\n"
-    (folder / "progress.csv").write_text(header + "1000,0.1,4,1,2.0\n2000,0.2,4,3,6.0\n3000,0.3,")
-    found = RunFiles.find(folder)
-    assert found is not None
-    return found
-
-
-def test_a_killed_run_shows_what_it_has_written(run):
-    steps, curves = run.curves()
-    assert steps.tolist() == [1000, 2000]
-    assert curves["success rate"].tolist() == [0.25, 0.75]
-    assert curves["goals in 2000 steps"].tolist() == [2, 6]
-    assert run.critic() is None
-    assert run.policies() == []
-    assert RunFiles.find(run.folder / "nothing") is None
-
-
-def test_a_run_without_rows_has_no_curve(run):
-    (run.folder / "progress.csv").unlink()
-    steps, curves = run.curves()
-    assert not len(steps)
-    assert not curves
-
-
-def test_the_newest_policy_of_a_run_drives(run, open_viewer):
-    viewer = open_viewer(None, run=run)
-    (run.folder / "snapshots").mkdir()
-    shutil.copy(FOLDER / "anywhere.pt", run.folder / "snapshots" / "000001000.pt")
-    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
-    assert not viewer.error
-    Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
-    until(lambda: viewer.error)
-    # It stays.
-    time.sleep(0.2)
-    assert "checkpoint" in viewer.error
+def test_a_page_shows_what_a_camera_sees():
+    env = make_env(world="maze", num_envs=1, seed=0, backend="warp", sensors=["heights"])
+    with closing(Viewer(env, port=0)) as viewer:
+        until(lambda: "heights" in viewer.panels.images or viewer.error)
+        assert viewer.panels.images["heights"].image.shape == (192, 192, 3)
 
 
 def test_the_distribution_of_the_action_is_within_its_bounds(open_viewer):
@@ -295,38 +228,69 @@ def test_the_distribution_of_the_action_is_within_its_bounds(open_viewer):
     assert session.action_spread() is None
 
 
+# --- runs
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFiles:
+    """A run that was killed while it wrote its table."""
+    folder = tmp_path / "ppo-moon"
+    folder.mkdir()
+    write_config(folder / "config.yaml", default_config("ppo", "warp"))
+    header = "steps,minutes,attempts,attempts_reached,goals_per_2000_steps\n"
+    (folder / "progress.csv").write_text(header + "1000,0.1,4,1,2.0\n2000,0.2,4,3,6.0\n3000,0.3,")
+    found = RunFiles.find(folder)
+    assert found is not None
+    return found
+
+
+def test_a_killed_run_shows_what_it_has_written_and_its_newest_policy_drives(run, open_viewer):
+    steps, curves = run.curves()
+    assert steps.tolist() == [1000, 2000]
+    assert curves["success rate"].tolist() == [0.25, 0.75]
+    assert curves["goals in 2000 steps"].tolist() == [2, 6]
+    assert (run.critic(), run.policies()) == (None, [])
+    assert RunFiles.find(run.folder / "nothing") is None
+    (run.folder / "progress.csv").unlink()
+    steps, curves = run.curves()
+    assert (len(steps), curves) == (0, {})
+    viewer = open_viewer(None, run=run)
+    (run.folder / "snapshots").mkdir()
+    shutil.copy(FOLDER / "anywhere.pt", run.folder / "snapshots" / "000001000.pt")
+    until(lambda: viewer.session.rovers.config.lidar.points == 128 or viewer.error)
+    assert not viewer.error
+    Path(run.folder / "checkpoint.pt").write_bytes(b"damaged")
+    until(lambda: viewer.error)
+    # It stays.
+    time.sleep(0.2)
+    assert "checkpoint" in viewer.error
+
+
 def test_the_page_of_a_training_rests_until_somebody_looks(run):
-    viewer = open_viewer(run.folder, "127.0.0.1", 0)
-    try:
+    with closing(open_viewer(run.folder, "127.0.0.1", 0)) as viewer:
         assert viewer.session.rovers.num_envs == 4
         assert viewer.session.rovers.config.world == run.env.world
         time.sleep(0.3)
-        assert not viewer.frames
-        assert not viewer.session.seconds
-    finally:
-        viewer.close()
+        assert (viewer.frames, viewer.session.seconds) == (0, 0)
 
 
 @pytest.mark.parametrize("collection", [{"workers": 1}, {"workers": 2, "collector": "processes"}])
 def test_rovers_of_a_training_are_written_while_somebody_watches(tmp_path, collection):
-    batches = training_in(tmp_path, **collection)
+    batches, folder = training_in(tmp_path, **collection), tmp_path / "run"
     next(batches)
-    folder = tmp_path / "run"
     assert not (folder / "live" / "rovers.pt").exists()
-    watch = LiveWatch(folder)
-    assert watch.read() is None
-    until(lambda: next(batches, True) or watch.read() is not None)
-    live = watch.read()
+    assert watch_training(folder) is None
+    until(lambda: next(batches, True) or watch_training(folder) is not None)
+    live = watch_training(folder)
     world, moment, rows = live.of(1)
-    assert world is get_world("moon")
+    assert world is get_world("maze")
     assert rows.tolist() == [0, 1, 2, 3]
-    assert moment.goal.shape == (4, 2)
-    assert moment.rover[rows].position.shape == (4, 3)
-    assert moment.scan.shape[0] == 4
-    until(lambda: next(batches, True) or not watch.read().moment.rover.position.equal(moment.rover.position))
+    assert (moment.goal.shape, moment.rover[rows].position.shape, len(moment.scan)) == ((4, 2), (4, 3), 4)
+    position = moment.rover.position
+    until(lambda: next(batches, True) or not watch_training(folder).moment.rover.position.equal(position))
     batches.close()
     assert not (folder / "live").exists()
-    assert watch.read() is None
+    assert watch_training(folder) is None
 
 
 def test_a_training_goes_on_without_its_page(run, monkeypatch):
@@ -343,6 +307,9 @@ def test_a_training_goes_on_without_its_page(run, monkeypatch):
     assert page._process.returncode == 1
 
 
+# --- replays
+
+
 def _missing() -> Recording:
     raise FileNotFoundError("no such world")
 
@@ -353,8 +320,8 @@ def test_drives_are_replayed_in_a_file_and_on_a_page(tmp_path):
     page = (tmp_path / "drives.html").read_text()
     captions = json.loads(page.partition("const captions = ")[2].partition("];")[0] + "]")
     assert [caption.split(" ")[0] for caption in captions] == ["first"] * 6 + ["second"] * 3
-    replay = ReplayPage({"one": lambda: drive, "two": lambda: replace(drive, dt=0.1), "none": _missing}, port=0)
-    try:
+    drives = {"one": lambda: drive, "two": lambda: replace(drive, dt=0.1), "none": _missing}
+    with closing(ReplayPage(drives, port=0)) as replay:
         replay._seek(0.2)
         assert not replay.playing
         assert replay.projector.stage._path
@@ -365,18 +332,6 @@ def test_drives_are_replayed_in_a_file_and_on_a_page(tmp_path):
         assert replay._status.content == "**none**: no such world"
         replay.play(True)
         until(lambda: replay.seconds > 0.2)
-    finally:
-        replay.close()
-
-
-def test_after_a_stop_no_action_reaches_a_live_rover(open_viewer):
-    session = paused(open_viewer()).session
-    with LivePage(port=0) as page:
-        runner = page.runner(session._policy, session.rovers)
-        assert runner(session.observation).shape == (1, 2)
-        page.stopped = True
-        with pytest.raises(InterruptedError, match="the rover stands"):
-            runner(session.observation)
 
 
 def test_high_walls_are_cut_and_what_hangs_above_is_left_out_at_any_angle():
@@ -389,5 +344,3 @@ def test_high_walls_are_cut_and_what_hangs_above_is_left_out_at_any_angle():
     assert [one.vertices[:, 2].max().item() for one in shown] == pytest.approx([CUT, 0.8, 2.0, 4.0])
     assert shown[0].vertices[:, :2].unique(dim=0).shape == wall.vertices[:, :2].unique(dim=0).shape
     assert len(world.obstacles) == 6
-    rocks = get_world("moon")
-    assert all(map(torch.equal, *([o.vertices for o in w.obstacles] for w in (rocks, without_high_walls(rocks)))))

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_npy, read_npz
-from rover_rl.algos.evaluation.metrics import Estimate, ratio
+from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Suite, open_world, read_arrays
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs.config import EnvConfig
 from rover_rl.tiny_xml import numbers, read_xml
@@ -31,8 +31,7 @@ SPEED = 2.0  # speed that the optimal time is computed with, m/s
 FASTEST, SLOWEST = 2.0, 8.0  # range that the time is clipped to, in optimal times
 RADIUS, HEIGHT = 0.075, 1.0  # radius and height of all cylinders, m
 CELL = 2 * RADIUS  # side length of a cell of the reference paths, m
-CELL_ORIGIN = (-RADIUS - 30 * CELL, 5.0 + RADIUS)
-"""Center of cell (0, 0) of the reference paths, m (``path_coord_to_gazebo_coord`` in the benchmark's ``run.py``)."""
+CELL_ORIGIN = (-RADIUS - 30 * CELL, 5.0 + RADIUS)  # center of cell (0, 0), m: path_coord_to_gazebo_coord in run.py
 
 
 def read_barn(data: Path, worlds: Sequence[int] | None = None) -> list[Course]:
@@ -40,31 +39,25 @@ def read_barn(data: Path, worlds: Sequence[int] | None = None) -> list[Course]:
 
     ``data`` is the folder of the public repository, or its folder with the worlds, or an ``.npz`` file with the arrays
     ``world [W]`` (numbers), ``cylinder_xy [C, 2]`` (m), ``offsets [W + 1]`` (first cylinder of each world) and
-    ``path_length [W]`` (m).
-
-    Raises:
-        FileNotFoundError: if the data, or the path of a world, do not exist.
-        ImportError: if a package of the extra ``worlds`` is missing, which a folder needs.
-        ValueError: if a world is missing or damaged. The message is one sentence.
+    ``path_length [W]`` (m). Raises ``ValueError`` if a world is missing or damaged.
     """
     return _read_file(data, worlds) if data.is_file() else _read_folder(data, worlds)
 
 
 def _read_file(path: Path, worlds: Sequence[int] | None) -> list[Course]:
     shapes = {"world": (None,), "cylinder_xy": (None, 2), "offsets": (None,), "path_length": (None,)}
-    arrays = read_npz(path, shapes)
-    numbers_, ends = arrays["world"].tolist(), arrays["offsets"]
+    arrays = read_arrays(path, shapes)
+    found, ends, lengths = arrays["world"].tolist(), arrays["offsets"], arrays["path_length"].tolist()
     ordered = ends.dtype.kind in "iu" and (np.diff(ends.astype(np.int64)) >= 0).all()
-    matching = len(ends) == len(numbers_) + 1 == len(arrays["path_length"]) + 1
+    matching = len(ends) == len(found) + 1 == len(lengths) + 1
     if not (ordered and matching and ends[0] == 0 and ends[-1] == len(arrays["cylinder_xy"])):
         raise ValueError(f"the arrays of {path} do not match: offsets must be the first cylinder of each world")
-    rows = {number: row for row, number in enumerate(numbers_)}
-    courses = []
-    for number in _chosen(path, list(rows), worlds):
-        row = rows[number]
-        centers, length = arrays["cylinder_xy"][ends[row] : ends[row + 1]], float(arrays["path_length"][row])
-        courses.append(_course(f"world {number} in {path}", number, centers, length))
-    return courses
+    rows = {number: row for row, number in enumerate(found)}
+    centers = np.split(arrays["cylinder_xy"], ends[1:-1])
+    return [
+        _course(f"world {number} in {path}", number, centers[rows[number]], lengths[rows[number]])
+        for number in _chosen(path, found, worlds)
+    ]
 
 
 def _read_folder(folder: Path, worlds: Sequence[int] | None) -> list[Course]:
@@ -96,7 +89,7 @@ def _read_world(folder: Path, number: int) -> Course:
                 raise ValueError(f"{path} is no BARN world: a cylinder has the radius {radius:g} m, not {RADIUS:g} m")
         if shapes:
             centers.append(numbers(model.find("pose"), 6, None, f"the pose of a model in {path}")[:2])
-    cells = read_npy(folder / "path_files" / f"path_{number}.npy", (None, 2))
+    cells = read_arrays(folder / "path_files" / f"path_{number}.npy", {"": (None, 2)})[""]
     if not np.isfinite(cells).all():
         raise ValueError(f"the reference path of {path} must have finite cells")
     points = np.vstack((START[:2], cells * CELL + CELL_ORIGIN, GOAL))
@@ -116,41 +109,32 @@ def _course(what: str, number: int, centers: np.ndarray, length: float) -> Cours
     return Course(number, world, START, GOAL, length)
 
 
+@dataclass(kw_only=True)
 class Barn(Suite):
-    """BARN: success, and a score of up to 0.5 for the time to the goal.
+    """BARN: success, and a score of up to 0.5 for the time to the goal, in courses from :func:`read_barn`.
 
     The score of a run is 0 for a failure, else ``OT / clip(AT, 2 OT, 8 OT)``, with the time ``AT`` and the optimal time
-    ``OT``: the length of the reference path divided by 2 m/s.
-
-    Args:
-        courses: worlds, from :func:`read_barn`.
-        runs: number of runs in each world. The benchmark has 10, which differ by noise. Here, all but the first start
-            near the given start.
-        seed: seed of these starts.
+    ``OT``: the length of the reference path divided by 2 m/s. The benchmark has 10 runs, which differ by noise. Here,
+    all but the first start near the given start.
     """
 
     name = "BARN"
     score_name = "score"
     columns: ClassVar = {**COLUMNS, "score": ("score", "")}
+    worlds = "BARN worlds in this simulator, no score of the public leaderboard."
+    robot = " (BARN: Jackal, chassis 0.42 x 0.31 m, 2 m/s)"
+    lidar = "720 beams in 270 degrees, up to 30 m"
 
-    def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
-        super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
+    goal_radius: float = GOAL_RADIUS
+    seconds: float = SECONDS
 
     def score(self, course: Course, run: Trajectory) -> float:
         optimal = course.length / SPEED
         clipped = min(max(run.seconds, FASTEST * optimal), SLOWEST * optimal)
         return (run.ending == "goal") * optimal / clipped
 
-    def metrics(self, result: Result) -> dict[str, Estimate]:
-        return {**result.common_metrics(), "score": ratio(result.scores.mean(1).tolist())}
-
     def differences(self, env: EnvConfig) -> list[str]:
-        robot, lidar = " (BARN: Jackal, chassis 0.42 x 0.31 m, 2 m/s)", " (BARN: 720 beams in 270 degrees, up to 30 m)"
-        differences = [
-            "BARN worlds in this simulator, no score of the public leaderboard.",
-            *self.common_differences(env, robot, lidar),
-            "Time: from the start of the run (BARN: from the first 0.1 m).",
-        ]
-        if {course.number for course in self.courses} != {*TEST_WORLDS}:
-            differences.append(f"Worlds: {len(self.courses)}, not the 50 test worlds of the benchmark's score.")
-        return differences
+        time = "Time: from the start of the run (BARN: from the first 0.1 m)."
+        which = f"Worlds: {len(self.courses)}, not the 50 test worlds of the benchmark's score."
+        others = {course.number for course in self.courses} != {*TEST_WORLDS}
+        return [*super().differences(env), time, *([which] if others else [])]

@@ -8,13 +8,13 @@ Rutherford et al., "No Regrets: Investigating and Improving Regret Approximation
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_npz
+from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_arrays
 from rover_rl.algos.evaluation.metrics import Estimate, ratio
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs.config import EnvConfig
@@ -33,15 +33,12 @@ def read_jaxnav(path: Path) -> tuple[list[Course], int]:
 
     The ``.npz`` file has the arrays ``map_data [L, rows, columns]`` (1 is a wall), ``start_xy [L, 2]`` and
     ``goal_xy [L, 2]`` (cells of 1 m from the corner, so meters), ``start_theta [L]`` (rad) and ``geodesic8 [L]``
-    (length of the shortest path over the cells and their eight neighbors, ``inf`` if there is none).
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is damaged, or a level is wrong. The message is one sentence.
+    (length of the shortest path over the cells and their eight neighbors, ``inf`` if there is none). Raises
+    ``ValueError`` if the file is damaged, or a level is wrong.
     """
     pairs, single = (None, 2), (None,)
     shapes = {"map_data": (None, None, None), "start_xy": pairs, "start_theta": single, "goal_xy": pairs}
-    arrays = read_npz(path, {**shapes, "geodesic8": single})
+    arrays = read_arrays(path, {**shapes, "geodesic8": single})
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) > 1:
         raise ValueError(f"the arrays of {path} must have an entry for each level, got {counts}")
@@ -52,8 +49,12 @@ def read_jaxnav(path: Path) -> tuple[list[Course], int]:
 
 
 def _course(path: Path, level: int, arrays: dict[str, np.ndarray]) -> Course:
-    what = f"level {level} of {path}"
-    walls = _walls(what, arrays["map_data"][level])
+    what, cells = f"level {level} of {path}", arrays["map_data"][level]
+    if not (np.isin(cells, (0, 1)).all() and min(cells.shape) >= 3 and max(cells.shape) <= MAX_CELLS):
+        raise ValueError(f"the map of {what} must be 0 or 1 in 3 x 3 to {MAX_CELLS} x {MAX_CELLS} cells")
+    walls = cells == 1
+    if not (walls[[0, -1]].all() and walls[:, [0, -1]].all()):
+        raise ValueError(f"the map of {what} must have walls all around")
     start, goal = (arrays[key][level].astype(float) for key in ("start_xy", "goal_xy"))
     yaw, length = (float(arrays[key][level]) for key in ("start_theta", "geodesic8"))
     size = np.array(walls.shape[::-1])
@@ -72,81 +73,48 @@ def _course(path: Path, level: int, arrays: dict[str, np.ndarray]) -> Course:
     return Course(level, world, (*start.tolist(), yaw), (*goal.tolist(),), max(length, math.dist(start, goal)))
 
 
-def _walls(what: str, cells: np.ndarray) -> np.ndarray:
-    """Returns which cells of a level are walls: bool ``[rows, columns]``."""
-    if not (np.isin(cells, (0, 1)).all() and min(cells.shape) >= 3 and max(cells.shape) <= MAX_CELLS):
-        raise ValueError(f"the map of {what} must be 0 or 1 in 3 x 3 to {MAX_CELLS} x {MAX_CELLS} cells")
-    walls = cells == 1
-    if not (walls[[0, -1]].all() and walls[:, [0, -1]].all()):
-        raise ValueError(f"the map of {what} must have walls all around")
-    return walls
-
-
+@dataclass(kw_only=True)
 class JaxNav(Suite):
-    """JaxNav: success, SPL, and the success in the worst 10 % of the levels.
+    """JaxNav: success, SPL, and the success in the worst 10 % of the levels, which come from :func:`read_jaxnav`.
 
     The worst levels are chosen by the even runs (from 0), by success and then by SPL, and their success is that of the
     odd runs: a choice by the same runs would be biased by chance. So it takes two runs or more.
-
-    Args:
-        courses: levels, from :func:`read_jaxnav`.
-        unsolvable: number of levels that are left out because they have no path.
-        runs: number of runs of each level. All but the first start near the given start.
-        seed: seed of these starts.
-        goal_radius: distance from the goal at which it is reached, m.
-        seconds: time limit of a run, s.
     """
 
     name = "JaxNav"
     score_name = "spl"
     places = "levels"
     columns: ClassVar = {**COLUMNS, "spl": ("SPL", ""), "worst_levels": ("worst 10 %", "%")}
+    worlds = "JaxNav levels in this simulator."
+    robot = ", with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding)"
+    lidar = "200 beams in 360 degrees, up to 6 m"
 
-    def __init__(
-        self,
-        courses: Sequence[Course],
-        unsolvable: int = 0,
-        *,
-        runs: int = 1,
-        seed: int = 0,
-        goal_radius: float = GOAL_RADIUS,
-        seconds: float = SECONDS,
-    ) -> None:
-        super().__init__(courses, runs=runs, seed=seed, goal_radius=goal_radius, seconds=seconds)
-        self.unsolvable = unsolvable
+    unsolvable: int = 0
+    """Number of levels that are left out because they have no path."""
+    goal_radius: float = GOAL_RADIUS
+    seconds: float = SECONDS
 
     def score(self, course: Course, run: Trajectory) -> float:
         shortest = max(course.length - self.goal_radius, 0.0)
         return (run.ending == "goal") * shortest / max(run.length, shortest, 1e-9)
 
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        spl = ratio(result.scores.mean(1).tolist())
-        return {**result.common_metrics(), "spl": spl, "worst_levels": self._worst_levels(result)}
-
-    def _worst_levels(self, result: Result) -> Estimate:
-        if self.runs < 2:
-            return Estimate(math.nan, math.nan, math.nan)
-        success, scores = result.succeeded, result.scores
-        choice = list(zip(success[:, ::2].mean(1).tolist(), scores[:, ::2].mean(1).tolist(), strict=True))
-        worst = sorted(range(len(choice)), key=lambda level: choice[level])[: math.ceil(WORST * len(choice))]
-        return ratio(success[worst][:, 1::2].mean(1).tolist())
+        worst = Estimate(math.nan, math.nan, math.nan)
+        if self.runs > 1:
+            success, scores = result.succeeded, result.scores
+            choice = list(zip(success[:, ::2].mean(1).tolist(), scores[:, ::2].mean(1).tolist(), strict=True))
+            levels = sorted(range(len(choice)), key=lambda level: choice[level])[: math.ceil(WORST * len(choice))]
+            worst = ratio(success[levels][:, 1::2].mean(1).tolist())
+        return {**super().metrics(result), "worst_levels": worst}
 
     def differences(self, env: EnvConfig) -> list[str]:
-        robot = ", with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding)"
-        differences = [
-            "JaxNav levels in this simulator.",
-            *self.common_differences(env, robot, " (JaxNav: 200 beams in 360 degrees, up to 6 m)"),
-            "SPL: relative to the shortest path over the cells and their eight neighbors, less the goal radius.",
-        ]
-        if (self.goal_radius, self.seconds) != (GOAL_RADIUS, SECONDS):
-            differences.append(
-                f"Limits: goal radius {self.goal_radius:g} m and {self.seconds:g} s (JaxNav: {GOAL_RADIUS:g} m and "
-                f"{SECONDS:g} s)."
-            )
+        spl = "SPL: relative to the shortest path over the cells and their eight neighbors, less the goal radius."
+        mine, theirs = f"{self.goal_radius:g} m and {self.seconds:g} s", f"{GOAL_RADIUS:g} m and {SECONDS:g} s"
+        differences = [*super().differences(env), spl]
+        if mine != theirs:
+            differences.append(f"Limits: goal radius {mine} (JaxNav: {theirs}).")
         if self.runs < 2:
-            differences.append(
-                "The worst 10 % of the levels need two runs or more: one half to choose them, one to score."
-            )
+            differences.append("The worst 10 % of the levels need two runs or more: half choose them, half score them.")
         if self.unsolvable:
             differences.append(f"Left out: {self.unsolvable} levels without a path from the start to the goal.")
         return differences

@@ -11,10 +11,10 @@ import math
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -24,12 +24,11 @@ from torch import Tensor
 
 from rover_rl.algos.driving import CONTACT, TIME_LIMIT
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.evaluate import Policy
+from rover_rl.algos.evaluation.evaluate import Policy, Request, evaluate_all
 from rover_rl.algos.evaluation.metrics import Estimate, proportion, ratio
-from rover_rl.algos.evaluation.parallel import Request, evaluate_all
 from rover_rl.algos.evaluation.plots import TRACE, draw_panels
+from rover_rl.algos.evaluation.report import Column, cell, print_tables, write_rows
 from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, plain_estimates
-from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs.config import EnvConfig
@@ -47,8 +46,7 @@ COLUMNS = {
     "mean_time": ("mean time", "s"),
 }
 """Headings and units of the metrics that all suites share."""
-JITTER = (0.05, 0.05, 0.1)
-"""Largest change of x (m), y (m) and yaw (rad) of a start, in all runs of a course but the first."""
+JITTER = (0.05, 0.05, 0.1)  # largest change of x (m), y (m), yaw (rad) of a start in all runs but the first
 MAX_RUNS = 1000  # largest number of runs of a course
 WORST_RUNS = 6  # number of runs in a picture
 _TRIES = 32  # number of changed starts of which the first without a contact is taken
@@ -56,8 +54,7 @@ _MARGIN = 5  # width of the open ground around a course, m
 _BOUND = 1e4  # distance of the bounds of a course, which no run reaches, m
 
 
-@dataclass(frozen=True)
-class Course:
+class Course(NamedTuple):
     """A world with a start (x, y in m, yaw in rad), a goal (x, y in m), and the length of the reference path, m.
 
     ``number`` is that of the world in its benchmark.
@@ -71,7 +68,7 @@ class Course:
 
 
 def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
-    """Creates a world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
+    """A world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
 
     The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
     """
@@ -84,50 +81,68 @@ def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, mover
     return World(name, terrain, obstacles, spawn_range=beside, goal_range=beside, bounds=bounds, movers=movers)
 
 
+@dataclass(kw_only=True)
 class Suite(ABC):
-    """Courses of a benchmark, and how runs of them are scored.
-
-    Args:
-        runs: number of runs of each course. All but the first start near the given start.
-        seed: seed of these starts.
-        goal_radius: distance from the goal at which it is reached, m.
-        seconds: time limit of a run, s.
+    """Courses of a benchmark, and how runs of them are scored. Raises ``ValueError`` for a number out of range.
 
     Attributes:
         name: name of the benchmark.
         score_name: key of a run's score.
         columns: headings and units of the metrics in a table, by key.
         places: what a table calls the worlds.
-
-    Raises:
-        ValueError: if there are no courses, or a number is out of range.
+        worlds, robot, lidar: how worlds, robot and lidar differ from the original benchmark.
     """
 
     name: ClassVar[str]
     score_name: ClassVar[str]
     columns: ClassVar[Mapping[str, tuple[str, str]]]
     places: ClassVar[str] = "worlds"
+    worlds: ClassVar[str]
+    robot: ClassVar[str]
+    lidar: ClassVar[str]
 
-    def __init__(self, courses: Sequence[Course], *, runs: int, seed: int, goal_radius: float, seconds: float) -> None:
-        check_at_least(1, MAX_RUNS, runs=runs)
-        check_at_least(0.05, 100.0, goal_radius=goal_radius)
-        check_at_least(0.05, MAX_SECONDS, seconds=seconds)
-        if not courses:
+    courses: Sequence[Course] = field(kw_only=False)
+    runs: int = 1
+    """Number of runs of each course. All but the first start near the given start."""
+    seed: int = 0
+    """Seed of these starts."""
+    goal_radius: float
+    """Distance from the goal at which it is reached, m."""
+    seconds: float
+    """Time limit of a run, s."""
+
+    def __post_init__(self) -> None:
+        check_at_least(1, MAX_RUNS, runs=self.runs)
+        check_at_least(0.05, 100.0, goal_radius=self.goal_radius)
+        check_at_least(0.05, MAX_SECONDS, seconds=self.seconds)
+        check_seed(self.seed)
+        if not self.courses:
             raise ValueError(f"{self.name} needs at least one world")
-        self.courses, self.runs, self.seed = tuple(courses), runs, check_seed(seed)
-        self.goal_radius, self.seconds = goal_radius, seconds
 
     @abstractmethod
     def score(self, course: Course, run: Trajectory) -> float:
         """Returns the score of a run."""
 
-    @abstractmethod
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        """Returns the metrics that a table shows, by the keys of its columns."""
+        """Metrics that a table shows, by the keys of its columns."""
+        return {**result.common_metrics(), self.score_name: ratio(result.scores.mean(1).tolist())}
 
-    @abstractmethod
     def differences(self, env: EnvConfig) -> list[str]:
-        """Returns how runs in an environment differ from the original benchmark: a sentence each."""
+        """How runs in an environment differ from the original benchmark: a sentence each."""
+        mine, settings = get_robot(env.robot), env.lidar
+        back, front, right, left = mine.footprint
+        size = f"{front - back:.2f} x {left - right:.2f} m"
+        seen = "" if mine.lidar_view == 2 * math.pi else f", of which {math.degrees(mine.lidar_view):.0f} are seen"
+        beams = f"{settings.beams} beams in 360 degrees{seen}, up to {settings.max_range:g} m"
+        away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad away, drawn with seed {self.seed}"
+        differences = [
+            self.worlds,
+            f"Robot: {mine.name}, {size}, up to {action_bounds(env.bounded_action).high[0]:g} m/s{self.robot}.",
+            f"Lidar: {beams}, as {settings.points} readings ({self.name}: {self.lidar}).",
+            f"Simulator: {env.backend}, 20 Hz, without noise.",
+            "Contact: the footprint, a rectangle, comes within 1 cm of an obstacle, checked at 20 Hz.",
+        ]
+        return differences + [f"Starts: all runs but the first of each start up to {away}."] * (self.runs > 1)
 
     @property
     def title(self) -> str:
@@ -155,7 +170,7 @@ class Suite(ABC):
         return torch.stack(starts)
 
     def environment(self, env: EnvConfig) -> EnvConfig:
-        """Returns an environment in which only the goal and the time limit end a run."""
+        """An environment in which only the goal and the time limit end a run."""
         never = {"collision_window": MAX_COUNT, "stuck_threshold": 0.0, "flip_threshold": 2 * math.pi}
         return replace(env, task=replace(env.task, success_distance=self.goal_radius, **never))  # type: ignore[arg-type]
 
@@ -166,27 +181,6 @@ class Suite(ABC):
             for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True)
         ]
         return replace(evaluation, trajectories=runs)
-
-    def common_differences(self, env: EnvConfig, robot: str, lidar: str) -> list[str]:
-        """Returns the differences that all suites share, beside the ``robot`` and ``lidar`` of the original."""
-        mine, settings = get_robot(env.robot), env.lidar
-        back, front, right, left = mine.footprint
-        speed = action_bounds(env.bounded_action).high[0]
-        whole = mine.lidar_view == 2 * math.pi
-        seen = "" if whole else f", of which {math.degrees(mine.lidar_view):.0f} are seen"
-        beams = f"{settings.beams} beams in 360 degrees{seen}, up to {settings.max_range:g} m"
-        size = f"{front - back:.2f} x {left - right:.2f} m"
-        differences = [
-            f"Robot: {mine.name}, {size}, up to {speed:g} m/s{robot}.",
-            f"Lidar: {beams}, as {settings.points} readings{lidar}.",
-            f"Simulator: {env.backend}, 20 Hz, without noise.",
-            "Contact: the footprint, a rectangle, comes within 1 cm of an obstacle, checked at 20 Hz.",
-        ]
-        if self.runs > 1:
-            away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad"
-            more = f"Starts: all runs but the first of each start up to {away} away, drawn with seed {self.seed}."
-            differences.append(more)
-        return differences
 
 
 @dataclass(frozen=True)
@@ -203,8 +197,7 @@ class Result:
     @cached_property
     def scores(self) -> Tensor:
         """Score of each run, float64 ``[courses, runs]``."""
-        pairs = zip(self._course_of_run, self.evaluation.trajectories, strict=True)
-        return self.by_course([self.suite.score(course, run) for course, run in pairs])
+        return self.by_course([self.suite.score(course, run) for course, run in self._pairs])
 
     @property
     def succeeded(self) -> Tensor:
@@ -216,8 +209,7 @@ class Result:
         return self.suite.metrics(self)
 
     def common_metrics(self) -> dict[str, Estimate]:
-        seconds = self.by_course([run.seconds for run in self.evaluation.trajectories])
-        succeeded = self.succeeded
+        seconds, succeeded = self.by_course([run.seconds for _, run in self._pairs]), self.succeeded
         return {
             "success_rate": mean_rate(succeeded),
             "contact_rate": mean_rate(self._ended(CONTACT)),
@@ -226,44 +218,34 @@ class Result:
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        scored = zip(self._course_of_run, self.evaluation.trajectories, self.scores.flatten().tolist(), strict=True)
-        return [
-            {
-                "world": course.number,
-                "run": number % self.suite.runs,
-                "ending": run.ending,
-                "seconds": round(run.seconds, 3),
-                "length": run.length,
-                "reference_length": course.length,
-                self.suite.score_name: score,
-            }
-            for number, (course, run, score) in enumerate(scored)
-        ]
+        rows = []
+        for number, ((course, run), score) in enumerate(zip(self._pairs, self.scores.flatten().tolist(), strict=True)):
+            row = {"world": course.number, "run": number % self.suite.runs, "ending": run.ending}
+            row |= {"seconds": round(run.seconds, 3), "length": run.length, "reference_length": course.length}
+            rows.append(row | {self.suite.score_name: score})
+        return rows
 
     def worst(self, count: int) -> list[int]:
         """Indices of the runs with the lowest scores; among equals, those that end farthest from the goal."""
-        runs, goals = self.evaluation.trajectories, self.evaluation.episodes.goal
-        left = [torch.dist(run.path[-1], goal).item() for run, goal in zip(runs, goals, strict=True)]
-        scores = self.scores.flatten().tolist()
-        return sorted(range(len(runs)), key=lambda run: (scores[run], -left[run]))[:count]
+        goals, scores = self.evaluation.episodes.goal, self.scores.flatten().tolist()
+        left = [torch.dist(run.path[-1], goal).item() for (_, run), goal in zip(self._pairs, goals, strict=True)]
+        return sorted(range(len(left)), key=lambda run: (scores[run], -left[run]))[:count]
 
     def by_course(self, values: Sequence[float]) -> Tensor:
-        """Returns a value of each run as float64 ``[courses, runs]``."""
+        """A value of each run as float64 ``[courses, runs]``."""
         return torch.tensor(values, dtype=torch.float64).reshape(len(self.suite.courses), self.suite.runs)
 
     @property
-    def _course_of_run(self) -> list[Course]:
-        return [course for course in self.suite.courses for _ in range(self.suite.runs)]
+    def _pairs(self) -> list[tuple[Course, Trajectory]]:
+        courses = [course for course in self.suite.courses for _ in range(self.suite.runs)]
+        return [*zip(courses, self.evaluation.trajectories, strict=True)]
 
     def _ended(self, ending: str) -> Tensor:
-        return self.by_course([float(run.ending == ending) for run in self.evaluation.trajectories])
+        return self.by_course([float(run.ending == ending) for _, run in self._pairs])
 
 
 def mean_rate(flags: Tensor) -> Estimate:
-    """Returns the mean of flags ``[courses, runs]``.
-
-    The interval is Wilson's for one run of each course, or if all runs are equal, and else a bootstrap over courses.
-    """
+    """Mean of flags ``[courses, runs]``. Its interval is Wilson's for one run each or equal ones, else a bootstrap."""
     rates = flags.mean(1)
     if flags.shape[1] == 1 or flags.min() == flags.max():
         return proportion(round(rates.sum().item()), len(rates))
@@ -273,11 +255,7 @@ def mean_rate(flags: Tensor) -> Estimate:
 def run_suite(
     suite: Suite, policies: Mapping[str, tuple[Policy | None, EnvConfig]], workers: int | None = None
 ) -> list[Result]:
-    """Runs policies (``None`` acts at random) in a suite. The results do not depend on the number of processes.
-
-    Raises:
-        ValueError: if a policy was made for another environment.
-    """
+    """Runs policies (``None`` acts at random) in a suite. The results do not depend on the number of processes."""
     requests = []
     for name, (policy, env) in policies.items():
         options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env), "track_movers": TRACE}
@@ -323,38 +301,25 @@ def draw_worst_runs(result: Result, path: Path) -> None:
     draw_panels(panels, path, f"{result.name} in {result.suite.name}: the runs with the lowest scores")
 
 
-def read_npz(path: Path, shapes: Mapping[str, tuple[int | None, ...]]) -> dict[str, np.ndarray]:
-    """Reads arrays of numbers by name, with the given shapes (``None`` is any length), from an ``.npz`` file."""
-    arrays = _load(path)
-    if isinstance(arrays, np.ndarray):
-        raise ValueError(f"{path} must be an .npz file, with the arrays {', '.join(shapes)}")
-    if missing := [name for name in shapes if name not in arrays]:
-        raise ValueError(f"{path} has no array {missing[0]!r}; it needs {', '.join(shapes)}")
-    return {name: _checked(f"{name} in {path}", arrays[name], shape) for name, shape in shapes.items()}
+def read_arrays(path: Path, shapes: Mapping[str, tuple[int | None, ...]]) -> dict[str, np.ndarray]:
+    """Reads arrays of numbers by name, with the given shapes (``None`` is any length), from an ``.npz`` file.
 
-
-def read_npy(path: Path, shape: tuple[int | None, ...]) -> np.ndarray:
-    """Reads an array of numbers with the given shape from an ``.npy`` file."""
-    return _checked(str(path), _load(path), shape)
-
-
-def _load(path: Path) -> Any:
+    The name of the array in an ``.npy`` file is empty.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"no file at {path}")
     try:
         loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded
-        with loaded:
-            return dict(loaded)
+        arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
     except (ValueError, EOFError, zipfile.BadZipFile, OSError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is damaged, no NumPy file, or has pickled objects, which are not read") from error
-
-
-def _checked(what: str, array: Any, shape: tuple[int | None, ...]) -> np.ndarray:
-    array = np.asarray(array)
-    fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-    if not fits or array.dtype.kind not in "biuf":
-        expected = " x ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{what} must be numbers of the shape {expected}, got {array.dtype} {list(array.shape)}")
-    return array
+    if missing := [name for name in shapes if name not in arrays]:
+        raise ValueError(f"{path} has no array {missing[0]!r}; it needs {', '.join(shapes)}")
+    for name, shape in shapes.items():
+        array = arrays[name]
+        fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        if not fits or array.dtype.kind not in "biuf":
+            what = f"{name} in {path}" if name else str(path)
+            expected = " x ".join("any" if n is None else str(n) for n in shape)
+            raise ValueError(f"{what} must be numbers of the shape {expected}, got {array.dtype} {list(array.shape)}")
+    return {name: arrays[name] for name in shapes}

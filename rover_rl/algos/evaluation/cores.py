@@ -10,7 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 from io import BytesIO
@@ -27,7 +27,6 @@ from rover_rl.worlds import World
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
 _POLL_INTERVAL = 0.2  # time between two updates of the display, s
 
 
@@ -41,39 +40,35 @@ def over_cores(
     """
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
-        if workers <= 1:
-            return _in_this_process(work, items, display)
-        return _in_processes(work, items, workers, display)
-
-
-def _in_this_process(work: Callable[[Item], Result], items: Sequence[Item], display: ProgressDisplay) -> list[Result]:
-    results = []
-    for number, item in enumerate(items):
-        with redirected_progress(lambda fraction, done=number: display.update((done + fraction) / len(items))):  # type: ignore[misc]
-            results.append(work(item))
-    return results
+        if workers > 1:
+            return _in_processes(work, items, workers, display)
+        results = []
+        for number, item in enumerate(items):
+            with redirected_progress(lambda fraction, done=number: display.update((done + fraction) / len(items))):  # type: ignore[misc]
+                results.append(work(item))
+        return results
 
 
 def _in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int, display: ProgressDisplay
 ) -> list[Result]:
-    context = _context()
-    fractions = context.Array("d", len(items))
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (fractions,))
-    futures: list[Future[bytes]] = []
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context = multiprocessing.get_context(method)
+    # The fork server imports the modules once for all workers.
+    context.set_forkserver_preload(["rover_rl.algos.evaluation.evaluate"])
+    fractions, others = context.Array("d", len(items)), set(multiprocessing.active_children())
+    pool = futures.ProcessPoolExecutor(workers, context, _start_worker, (fractions,))
+    given: list[futures.Future[bytes]] = []
     processes: set[BaseProcess] = set()
     try:
         for number, item in enumerate(items):
-            futures.append(pool.submit(_apply, dumps((work, item)), number))
+            given.append(pool.submit(_apply, dumps((work, item)), number))
         processes |= set(multiprocessing.active_children()) - others
         while True:
-            done, pending = wait(futures, _POLL_INTERVAL, FIRST_EXCEPTION)
-            failed = next((error for error in map(Future.exception, done) if error), None)
-            if failed:
-                raise failed
+            done, pending = futures.wait(given, _POLL_INTERVAL, futures.FIRST_EXCEPTION)
+            results = {future: future.result() for future in done}  # raises the error of a worker
             if not pending:
-                return [pickle.loads(future.result()) for future in futures]
+                return [pickle.loads(results[future]) for future in given]
             # The pool may notice the end of a process only after the next result of another one.
             if any(process.exitcode is not None for process in processes):
                 raise BrokenProcessPool("it has ended")
@@ -82,7 +77,7 @@ def _in_processes(
         raise ChildProcessError(_how_ended(processes, error)) from error
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        if not all(future.done() for future in futures):
+        if not all(future.done() for future in given):
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
 
@@ -98,25 +93,13 @@ def _how_ended(processes: set[BaseProcess], error: BrokenProcessPool) -> str:
     return f"a worker process has been ended by signal {-code} ({signal.strsignal(-code)}){reason}"
 
 
-def _context() -> multiprocessing.context.BaseContext:
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    # The fork server imports the modules once for all workers.
-    context.set_forkserver_preload(["rover_rl.algos.evaluation.evaluate"])
-    return context
-
-
 _fractions: SynchronizedArray[float]  # in a worker process: fraction of each item that is done
 
 
 def _start_worker(fractions: SynchronizedArray[float]) -> None:
-    """Prepares a worker process. It ignores Ctrl-C, which the main process handles, and prints nothing.
-
-    The main process has warned of the same robots and worlds.
-    """
     global _fractions
     _fractions = fractions
+    # The main process handles Ctrl-C, and has warned of the same robots and worlds.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115
@@ -132,21 +115,17 @@ def _exit_with_parent() -> None:
 
 def _apply(work_and_item: bytes, number: int) -> bytes:
     work, item = pickle.loads(work_and_item)
-
-    def report(fraction: float) -> None:
-        _fractions[number] = fraction
-
-    with redirected_progress(report):
+    with redirected_progress(lambda fraction: _fractions.__setitem__(number, fraction)):
         result = work(item)
-    report(1.0)
+    _fractions[number] = 1.0
     return dumps(result)
 
 
 def dumps(content: Any) -> bytes:
     """Pickles anything by value, for :func:`pickle.loads` in another process, and a world once for all.
 
-    PyTorch's own pickles pass a file descriptor for each tensor, and hundreds of trajectories need more than the 1,024
-    open files that Linux allows by default.
+    PyTorch's own pickles pass a file descriptor for each tensor: hundreds of trajectories would need more than the
+    1,024 open files that Linux allows by default.
     """
     buffer = BytesIO()
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(content)
@@ -157,26 +136,16 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
         if isinstance(value, World):
             return _unpickled, (_pickled(value),)
-        if (
-            type(value) is Tensor
-            and value.device.type == "cpu"
-            and value.dtype in _IN_NUMPY
-            and not value.requires_grad
-        ):
+        on_cpu = type(value) is Tensor and value.device.type == "cpu" and not value.requires_grad
+        if on_cpu and value.dtype is not torch.bfloat16 and not value.is_complex():
             # The array of a slice holds the slice only. PyTorch would pickle all of the tensor that it belongs to.
             return torch.from_numpy, (value.numpy(),)
         return NotImplemented
 
 
-_IN_NUMPY = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float64}
-_KEPT = 64  # number of pickled and of unpickled worlds that a process keeps
+_pickled = lru_cache(maxsize=64)(pickle.dumps)
 
 
-@lru_cache(maxsize=_KEPT)
-def _pickled(world: World) -> bytes:
-    return pickle.dumps(world)
-
-
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=64)
 def _unpickled(world: bytes) -> World:
     return pickle.loads(world)

@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +29,6 @@ from rover_rl.envs.config import EnvConfig, RobotLike, TaskConfig
 from rover_rl.envs.groups import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.names import Name
-from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.robots.fleet import largest_of
@@ -57,16 +55,15 @@ class EpisodeSet:
 
     Attributes:
         name: name of the world or of the range of worlds as requested, such as ``"maze:7"``.
-        pool: worlds of the episodes. A :class:`~rover_rl.worlds.World` is converted to a pool.
+        pool: worlds of the episodes.
         seed: seed of the first draw.
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.
-        shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
-            see :func:`~rover_rl.sims.free_space.paths.shortest_paths`.
+        shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m.
         offset: index of the first episode in the set that this is a part of.
-        world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
-        endless: whether a reached goal is followed by a new one. Starts, goals and lengths are nan then: the
-            environment draws them.
+        world_index: index of each episode's world in the pool, int64 ``[count]``; 0 by default.
+        endless: whether a reached goal is followed by a new one. Starts, goals and lengths, which the environment
+            draws then, are nan.
     """
 
     name: str
@@ -115,13 +112,11 @@ class EpisodeSet:
         return replace(self.select(range(begin, min(end, len(self)))), offset=self.offset + begin)
 
     def select(self, indices: Sequence[int]) -> EpisodeSet:
-        """Returns the episodes with the given indices. Their offset is that of the set."""
         chosen = torch.tensor(indices, dtype=torch.int64)
         keys = ("start", "goal", "shortest", "world_index")
         return replace(self, **{key: getattr(self, key)[chosen] for key in keys})
 
     def with_used_worlds(self) -> EpisodeSet:
-        """Returns the same episodes with a pool of only the worlds that they are in, for another process."""
         used, index = self.world_index.unique(return_inverse=True)
         sources = (portable(self.pool.source(number)) for number in used.tolist())
         return replace(self, pool=WorldPool(*sources), world_index=index)
@@ -140,25 +135,23 @@ def draw_episodes(
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
     In the world with the seed ``w``, such as ``"maze:w"``, draw ``i`` is the start and goal of the first episode of an
-    environment with the seed ``seed + 2**32 * w + i``; ``w`` is 0 for a world without a seed. So worlds that differ
-    little have other starts and goals. The same seed always gives the same episodes in a world, whatever the other
-    worlds, and a larger ``count`` appends to them. The episodes of several worlds are in the order of the worlds.
+    environment with the seed ``seed + 2**32 * w + i``; ``w`` is 0 for a world without a seed. The same seed always
+    gives the same episodes in a world, whatever the other worlds, and a larger ``count`` appends to them.
 
     Args:
-        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool. Names without a scale get
-            that of the robot, such as ``"maze:10000-10063*1.8"``.
+        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool, whose order the episodes
+            have. Names without a scale get that of the robot, such as ``"maze:10000-10063*1.8"``.
         count: number of episodes in each world.
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
-        robot: robot, or its name, for which the starts, goals and paths must be free. Of several, it is the one that
-            needs the most space.
+        robot: robot for which the starts, goals and paths must be free. Of several, the one that needs the most space.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
-        agents: number of consecutive episodes that are driven at once, by rovers that share a world. Their starts are
-            apart, and so are their goals. ``count`` must be a multiple.
+        agents: number of consecutive episodes that are driven at once, by rovers that share a world, with starts and
+            goals apart. ``count`` must be a multiple.
 
     Raises:
-        ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
-            is long enough.
+        ValueError: for an unknown world or robot, a number out of range, or a world in which hardly any path is long
+            enough.
     """
     check_at_least(1, MAX_COUNT, count=count, agents=agents)
     if count % agents:
@@ -167,13 +160,12 @@ def draw_episodes(
     world = fitting_worlds(world, *robots)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
     draw = partial(_draw_in, robot=largest_of(robots), count=count, min_path=min_path, agents=agents)
-    sources = [pool.source(index) for index in range(len(pool))]
-    places = [(portable(source), seed + _SEEDS_OF_A_WORLD * _seed_of(source)) for source in sources]
-    if len(pool) == 1:
-        drawn = [draw(*places)]
-    else:
-        # Processes take longer to start than the episodes of a few worlds take to draw.
-        drawn = over_cores(draw, places, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
+    places = []
+    for source in map(pool.source, range(len(pool))):
+        seed_of_world = Name.parse(source).settings.get("seed", 0) if isinstance(source, str) else 0
+        places.append((portable(source), seed + _SEEDS_OF_A_WORLD * seed_of_world))
+    # Processes take longer to start than the episodes of a few worlds take to draw.
+    drawn = over_cores(draw, places, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
     start, goal, shortest = (torch.cat(part) for part in zip(*drawn, strict=True))
     index = torch.arange(len(pool)).repeat_interleave(count)
     name = world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
@@ -191,49 +183,35 @@ def endless_episodes(
     world = fitting_worlds(world, *get_robots(robot))
     name = world if isinstance(world, str) else get_world(world).name
     unknown = torch.full((count, 3), math.nan)
-    pool = WorldPool(world if isinstance(world, str) else get_world(world))
-    return EpisodeSet(name, pool, seed, unknown, unknown[:, :2], unknown[:, 0], endless=True)
+    return EpisodeSet(name, WorldPool.of(world), seed, unknown, unknown[:, :2], unknown[:, 0], endless=True)
 
 
 def portable(world: str | World) -> str | World:
-    """Returns what gives the same world in another process: the name of a built-in one, else the world."""
+    """What gives the same world in another process: the name of a built-in one, else the world."""
     is_built_in = isinstance(world, str) and Name.parse(world).part in WORLDS
     return world if is_built_in else get_world(world)
-
-
-def _seed_of(world: str | World) -> int:
-    return Name.parse(world).settings.get("seed", 0) if isinstance(world, str) else 0
 
 
 @single_threaded()
 def _draw_in(
     place: tuple[str | World, int], *, robot: Robot, count: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Draws the episodes of a world from a seed on, both in ``place``: see :func:`draw_episodes`.
-
-    Returns:
-        Starts ``[count, 3]``, goals ``[count, 2]`` and lengths of the shortest paths ``[count]``.
-    """
-    world, seed, goal_radius = get_world(place[0]), place[1], TaskConfig().success_distance
+    """Starts, goals and lengths of the shortest paths in a world, drawn from a seed on, both in ``place``."""
+    world, seed, task, device = get_world(place[0]), place[1], TaskConfig(), torch.device("cpu")
+    placing = (WorldTable([world] * count), robot, task.min_goal_distance)
+    placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for first in range(seed, seed + _MAX_DRAWS * count, count):
-        start, goal = _draw(world, robot, count, first, agents)
-        shortest = shortest_paths(world, robot, start, goal, goal_radius)
+        keys = episode_keys(row_keys(first, count, device), torch.ones(count, 1, dtype=torch.int64))
+        start = placement.draw_start(keys)
+        goal = placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
+        shortest = shortest_paths(world, robot, start, goal, task.success_distance)
         long_enough = (shortest >= min_path).reshape(-1, agents).all(1).repeat_interleave(agents)
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
         if len(shortest) == count:
             return start, goal, shortest
     raise ValueError(f"world {world.name!r} has hardly any shortest path of {min_path:g} m or more")
-
-
-def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tuple[Tensor, Tensor]:
-    device = torch.device("cpu")
-    placing = (WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
-    placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
-    keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
-    start = placement.draw_start(keys)
-    return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
 
 
 def stored_episodes(world: str) -> EpisodeSet:
@@ -254,7 +232,7 @@ def choose_episodes(
     workers: int | None = 1,
     agents: int = 1,
 ) -> EpisodeSet:
-    """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
+    """The first stored episodes of a world, or drawn ones if there are not enough.
 
     ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, for
     several ``agents`` or for another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
@@ -266,6 +244,4 @@ def choose_episodes(
     if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero" and agents == 1:
         return stored_episodes(world).first(count)
     seed = DEFAULT_SEED if seed is None else seed
-    # Several worlds have a display of their own.
-    with nullcontext() if several else ProgressDisplay("drawing starts and goals"):
-        return draw_episodes(world, count, seed, robot=robot, workers=workers, agents=agents)
+    return draw_episodes(world, count, seed, robot=robot, workers=workers, agents=agents)

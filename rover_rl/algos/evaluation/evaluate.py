@@ -9,11 +9,12 @@ Example:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TypeAlias
+from operator import methodcaller
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,7 +22,7 @@ from torch import Tensor
 from rover_rl.algos.driving import Schedule, Step, drives
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.results import EPISODES_PER_PART, Evaluation
 from rover_rl.algos.evaluation.trajectory import Encounters, MoverTrack, Trajectory
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
@@ -36,11 +37,15 @@ from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.settings import CONTROL_DT
-from rover_rl.worlds.movers.parts import Parts
 
-Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
-"""Function that watches an evaluation: see :func:`evaluate`."""
+ROWS = 8
+"""Number of rovers of a part of an evaluation in one world. With more rovers, more of them wait for the last one. In
+several worlds, each episode of a part has a rover, as rovers stay in their worlds."""
+BATCHED_PER_PART = 128  # EPISODES_PER_PART of several worlds in Warp, which steps many rovers almost as fast as few
+SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
+_KEPT = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate", "compensate_delay")
+"""Settings of the environment that a policy was made for, which it is evaluated with by default."""
 
 
 def evaluate(
@@ -52,7 +57,7 @@ def evaluate(
     seconds: float | None = None,
     rows: int = 32,
     env: EnvConfig | None = None,
-    watch: Watcher | None = None,
+    watch: Callable[[RoverEnv, Tensor, Tensor], None] | None = None,
     track_movers: bool | float = False,
     jam: bool = True,
 ) -> Evaluation:
@@ -70,11 +75,10 @@ def evaluate(
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
             with memory the number in training.
-        seconds: time limit of each episode, s; ``None``: that of ``usual_seconds``.
+        seconds: time limit of each episode, s; ``None``: that of :func:`usual_seconds`.
         rows: number of rovers that drive at once; each takes the next episode in its world when its own has ended.
-        env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
-            are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else
-            the defaults.
+        env: environment to drive in; ``None``: the one that the policy was made for, in Bullet and without
+            randomization, else the defaults.
         watch: function that is called at the start and after each step of the episodes, with the environment, the
             index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
         track_movers: whether the trajectories keep where the movers are, or for how long before the end of an episode,
@@ -87,19 +91,20 @@ def evaluate(
             in groups of ``env.agents`` in the same world.
     """
     config = environment_for(policy, env)
-    action_repeat = default_action_repeat(policy, action_repeat, config.control_dt)
+    action_repeat = repeat = default_action_repeat(policy, action_repeat, config.control_dt)
     seconds = usual_seconds(config, episodes) if seconds is None else seconds
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     endless, agents, length = episodes.endless, config.agents, max(1, round(seconds / config.control_dt))
-    if agents > 1 and not endless:
-        _check_groups(episodes, agents)
+    worlds = episodes.world_index
+    if not endless and (len(worlds) % agents or (worlds.reshape(-1, agents) != worlds[::agents, None]).any()):
+        draw = f"draw them with draw_episodes(..., agents={agents})"
+        raise ValueError(f"agents={agents} consecutive episodes must be in the same world; {draw}")
     rows = len(episodes) if agents > 1 or endless else min(rows, len(episodes))
     config = replace(config, num_envs=rows, end_on_goal=not endless)
     if endless:
         task = config.task if jam else replace(config.task, collision_window=length)
         config = replace(config, length=length, task=task)
-
     described = sensors_for(policy, config, action_repeat)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
@@ -109,27 +114,19 @@ def evaluate(
         rovers = RoverEnv(replace(described, world=place, num_envs=len(schedule.worlds), seed=seed))
         rovers.length = length
         schedule.enter(rovers, first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents))
-        recorder = _Recorder(part, rovers, watch, track_movers)
+        recorder = _Recorder(len(part), rovers, track_movers)
         steps = drives(rovers, policy or RandomPolicy(part.seed), schedule, action_repeat=repeat, min_rows=_MIN_ROWS)
         with closing(rovers), ProgressDisplay(name) as display, single_threaded():
             for step in steps:
                 recorder.add(rovers, step, schedule.number)
+                if watch is not None:
+                    watch(rovers, schedule.number, step.rows)
                 display.update(recorder.progress)
         return recorder.trajectories
 
-    repeat = action_repeat
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     config = replace(config, world=episodes.name, seed=episodes.seed)
     return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], config, jam=jam)
-
-
-def _check_groups(episodes: EpisodeSet, agents: int) -> None:
-    worlds = episodes.world_index
-    if len(worlds) % agents or (worlds.reshape(-1, agents) != worlds[::agents, None]).any():
-        raise ValueError(
-            f"agents={agents} consecutive episodes must be in the same world; draw them with draw_episodes(..., "
-            f"agents={agents})"
-        )
 
 
 def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
@@ -144,7 +141,7 @@ def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
 
 
 def usual_seconds(env: EnvConfig, episodes: EpisodeSet) -> float:
-    """Returns the usual time limit of the episodes of a set, s.
+    """Usual time limit of the episodes of a set, s.
 
     It is 60 s, longer by the scale of the worlds that the robot needs, or 4 s for each meter of the longest of the
     shortest paths if that is more; both are longer by as much as the robot is slower than 1 m/s. Endless episodes have
@@ -167,8 +164,7 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
-        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate")
-        settings = {key: getattr(made_for or EnvConfig(), key) for key in (*kept, "compensate_delay")}
+        settings = {key: getattr(made_for or EnvConfig(), key) for key in _KEPT}
         return EnvConfig(**settings, backend=default_backend(settings["robot"]))
     if made_for is not None:
         require_match(made_for, env)
@@ -176,8 +172,57 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
 
 
 def default_backend(robot: RobotLike) -> str:
-    """Returns the simulator in which policies are compared by default: Bullet, or Warp for several robots."""
+    """Simulator in which policies are compared by default: Bullet, or Warp for several robots."""
     return "warp" if names_several(robot) else "bullet"
+
+
+@dataclass(frozen=True)
+class Request:
+    """Request for an evaluation, with further arguments of :func:`evaluate`."""
+
+    policy: Policy | None
+    episodes: EpisodeSet
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def parts(self) -> list[Request]:
+        episodes, env = self.episodes, self.options.get("env")
+        batched = episodes.several_worlds and env is not None and env.backend == "warp"
+        size, agents = BATCHED_PER_PART if batched else EPISODES_PER_PART, 1 if env is None else env.agents
+        size = ROWS if episodes.endless else size
+        size = max(agents, size - size % agents)  # whole groups, at least one
+        parts = (episodes.part(first, first + size) for first in range(0, len(episodes), size))
+        # The usual time limit is that of the whole set.
+        usual = {"seconds": usual_seconds(environment_for(self.policy, env), episodes)}
+        options = usual | {name: value for name, value in self.options.items() if value is not None}
+        return [replace(self, episodes=part.with_used_worlds(), options=options) for part in parts]
+
+    def run(self) -> Evaluation:
+        """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""
+        rows = len(self.episodes) if self.episodes.several_worlds else ROWS
+        return replace(evaluate(self.policy, self.episodes, rows=rows, **self.options), episodes=None)  # type: ignore[arg-type]
+
+    def merge(self, parts: Sequence[Evaluation]) -> Evaluation:
+        trajectories = [t for part in parts for t in part.trajectories]
+        env = replace(parts[0].env, num_envs=len(trajectories)) if self.episodes.endless else parts[0].env
+        return replace(parts[0], episodes=self.episodes, trajectories=trajectories, env=env)
+
+
+def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> list[Evaluation]:
+    """Evaluates policies on all CPU cores and returns the results in the order of the requests.
+
+    The results are bit-identical for any number of cores. Small evaluations, and those on a GPU, run in this process.
+    Programs that call this function need the guard ``if __name__ == "__main__":``, as all that start processes do.
+    """
+    if workers is not None:
+        check_at_least(1, MAX_COUNT, workers=workers)
+    envs = [request.options.get("env") for request in requests]
+    on_gpu = any(env is not None and env.device not in (None, "cpu") for env in envs)
+    if sum(len(request.episodes) for request in requests) < SMALL or on_gpu:
+        workers = 1
+    parts = [request.parts() for request in requests]
+    flat = [part for several in parts for part in several]
+    results = iter(over_cores(methodcaller("run"), flat, "evaluating", workers))
+    return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
 
 
 class _Schedule(Schedule):
@@ -227,20 +272,20 @@ class _Schedule(Schedule):
 
 
 class _Recorder:
-    def __init__(self, episodes: EpisodeSet, env: RoverEnv, watch: Watcher | None, track_movers: bool | float) -> None:
-        count, self._dt, self._watch = len(episodes), env.control_dt, watch
+    """Records ``count`` episodes. ``track_movers`` is that of :func:`evaluate`."""
+
+    def __init__(self, count: int, env: RoverEnv, track_movers: bool | float) -> None:
+        self._dt, self._endings = env.control_dt, [""] * count
         self._has_movers = "mover_contact" in env.observation_spec["outcome"]
         # Position (3), angles (3), collision, goal; with movers also contact, gap, distance of centers.
         self._records = torch.zeros(count, env.length + 1, 11 if self._has_movers else 8)
         self._steps = torch.zeros(count, dtype=torch.int64)
-        self._endings = [""] * count
-        self._tracks: list[_Tracker] | None = None
-        if track_movers and self._has_movers:
-            steps = None if track_movers is True else 1 + round(track_movers / self._dt)
-            self._tracks = [_Tracker(steps) for _ in range(count)]
+        self._tracking = bool(track_movers) and self._has_movers
+        kept = None if track_movers is True else 1 + round(track_movers / self._dt)
+        self._solids: list[list[Tensor]] = [[]] * count
+        self._places = [deque[Tensor](maxlen=kept) for _ in range(count)]
 
     def add(self, env: RoverEnv, step: Step, episode: Tensor) -> None:
-        """Records a step of the rovers, each of which drives an ``episode`` (int64 ``[N]``)."""
         outcome, rover, rows = step.observation["outcome"], env.rover_state, step.rows
         values = [rover.position, quaternion_to_euler(rover.orientation), outcome["collision"], outcome["goal_reached"]]
         if self._has_movers:
@@ -250,13 +295,20 @@ class _Recorder:
         steps = outcome["steps"].squeeze(-1).to("cpu")
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
-        if self._tracks is not None and env.movers.parts is not None:
-            for row in rows.nonzero().squeeze(-1).tolist():
-                self._tracks[int(episode[row])].add(env.movers.parts, row)
-        if self._watch is not None:
-            self._watch(env, episode, rows)
+        if self._tracking:
+            self._track(env, episode, rows)
         for row, ending in step.endings().items():
             self._endings[int(episode[row])] = ending
+
+    def _track(self, env: RoverEnv, episode: Tensor, rows: Tensor) -> None:
+        if (parts := env.movers.parts) is None:
+            return
+        for row in rows.nonzero().squeeze(-1).tolist():
+            number, present = int(episode[row]), parts.kind[row] >= 0
+            if not self._places[number]:
+                self._solids[number] = [each[row][present].cpu() for each in (parts.kind, parts.half, parts.mover)]
+            places = torch.cat((parts.position[row], parts.orientation[row]), -1)
+            self._places[number].append(places[present].cpu())
 
     @property
     def progress(self) -> float:
@@ -276,26 +328,8 @@ class _Recorder:
         if self._has_movers and met[0, 1].isfinite():
             contact, gap, center_distance = met.unbind(-1)
             encounters = Encounters(contact.bool(), gap, center_distance)
-            track = None if self._tracks is None else self._tracks[episode].track
+            if self._tracking:
+                kind, half, mover = self._solids[episode]
+                track = MoverTrack(kind, half, mover, *torch.stack([*self._places[episode]]).split((3, 4), -1))
         ending = self._endings[episode]
         return Trajectory(position, angles, collision, goal, ending, dt=self._dt, encounters=encounters, movers=track)
-
-
-class _Tracker:
-    """Records where the movers are in an episode, in the last ``steps`` of it, or in all."""
-
-    def __init__(self, steps: int | None) -> None:
-        self._places = deque[Tensor](maxlen=steps)
-
-    def add(self, parts: Parts, row: int) -> None:
-        """Records the solids of a row, in which the movers stay the same."""
-        present = parts.kind[row] >= 0
-        if not self._places:
-            self._kept = [values[row][present].cpu() for values in (parts.kind, parts.half, parts.mover)]
-        self._places.append(torch.cat((parts.position[row], parts.orientation[row]), -1)[present].cpu())
-
-    @property
-    def track(self) -> MoverTrack:
-        kind, half, mover = self._kept
-        position, orientation = torch.stack([*self._places]).split((3, 4), -1)
-        return MoverTrack(kind, half, mover, position, orientation)

@@ -2,17 +2,15 @@
 
 Names in brackets are those of the original environment, which has no formula for MTT and TR and never logs VORT.
 Proportions of episodes have Wilson score intervals, all other metrics are ratios of sums over episodes with percentile
-bootstrap intervals. They cover the variation between episodes, not between training runs: train with several seeds to
-measure that.
+bootstrap intervals. They cover the variation between episodes, not between training runs.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from inspect import signature
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -47,78 +45,60 @@ class Estimate:
 
 
 def proportion(successes: int, count: int) -> Estimate:
-    """Computes a proportion with its Wilson score interval; nan for a ``count`` of 0.
-
-    Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927.
-
-    Example:
-        >>> proportion(5, 10)
-        Estimate(value=0.5, low=0.2365..., high=0.7634...)
-    """
+    """A proportion with its Wilson score interval (J. Am. Stat. Assoc. 22, 1927); nan for a ``count`` of 0."""
     if not count:
         return Estimate(math.nan, math.nan, math.nan)
-    # Importing scipy.stats takes about a second, and most programs that import this module compute no metrics.
-    from scipy.stats import binomtest
+    from scipy.stats import binomtest  # takes a second, and most programs compute no metrics
 
     interval = binomtest(successes, count).proportion_ci(confidence_level=0.95, method="wilson")
     return Estimate(successes / count, float(interval.low), float(interval.high))
 
 
 def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = None) -> Estimate:
-    """Computes ``sum(numerators) / sum(denominators)`` over episodes, or the mean, with its bootstrap interval.
+    """``sum(numerators) / sum(denominators)`` over episodes, or the mean, with its bootstrap interval.
 
-    The 2,000 paired resamples (percentiles) of :func:`scipy.stats.bootstrap` are the same in every call with the same
-    number of episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out.
-    The interval has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two
-    episodes have a denominator above 0.
-
-    Example:
-        >>> ratio([1.0, 3.0], [1.0, 1.0])
-        Estimate(value=2.0, low=1.0, high=3.0)
+    The 2,000 paired resamples (percentiles; Efron, "Bootstrap methods", Ann. Stat. 7, 1979) are the same for the same
+    number of episodes. Those with the ratio 0 / 0 are left out. The ends are nan if the value is nan, or if fewer than
+    two episodes have a denominator above 0.
     """
-    top = torch.tensor(numerators, dtype=torch.float64)
-    bottom = torch.ones_like(top) if denominators is None else torch.tensor(denominators, dtype=torch.float64)
-    counted = int((bottom > 0).sum())
-    value = (top.sum() / bottom.sum()).item() if counted else math.nan
+    top = np.array(numerators, dtype=np.float64)
+    bottom = np.ones_like(top) if denominators is None else np.array(denominators, dtype=np.float64)
+    counted = (bottom > 0).sum()
+    value = float(torch.from_numpy(top).sum() / torch.from_numpy(bottom).sum()) if counted else math.nan
     if counted < 2 or math.isnan(value):
         return Estimate(value, math.nan, math.nan)
-    from scipy.stats import DegenerateDataWarning, bootstrap
-
-    # SciPy 1.15 renames the argument.
-    rng = "rng" if "rng" in signature(bootstrap).parameters else "random_state"
-    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
-        # SciPy warns when its own interval is nan because of 0 / 0.
-        warnings.simplefilter("ignore", DegenerateDataWarning)
-        resampled = bootstrap(
-            (top.numpy(), bottom.numpy()),
-            lambda numerators, denominators, axis: numerators.sum(axis) / denominators.sum(axis),
-            n_resamples=RESAMPLES,
-            vectorized=True,
-            paired=True,
-            method="percentile",
-            **{rng: np.random.default_rng(0)},
-        ).bootstrap_distribution
-    # Unlike SciPy's interval, this one skips nan and does not interpolate between infinities, which would give nan.
+    drawn = np.random.default_rng(0).integers(0, len(top), (RESAMPLES, len(top)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        resampled = top[drawn].sum(-1) / bottom[drawn].sum(-1)
+    # This interval skips nan and does not interpolate between infinities, which would give nan.
     low, high = np.nanquantile(resampled, (0.025, 0.975), method="nearest").tolist()
     return Estimate(value, low, high)
 
 
 def episode_row(trajectory: Trajectory, walls: Tensor, shortest: float = math.nan) -> Row:
-    """Computes the columns of an episode: those of evaluation.json, and the numerators and denominators of metrics.
+    """Columns of an episode: those of evaluation.json, and the numerators and denominators of metrics.
 
     - ``spl``: ``S l / max(p, l)``, with 1 for a success as ``S``, the length of the driven path ``p`` and that of the
       shortest path ``l``, both seen from above (Anderson et al., "On Evaluation of Embodied Navigation Agents", 2018,
       arXiv:1807.06757).
     - ``jerk``: sum of ``((v[k+1] - 2 v[k] + v[k-1]) / dt^2)^2`` over the ``jerk_steps`` that have a step before and one
-      after them. ``v[k]`` is the mean speed over ground in step k, negative backward. The speed of a wheel does not
-      count.
-    - ``reversals``: changes of the commanded turning direction. Steady control has about one per second, a controller
-      that oscillates up to 20 at 20 Hz.
+      after them. ``v[k]`` is the mean speed over ground in step k, negative backward.
+    - ``reversals``: changes of the commanded turning direction. Steady control has about one per second.
 
-    Args:
-        walls: whether the body touches an obstacle at rest, bool ``[T + 1]``: see
-            :func:`~rover_rl.algos.evaluation.trajectory.find_body_contacts`.
-        shortest: length of the shortest path, m.
+    Contacts in consecutive steps are one. With movers, there are also
+
+    - ``run_into``: contacts with movers that begin while the rover stands still, below 0.05 m/s in the step before: in
+      the step of the contact, the mover pushes the rover. The others are ``at_fault``.
+    - ``least_mover_distance``: least distance between the disc of the robot's radius and a mover, m.
+    - ``risk_seconds``: time with the origins of rover and mover within 0.5 m, s, as RoboTerrain defines it
+      (https://github.com/jackvice/RoboTerrain).
+    - ``intrusion_seconds``: time with a mover within 1.2 m of the disc, s: the personal space that people keep others
+      out of (Hall, "The Hidden Dimension", 1966).
+    - ``frozen_seconds``: time in which the rover stands still with a mover within 2 m of the disc, s (Trautman and
+      Krause, "Unfreezing the robot", IROS 2010).
+
+    ``walls`` tells whether the body touches an obstacle at rest, bool ``[T + 1]``. ``shortest`` is the length of the
+    shortest path, m.
     """
     t, touched, success = trajectory, trajectory.touching(walls), trajectory.ending == "goal"
     rough, standing = t.tilt >= ROUGH_TILT, t.speed < STANDSTILL
@@ -146,38 +126,19 @@ def episode_row(trajectory: Trajectory, walls: Tensor, shortest: float = math.na
         "jerk_steps": len(jerk),
         "wall_contacts": count_runs(walls),
     }
-    return row if t.encounters is None else row | _encounter_columns(t, standing)
-
-
-def _encounter_columns(trajectory: Trajectory, standing: Tensor) -> Row:
-    """Columns of an episode in a world with movers.
-
-    - ``mover_contacts``: number of contacts with movers. Consecutive steps in contact are one.
-    - ``run_into``: number of contacts that begin while the rover stands still: its speed in the step before the
-      contact is below 0.05 m/s. The step of the contact itself does not tell, as the mover pushes the rover. The others
-      are ``at_fault``.
-    - ``least_mover_distance``: least distance between the disc of the robot's radius and a mover, m.
-    - ``risk_seconds``: time with the origins of rover and mover within 0.5 m, s. RoboTerrain's definition
-      (https://github.com/jackvice/RoboTerrain).
-    - ``intrusion_seconds``: time with a mover within 1.2 m of the disc, s. People keep others out of this personal
-      space (Hall, "The Hidden Dimension", 1966).
-    - ``frozen_seconds``: time for which the rover is slower than 0.05 m/s with a mover within 2 m of the disc, s
-      (Trautman and Krause, "Unfreezing the robot", IROS 2010).
-    """
-    assert trajectory.encounters is not None
-    contact, gap, center_distance = trajectory.encounters
-    # Rovers start at rest.
-    stood = torch.cat((standing.new_ones(1), standing[:-1]))
-    run_into = int((contact[1:] & ~contact[:-1] & stood).sum()) + int(contact[0])
-    contacts = count_runs(contact)
-    return {
+    if t.encounters is None:
+        return row
+    contact, gap, center_distance = t.encounters
+    stood = torch.cat((standing.new_ones(1), standing[:-1]))  # Rovers start at rest.
+    contacts, run_into = count_runs(contact), int((contact[1:] & ~contact[:-1] & stood).sum()) + int(contact[0])
+    return row | {
         "mover_contacts": contacts,
         "run_into": run_into,
         "at_fault": contacts - run_into,
         "least_mover_distance": gap.min().item(),
-        "risk_seconds": int((center_distance[1:] < RISK).sum()) * trajectory.dt,
-        "intrusion_seconds": int((gap[1:] < PERSONAL).sum()) * trajectory.dt,
-        "frozen_seconds": int((standing & (gap[1:] < FREEZING)).sum()) * trajectory.dt,
+        "risk_seconds": int((center_distance[1:] < RISK).sum()) * t.dt,
+        "intrusion_seconds": int((gap[1:] < PERSONAL).sum()) * t.dt,
+        "frozen_seconds": int((standing & (gap[1:] < FREEZING)).sum()) * t.dt,
     }
 
 
@@ -187,7 +148,7 @@ class Metric:
 
     Attributes:
         heading: heading of the column.
-        unit: ``"%"`` for proportions, which are stored as numbers up to 1, else that of the value.
+        unit: ``"%"`` for proportions, which are numbers up to 1, else that of the value.
         meaning: short description for the legend; empty for endings, whose heading describes them.
         top: numerator: a column of :func:`episode_row`, or a function of the row. A flag makes a proportion.
         bottom: denominator, a column; ``None``: the metric is the mean over episodes.
@@ -213,81 +174,64 @@ class Metric:
         return Estimate(*map(math.sqrt, (found.value, found.low, found.high))) if self.root else found
 
 
+def _touching(contacts: str) -> Callable[[Row], bool]:
+    return lambda row: row[contacts] > 0
+
+
 def _ended(*endings: str) -> Callable[[Row], bool]:
     return lambda row: row["ending"] in endings
 
 
+_of_goals, _of_movers = partial(Metric, of="goal"), partial(Metric, of="movers")
+_endless = partial(Metric, of="endless", default=True)
+_TIME, _LEAST = "mean time to a reached goal", "mean of the least distance to a mover"
 _CLEAN = "episodes that reach their goal without touching an obstacle"
 _TOUCHED = "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs"
+_TOUCHED_WALL = "episodes in which the body touches an obstacle at rest"
+_TOUCHED_MOVER = "episodes in which the body touches a mover"
+_MOVER_TOUCHES = "contacts of the body with movers per episode"
 _FAULT = "contacts with movers that begin while the rover moves, per goal reached"
 _RUN_INTO = "contacts with movers that begin while the rover stands still"
 _RISK = "time with the centers of rover and mover within 0.5 m, per goal reached"
+_TRAVERSE = "shortest-path length to reached goals per second of driving"
+_ROUGH = "mean speed on ground with a tilt of 10 degrees or more"
+_FROZEN = "time spent slower than 0.05 m/s within 2 m of a mover"
+_REVERSALS = "changes of the commanded turning direction per second"
 METRICS = {
-    "success_rate": Metric("success", "%", "episodes that reach their goal", "success", of="goal", default=True),
-    "contact_free_success_rate": Metric("clean", "%", _CLEAN, "clean", of="goal", default=True),
-    "spl": Metric("SPL", "", "success weighted by path length", "spl", of="goal", default=True),
+    "success_rate": _of_goals("success", "%", "episodes that reach their goal", "success", default=True),
+    "contact_free_success_rate": _of_goals("clean", "%", _CLEAN, "clean", default=True),
+    "spl": _of_goals("SPL", "", "success weighted by path length", "spl", default=True),
     # [MTT] It is short for a policy that reaches near goals only.
-    "mean_time_to_traverse": Metric(
-        "time", "s", "mean time to a reached goal", "success_seconds", "success", of="goal", default=True
-    ),
-    "goals_per_episode": Metric("goals", "", "goals reached per episode", "goals", of="endless", default=True),
-    "seconds_per_goal": Metric(
-        "per goal", "s", "driving time per goal reached", "seconds", "goals", of="endless", default=True
-    ),
-    "ended_early": Metric(
-        "early", "%", "episodes that end before the time limit", _ended(*EARLY_ENDINGS), of="endless", default=True
-    ),
-    "body_contact_share": Metric("touched", "%", _TOUCHED, lambda row: row["contacts"] > 0, default=True),
-    "mover_contact_share": Metric(
-        *("mover touched", "%", "episodes in which the body touches a mover"),
-        lambda row: row["mover_contacts"] > 0,
-        of="movers",
-        default=True,
-    ),
-    "run_into": Metric("run into", "%", _RUN_INTO, "run_into", "mover_contacts", of="movers", default=True),
-    "least_mover_distance": Metric(
-        *("least distance", "m", "mean of the least distance to a mover", "least_mover_distance"),
-        of="movers",
-        default=True,
-    ),
+    "mean_time_to_traverse": _of_goals("time", "s", _TIME, "success_seconds", "success", default=True),
+    "goals_per_episode": _endless("goals", "", "goals reached per episode", "goals"),
+    "seconds_per_goal": _endless("per goal", "s", "driving time per goal reached", "seconds", "goals"),
+    "ended_early": _endless("early", "%", "episodes that end before the time limit", _ended(*EARLY_ENDINGS)),
+    "body_contact_share": Metric("touched", "%", _TOUCHED, _touching("contacts"), default=True),
+    "mover_contact_share": _of_movers("mover touched", "%", _TOUCHED_MOVER, _touching("mover_contacts"), default=True),
+    "run_into": _of_movers("run into", "%", _RUN_INTO, "run_into", "mover_contacts", default=True),
+    "least_mover_distance": _of_movers("least distance", "m", _LEAST, "least_mover_distance", default=True),
     **{
         ENDING + kind.replace(" ", "_"): Metric(kind, "%", "", _ended(kind), default=True)
         for kind in (TIME_LIMIT, *EARLY_ENDINGS)
     },
     # [TR] A failure contributes its time and no length, since SPL does not credit partial progress either.
-    "traverse_rate": Metric(
-        *("traverse rate", "m/s", "shortest-path length to reached goals per second of driving"),
-        *("success_shortest", "seconds", "goal"),
-    ),
-    "episode_seconds": Metric("duration", "s", "mean duration of an episode", "seconds", of="endless"),
+    "traverse_rate": _of_goals("traverse rate", "m/s", _TRAVERSE, "success_shortest", "seconds"),
+    "episode_seconds": _endless("duration", "s", "mean duration of an episode", "seconds", default=False),
     # [VORT] nan if no ground is rough, as in the maze.
-    "velocity_over_rough_terrain": Metric(
-        *("speed on rough", "m/s", "mean speed on ground with a tilt of 10 degrees or more"),
-        *("rough_speed", "rough_steps"),
-    ),
+    "velocity_over_rough_terrain": Metric("speed on rough", "m/s", _ROUGH, "rough_speed", "rough_steps"),
     "collisions": Metric("collisions", "", "collisions per episode, as the task defines them", "collisions"),
     "body_contacts": Metric("touches", "", "contacts of the body with obstacles per episode", "contacts"),
     # Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
     "turns_per_goal": Metric("turns", "", "full turns per goal reached", "turns", "goals"),
     "standstill": Metric("still", "%", "time spent slower than 0.05 m/s", "still_steps", "steps"),
-    "command_reversals": Metric(
-        "reversals", "1/s", "changes of the commanded turning direction per second", "reversals", "seconds"
-    ),
+    "command_reversals": Metric("reversals", "1/s", _REVERSALS, "reversals", "seconds"),
     "jerk": Metric("jerk", "m/s^3", "root mean square jerk of the driven speed", "jerk", "jerk_steps", root=True),
-    "at_fault": Metric("at fault", "1/goal", _FAULT, "at_fault", "goals", of="movers"),
-    "wall_contact_share": Metric(
-        *("wall touched", "%", "episodes in which the body touches an obstacle at rest"),
-        lambda row: row["wall_contacts"] > 0,
-        of="movers",
-    ),
-    "mover_contacts": Metric(
-        "mover touches", "", "contacts of the body with movers per episode", "mover_contacts", of="movers"
-    ),
-    "risk_per_goal": Metric("risk", "s/goal", _RISK, "risk_seconds", "goals", of="movers"),
-    "intrusion": Metric("intrusion", "%", "time within 1.2 m of a mover", "intrusion_seconds", "seconds", of="movers"),
-    "frozen": Metric(
-        "frozen", "%", "time spent slower than 0.05 m/s within 2 m of a mover", "frozen_seconds", "seconds", of="movers"
-    ),
+    "at_fault": _of_movers("at fault", "1/goal", _FAULT, "at_fault", "goals"),
+    "wall_contact_share": _of_movers("wall touched", "%", _TOUCHED_WALL, _touching("wall_contacts")),
+    "mover_contacts": _of_movers("mover touches", "", _MOVER_TOUCHES, "mover_contacts"),
+    "risk_per_goal": _of_movers("risk", "s/goal", _RISK, "risk_seconds", "goals"),
+    "intrusion": _of_movers("intrusion", "%", "time within 1.2 m of a mover", "intrusion_seconds", "seconds"),
+    "frozen": _of_movers("frozen", "%", _FROZEN, "frozen_seconds", "seconds"),
 }
 """All metrics by name, in the order in which tables show them. A new one is an entry here.
 
@@ -296,10 +240,12 @@ METRICS = {
 
 
 def compute_metrics(rows: Sequence[Row], endless: bool = False) -> dict[str, Estimate]:
-    """Computes the metrics of episodes with one goal each, or of ``endless`` ones, by name.
-
-    Those of movers are of the episodes in worlds with movers, if there are any.
-    """
+    """Metrics of episodes with one goal each, or of ``endless`` ones. Those of movers need worlds with movers."""
     met = [row for row in rows if "mover_contacts" in row]
     kinds = {"all": rows, "endless" if endless else "goal": rows, **({"movers": met} if met else {})}
     return {name: metric.estimate(kinds[metric.of]) for name, metric in METRICS.items() if metric.of in kinds}
+
+
+def finite_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row with ``None`` in place of nan and infinity, which JSON does not know."""
+    return {key: None if isinstance(n, float) and not math.isfinite(n) else n for key, n in row.items()}

@@ -1,7 +1,4 @@
-"""Figures of training runs, driven paths and rewards. They need no display.
-
-Colors are those of Okabe and Ito and of the plasma colormap, which color-blind readers can tell apart.
-"""
+"""Figures of training runs, driven paths and rewards, in colors that color-blind readers can tell apart."""
 
 from __future__ import annotations
 
@@ -38,6 +35,12 @@ from rover_rl.worlds.world import Area
 
 BLUE, ORANGE, GREEN, PURPLE, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9"
 GREY, GRID = "#6b7280", "#e5e7eb"
+TRACE = 3.0  # duration for which the movers of an episode leave a trace before its end, s
+NEAR = 1.5  # distance from the rover at the end of an episode up to which movers are drawn among other episodes, m
+_MAX_COLUMNS = 3  # largest number of panels in a row
+_STRIDE = 4  # Number of steps per segment of a path. Its color shows the mean speed over them.
+_SPEED = ScalarMappable(Normalize(0, 1), ListedColormap(colormaps["plasma_r"](np.linspace(0.12, 1, 256))))
+"""Colors of speeds in m/s, bright for low speeds, without the brightest yellow: it is hard to see on pale ground."""
 
 
 def style_axes(ax: Axes) -> None:
@@ -46,42 +49,28 @@ def style_axes(ax: Axes) -> None:
     ax.set_axisbelow(True)
 
 
-TRACE = 3.0
-"""Duration for which the movers of an episode leave a trace before its end, s."""
-NEAR = 1.5
-"""Distance from the rover at the end of an episode up to which movers are drawn among other episodes, m."""
-_MAX_COLUMNS = 3  # largest number of panels in a row
-_STRIDE = 4  # Number of steps per segment of a path. Its color shows the mean speed over them.
-_SPEED = ScalarMappable(Normalize(0, 1), ListedColormap(colormaps["plasma_r"](np.linspace(0.12, 1, 256))))
-"""Colors of speeds in m/s, bright for low speeds. The brightest yellow is left out, since it is hard to see on pale
-ground."""
-
-
 def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int = 32) -> None:
-    """Draws the driven paths of policies from above, colored by speed, with one panel per policy.
+    """Draws driven paths from above, colored by speed, with a panel per policy, of the first ``max_episodes`` at most.
 
-    Of episodes in several worlds, the six worlds with the lowest success rates are drawn, with a panel per policy and
-    world. The suffix of ``path`` selects the format. A panel has the first ``max_episodes`` at most.
+    Of several worlds, the six with the lowest success rates are drawn, with a panel per policy and world. The suffix of
+    ``path`` selects the format.
     """
     episodes = evaluations[0].episodes
-    if episodes.several_worlds:
-        _draw_worst_worlds(evaluations, path, max_episodes)
+    if not episodes.several_worlds:
+        shown = range(len(episodes))[:max_episodes]
+        first = f"\nfirst {max_episodes} shown" if len(episodes) > max_episodes else ""
+        panels = [(f"{one.name}: success rate {one.success_rate:.0%}", one.select(shown)) for one in evaluations]
+        draw_panels(panels, path, f"{evaluations[0].title}{first}")
         return
-    shown = range(len(episodes))[:max_episodes]
-    first = f"\nfirst {max_episodes} shown" if len(episodes) > max_episodes else ""
-    panels = [(f"{one.name}: success rate {one.success_rate:.0%}", one.select(shown)) for one in evaluations]
-    draw_panels(panels, path, f"{evaluations[0].title}{first}")
-
-
-def _draw_worst_worlds(evaluations: Sequence[Evaluation], path: Path, max_episodes: int) -> None:
-    indices, panels = evaluations[0].episodes.world_index, []
+    panels, worst = [], worst_worlds(evaluations)
     for evaluation in evaluations:
         rates = {world["world"]: world["success_rate"] for world in evaluation.by_world}
-        for world in worst_worlds(evaluations):
-            shown = evaluation.select((indices == world).nonzero().squeeze(-1).tolist()[:max_episodes])
-            panels.append((f"{evaluation.name}, {shown.episodes.world_name(0)}: {rates[world]:.0%}", shown))
-    title = f"{evaluations[0].world_name}: the worlds with the lowest success rates"
-    draw_panels(panels, path, title, columns=_MAX_COLUMNS if len(evaluations) == 1 else len(panels) // len(evaluations))
+        for world in worst:
+            members = (episodes.world_index == world).nonzero().squeeze(-1).tolist()[:max_episodes]
+            title = f"{evaluation.name}, {episodes.world_name(members[0])}: {rates[world]:.0%}"
+            panels.append((title, evaluation.select(members)))
+    title = f"{episodes.name}: the worlds with the lowest success rates"
+    draw_panels(panels, path, title, columns=_MAX_COLUMNS if len(evaluations) == 1 else len(worst))
 
 
 def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str, columns: int = _MAX_COLUMNS) -> None:
@@ -101,13 +90,18 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
         ax.set_title(name, fontsize="medium")
     axes = list(figure.axes)
     figure.colorbar(_SPEED, ax=axes, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
-    endings = {ending for _, evaluation in panels for ending in evaluation.endings}
+    driven = [trajectory for _, evaluation in panels for trajectory in evaluation.trajectories]
+    endings = {trajectory.ending for trajectory in driven}
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
     handles: list[Artist] = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
-    if any(trajectory.movers is not None for _, evaluation in panels for trajectory in evaluation.trajectories):
+    if any(trajectory.movers is not None for trajectory in driven):
         label = f"mover at the end, its last {TRACE:g} s"
         handles.append(Line2D([], [], color=WAY, marker="o", markerfacecolor=MOVER, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
@@ -123,12 +117,11 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
     episodes, driven = evaluation.episodes, evaluation.trajectories
     draw_pale_map(ax, episodes.world, area)
     for trajectory in driven:
-        draw_mover_traces(ax, episodes.world, trajectory, alone=len(driven) == 1)
+        _draw_mover_traces(ax, episodes.world, trajectory, alone=len(driven) == 1)
     segments, speeds = zip(*(_segments(trajectory) for trajectory in driven), strict=True)
     colors = _SPEED.to_rgba(np.concatenate(speeds))
-    ax.add_collection(
-        LineCollection(list(np.concatenate(segments)), colors=colors, linewidths=1.8, capstyle="round", zorder=4)
-    )
+    lines = list(np.concatenate(segments))
+    ax.add_collection(LineCollection(lines, colors=colors, linewidths=1.8, capstyle="round", zorder=4))
     ax.scatter(*episodes.goal.T, zorder=5, **_GOAL)
     ax.scatter(*episodes.start[:, :2].T, zorder=6, **_START)
     for ending, style in _ENDS.items():
@@ -136,20 +129,17 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
         ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
 
 
-def draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: bool) -> None:
-    """Draws where the movers of an episode are at its end, with fading traces, if the trajectory has them.
-
-    Of an episode among others, only those near the rover that has not reached its goal.
-    """
+def _draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: bool) -> None:
+    """Draws movers at the end of an episode, with fading traces; among other episodes, those near a failed rover."""
     track, reached = trajectory.movers, trajectory.ending == "goal"
     if track is None or not len(track.position) or (reached and not alone):
         return
     gaps = (track.position[-1, :, :2] - trajectory.path[-1]).norm(dim=-1) - track.half[:, :2].amax(-1)
     shown = track.mover[gaps < (math.inf if alone else NEAR)].unique()
     for mover in shown.tolist():
-        parts = (track.mover == mover).nonzero().squeeze(-1)
         # The last part is the trunk of a person, whose legs swing.
-        way = track.position[-1 - round(TRACE / trajectory.dt) :, parts[-1], :2].numpy()
+        part = (track.mover == mover).nonzero()[-1, 0]
+        way = track.position[-1 - round(TRACE / trajectory.dt) :, part, :2].numpy()
         colors = [(*to_rgb(WAY), share) for share in np.linspace(0, 0.8, len(way) - 1)]
         segments = list(np.stack((way[:-1], way[1:]), 1))
         ax.add_collection(LineCollection(segments, colors=colors, linewidths=1.6, zorder=4.2))
@@ -161,7 +151,7 @@ def draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: boo
 
 
 def draw_pale_map(ax: Axes, world: World, area: Area) -> None:
-    """Draws a map like :func:`draw_map`, with a paler ground on which paths are easier to see."""
+    """Draws a map with a paler ground, on which paths are easier to see."""
     draw_map(ax, world, area)
     ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, color="white", alpha=0.4, linewidth=0, zorder=1))
 
@@ -186,11 +176,7 @@ _ENDS: dict[str, dict[str, Any]] = {
     ENDINGS[StepEvent.STUCK]: {"marker": "P", **_EARLY},
     ENDINGS[StepEvent.INVALID_ACTION]: {"marker": "v", **_EARLY},
 }
-"""Marker styles of the endings of episodes."""
-
-
-_COMPONENTS = (BLUE, ORANGE, PURPLE, RED, SKY)
-"""Colors of the reward components except the goal component, which is green."""
+_COMPONENTS = (BLUE, ORANGE, PURPLE, RED, SKY)  # colors of the reward components other than the green goal component
 _GOAL_LINE: dict[str, Any] = {"color": GREEN, "linewidth": 1.2, "linestyle": "--"}
 _ENDING_LINE: dict[str, Any] = {"color": "black", "linewidth": 1.2, "linestyle": ":"}
 _COLLISION: dict[str, Any] = {"color": RED, "alpha": 0.2, "linewidth": 0}
@@ -199,15 +185,8 @@ _COLLISION: dict[str, Any] = {"color": RED, "alpha": 0.2, "linewidth": 0}
 def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = CONTROL_DT) -> None:
     """Draws the reward components of a rover over time, each on its own scale, and the cumulative reward.
 
-    Components that are always 0 are left out. Lines mark goals and endings, shading marks collisions.
-
-    Args:
-        rollout: rollout of one rover, ``[T]`` or ``[1, T]``, as returned by ``make_env(...).rollout(T)``; it may
-            contain several episodes.
-        dt: duration of a step, s.
-
-    Raises:
-        ValueError: if the rollout is of several rovers or has no reward components.
+    Components that are always 0 are left out. Lines mark goals and endings, shading marks collisions. ``rollout`` is
+    that of one rover, ``[T]`` or ``[1, T]``, as ``make_env(...).rollout(T)`` returns it. A step takes ``dt``, s.
     """
     if rollout.numel() != rollout.batch_size[-1]:
         raise ValueError(f"draw the rollout of one rover, not of batch size {tuple(rollout.batch_size)}")
@@ -233,8 +212,7 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
     panels[-1].set_ylabel(f"cumulative reward\nfinal {reward.sum():+,.2f}", rotation=0, ha="right", va="center")
     figure.align_ylabels(panels)
     figure.legend(handles=_mark_events(panels, seconds, steps), loc="outside upper center", ncols=3, frameon=False)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    _save(figure, path)
 
 
 def _mark_events(panels: Sequence[Axes], seconds: np.ndarray, steps: TensorDictBase) -> list[Line2D | Patch]:

@@ -1,22 +1,27 @@
-"""Evaluation reports: tables on the terminal, JSON and CSV files."""
+"""Reports of evaluations: tables that fit into the terminal, JSON and CSV files."""
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 from rover_rl.algos.evaluation.metrics import ENDING, METRICS, Estimate, ratio
 from rover_rl.algos.evaluation.results import Evaluation, worst_worlds
-from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, formatted, print_tables, write_rows
-from rover_rl.files import MADE_BY, write_json
+from rover_rl.files import MADE_BY, write_json, written_whole
 from rover_rl.registry import perhaps
 
+NAME_WIDTH = 30  # width up to which names of policies stay in one line if there is room, characters
+LEAST_NAME_WIDTH = 12  # width of the names in a narrow terminal, characters
 ALL_COLUMNS = "all"  # in place of the names of columns: all metrics
 LISTED = 20  # largest number of printed episodes on which backends disagree
 _Row: TypeAlias = tuple[str, dict[str, str]]
@@ -31,9 +36,9 @@ def print_table(
 ) -> None:
     """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
 
-    Columns that do not fit into the width of the terminal, by default 80, go into a further table. Below, for ranges of
-    worlds, the worlds with the lowest success rates, and for policies in several backends, the episodes that reach
-    their goal in one backend and not in another. A last paragraph explains the columns.
+    Columns that do not fit into the width of the terminal go into a further table. Below are, for ranges of worlds, the
+    worlds with the lowest success rates, and for policies in several backends, the episodes that reach their goal in
+    one backend and not in another. A last paragraph explains the columns.
 
     Args:
         groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
@@ -48,14 +53,13 @@ def print_table(
     for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
         keys = [key for key in chosen if _is_shown(key, together)]
-        means = _group_rows(together, groups or {})
-        rows = [*_rows(together), *means]
+        rows = _rows(together, groups or {})
         cells = [
             Column(METRICS[key].heading, METRICS[key].unit, [row.get(key, "-") for _, row in rows]) for key in keys
         ]
         print_tables(title, [name for name, _ in rows], cells, console)
         shown |= dict.fromkeys(keys)
-        grouped |= bool(means)
+        grouped |= len(rows) > len(together)
         _print_imperfections(title, together, console)
     for evaluation in evaluations:
         if evaluation.episodes.several_worlds:
@@ -66,7 +70,7 @@ def print_table(
 
 
 def check_columns(names: Sequence[str]) -> list[str]:
-    """Returns the metrics that names of columns stand for, in the order of the table."""
+    """Metrics that names of columns stand for, in the order of the table."""
     if ALL_COLUMNS in names:
         return [*METRICS]
     if not names:
@@ -85,18 +89,26 @@ def _is_shown(key: str, evaluations: Sequence[Evaluation]) -> bool:
     return any(value > 0 for value in values) or not (key.startswith(ENDING) or all(map(math.isnan, values)))
 
 
-def _rows(evaluations: Sequence[Evaluation]) -> list[_Row]:
-    several = _several_backends(evaluations)
-    order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
-    return [
-        (_labeled(one.name, one, several), {k: _cell(k, e) for k, e in one.metrics.items()})
-        for one in sorted(evaluations, key=lambda one: order.index(one.name))
-    ]
+def _rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[_Row]:
+    """Rows of policies, in the order of their names, and of groups of several policies."""
+    several = len({(one.name, one.backend) for one in evaluations}) > len({one.name for one in evaluations})
 
+    def label(name: str, one: Evaluation, note: str = "") -> str:
+        notes = [note, one.backend if several else "", one.imperfection]
+        return "\n".join(filter(None, (name, ", ".join(filter(None, notes)))))
 
-def _labeled(name: str, one: Evaluation, several_backends: bool, note: str = "") -> str:
-    notes = [note, one.backend if several_backends else "", one.imperfection]
-    return "\n".join(filter(None, (name, ", ".join(filter(None, notes)))))
+    order = [*dict.fromkeys(one.name for one in evaluations)]
+    found: dict[tuple[str, ...], list[Evaluation]] = {}
+    rows = []
+    for one in sorted(evaluations, key=lambda one: order.index(one.name)):
+        rows.append((label(one.name, one), {key: _cell(key, estimate) for key, estimate in one.metrics.items()}))
+        if one.name in groups:
+            found.setdefault((groups[one.name], one.backend, one.imperfection), []).append(one)
+    for (group, *_), members in found.items():
+        if len(members) > 1:
+            cells = {key: _mean_cell(key, [one.metrics[key].value for one in members]) for key in members[0].metrics}
+            rows.append((label(group, members[0], f"{len(members)} policies"), cells))
+    return rows
 
 
 def _cell(key: str, estimate: Estimate) -> str:
@@ -104,35 +116,17 @@ def _cell(key: str, estimate: Estimate) -> str:
     return cell(shown, METRICS[key].unit)
 
 
-def _group_rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[_Row]:
-    found: dict[tuple[str, str, str], list[Evaluation]] = {}
-    for one in evaluations:
-        if one.name in groups:
-            found.setdefault((groups[one.name], one.backend, one.imperfection), []).append(one)
-    several, rows = _several_backends(evaluations), []
-    for (group, *_), members in found.items():
-        if len(members) > 1:
-            cells = {key: _mean_cell(key, [one.metrics[key].value for one in members]) for key in members[0].metrics}
-            rows.append((_labeled(group, members[0], several, f"{len(members)} policies"), cells))
-    return rows
-
-
 def _mean_cell(key: str, values: Sequence[float]) -> str:
     mean, deviation = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
     unit = METRICS[key].unit
-    return "-" if math.isnan(mean) else f"{formatted(mean, unit)}\n± {formatted(deviation, unit)}"
-
-
-def _several_backends(evaluations: Sequence[Evaluation]) -> bool:
-    places = {(evaluation.name, evaluation.backend) for evaluation in evaluations}
-    return len(places) > len({name for name, _ in places})
+    return "-" if math.isnan(mean) else f"{_formatted(mean, unit)}\n± {_formatted(deviation, unit)}"
 
 
 def _worst_worlds(evaluation: Evaluation) -> str:
     worlds = {world["world"]: world for world in evaluation.by_world}
     worst = (worlds[index] for index in worst_worlds([evaluation]))
     named = ", ".join(f"{world['name']} {world['success_rate']:.0%}" for world in worst if world["success_rate"] < 1)
-    places = (evaluation.world_name, evaluation.backend, evaluation.imperfection)
+    places = (evaluation.episodes.name, evaluation.backend, evaluation.imperfection)
     policy = escape(f"{evaluation.name} in {', '.join(filter(None, places))}")
     return f"Lowest success rates of {policy}: {escape(named)}" if named else f"{policy}: all episodes reach their goal"
 
@@ -146,6 +140,115 @@ def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation], grouped: bo
     return "; ".join(said) + (f". Below a value: {', '.join(below)}." if below else ".")
 
 
+def _disagreements(evaluations: Sequence[Evaluation]) -> Iterator[str]:
+    """Tells which episodes of a policy reach their goal in one backend and not in another."""
+    groups: dict[tuple[object, ...], dict[str, Evaluation]] = {}
+    for one in evaluations:
+        if not one.endless:
+            same = one.name, one.imperfection, one.action_repeat, one.seconds, id(one.episodes)
+            groups.setdefault(same, {})[one.backend] = one
+    for (name, *_), by_backend in groups.items():
+        if len(by_backend) == 1:
+            continue
+        differ = []
+        for number, endings in enumerate(zip(*(one.endings for one in by_backend.values()), strict=True)):
+            if 0 < endings.count("goal") < len(endings):
+                differ.append(f"{number} ({', '.join(map(' '.join, zip(by_backend, endings, strict=True)))})")
+        more = f" and {len(differ) - LISTED} more" if len(differ) > LISTED else ""
+        which = f"Reach their goal in one backend and not in another: episodes {', '.join(differ[:LISTED])}{more}"
+        yield f"{name}: {which if differ else 'the backends agree on which episodes reach their goal'}"
+
+
+def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console: Console) -> None:
+    rows: dict[str, dict[str, Evaluation]] = {}
+    several = len({one.backend for one in evaluations}) > 1
+    for one in evaluations:
+        if not one.endless:
+            rows.setdefault(f"{one.name}, {one.backend}" if several else one.name, {})[one.imperfection] = one
+    names = [*dict.fromkeys(name for row in rows.values() for name in row)]
+    if len(names) < 2:
+        return
+    columns = []
+    for name in names:
+        cells: list[str] = []
+        for row in rows.values():
+            mine, exact = row.get(name), row.get(names[0])
+            cells.append("-" if mine is None else cell(mine.metrics["success_rate"], "%"))
+            cells.append(cell(change(mine, exact), "%") if mine and exact and mine is not exact else "-")
+        columns.append(Column(name, "%", cells))
+    heading = f"{title}. Success, and its change against {names[0]}"
+    print_tables(heading, [line for policy in rows for line in (policy, "change")], columns, console)
+
+
+def change(one: Evaluation, other: Evaluation) -> Estimate:
+    """How much larger the success rate of ``one`` is, on the same episodes, with its bootstrap interval."""
+    return ratio((one.reached.double() - other.reached.double()).tolist())
+
+
+class Column(NamedTuple):
+    """A column of a table. The second line of a cell, such as a confidence interval, is dimmed."""
+
+    heading: str
+    unit: str
+    cells: Sequence[str]
+
+
+def print_tables(
+    title: str, names: Sequence[str], columns: Sequence[Column], console: Console, heading: str = "policy"
+) -> None:
+    """Prints a title, and tables that together have all columns, none of them wider than the console.
+
+    Long names continue in the next line. Nothing else is broken or cut.
+    """
+    console.print(Text(title, "bold"))
+    rest = [*columns]
+    while True:
+        counts = range(len(rest), 0, -1)
+        # The names take the room that is left: rich folds them.
+        bare, unlimited = [""] * len(names), console.options.update(width=100_000)
+        widths = {n: console.measure(_table(bare, rest[:n]), options=unlimited).maximum for n in counts}
+        count = next((n for n, width in widths.items() if width <= console.width), 1)
+        console.print(_table(names, rest[:count], heading))
+        rest = rest[count:]
+        if not rest:
+            return
+
+
+def _table(names: Sequence[str], columns: Sequence[Column], heading: str = "") -> Table:
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(heading, min_width=LEAST_NAME_WIDTH, max_width=NAME_WIDTH, overflow="fold")
+    for title, unit, _ in columns:
+        lines = "\n".join((*title.split(), unit))
+        table.add_column(escape(lines), justify="right", no_wrap=True, vertical="top")
+    for name, *cells in zip(names, *(column.cells for column in columns), strict=True):
+        table.add_row(_dimmed(escape(name)), *map(_dimmed, cells))
+    return table
+
+
+def _dimmed(cell: str) -> str:
+    value, *below = cell.splitlines() or [""]
+    return "\n".join([value, *(f"[dim]{line}[/dim]" for line in below)])
+
+
+def cell(estimate: Estimate, unit: str, digits: int = 2) -> str:
+    """Formats a value and, below it, its confidence interval; ``-`` for an undefined value.
+
+    Proportions (``"%"``) have one digit and their ends none, seconds one digit, and other values ``digits``.
+    """
+    if math.isnan(estimate.value):
+        return "-"
+    value = _formatted(estimate.value, unit, digits)
+    if math.isnan(estimate.low):
+        return value
+    ends = (estimate.low, estimate.high)
+    low, high = (f"{100 * end:.0f}" if unit == "%" else _formatted(end, unit, digits) for end in ends)
+    return f"{value}\n{low}–{high}"
+
+
+def _formatted(value: float, unit: str, digits: int = 2) -> str:
+    return f"{100 * value:.1f}" if unit == "%" else f"{value:.{1 if unit == 's' else digits}f}"
+
+
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
     """Writes evaluations as a JSON file with everything, such as ``evaluation.json``, and as CSV files beside it.
 
@@ -157,7 +260,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
         results.append(MADE_BY | one.to_json())
         summaries.append(one.summary() | estimate_row(one.metrics))
         if one.episodes.several_worlds:
-            head = {"policy": one.name, "backend": one.backend, "worlds": one.world_name}
+            head = {"policy": one.name, "backend": one.backend, "worlds": one.episodes.name}
             by_world += [head | world for world in one.by_world]
     write_json(path, results)
     write_rows(path.with_suffix(".csv"), [row for one in evaluations for row in one.episode_rows()])
@@ -166,50 +269,17 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
         write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)
 
 
-def _disagreements(evaluations: Sequence[Evaluation]) -> Iterator[str]:
-    """Tells which episodes of a policy reach their goal in one backend and not in another."""
-    groups: dict[tuple[object, ...], dict[str, Evaluation]] = {}
-    for one in evaluations:
-        if not one.endless:
-            same = one.name, one.imperfection, one.action_repeat, one.seconds, id(one.episodes)
-            groups.setdefault(same, {})[one.backend] = one
-    for by_backend in (group for group in groups.values() if len(group) > 1):
-        name, endings = (
-            next(iter(by_backend.values())).name,
-            zip(*(one.endings for one in by_backend.values()), strict=True),
-        )
-        differ = {number: each for number, each in enumerate(endings) if 0 < each.count("goal") < len(each)}
-        told = [
-            f"{number} ({', '.join(map(' '.join, zip(by_backend, each, strict=True)))})"
-            for number, each in differ.items()
-        ]
-        more = f" and {len(told) - LISTED} more" if len(told) > LISTED else ""
-        which = f"Reach their goal in one backend and not in another: episodes {', '.join(told[:LISTED])}{more}"
-        yield f"{name}: {which}" if told else f"{name}: the backends agree on which episodes reach their goal"
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes rows as CSV, with a column for each key that occurs in them."""
+    first, *others = dict.fromkeys(key for row in rows for key in row) or ("",)
+    with written_whole(path) as temporary, temporary.open("w", newline="") as file:
+        # The quotes are the mark of a table: see rover_rl.files.
+        file.write(",".join((f'"{first}"', *others)) + "\r\n")
+        csv.DictWriter(file, [first, *others]).writerows(rows)
 
 
-def _print_imperfections(title: str, evaluations: Sequence[Evaluation], console: Console) -> None:
-    driven = [one for one in evaluations if not one.endless]
-    names = [*dict.fromkeys(one.imperfection for one in driven)]
-    if len(names) < 2:
-        return
-    rows: dict[tuple[str, str], dict[str, Evaluation]] = {}
-    for one in driven:
-        rows.setdefault((one.name, one.backend), {})[one.imperfection] = one
-    several = len({backend for _, backend in rows}) > 1
-    policies = [f"{name}, {backend}" if several else name for name, backend in rows]
-    columns = []
-    for name in names:
-        cells: list[str] = []
-        for row in rows.values():
-            mine, exact = row.get(name), row.get(names[0])
-            cells.append("-" if mine is None else cell(mine.metrics["success_rate"], "%"))
-            cells.append(cell(change(mine, exact), "%") if mine and exact and mine is not exact else "-")
-        columns.append(Column(name, "%", cells))
-    heading = f"{title}. Success, and its change against {names[0]}"
-    print_tables(heading, [line for policy in policies for line in (policy, "change")], columns, console)
-
-
-def change(one: Evaluation, other: Evaluation) -> Estimate:
-    """Computes how much larger the success rate of ``one`` is, on the same episodes, with its bootstrap interval."""
-    return ratio((one.reached.double() - other.reached.double()).tolist())
+def estimate_row(estimates: Mapping[str, Estimate]) -> dict[str, float]:
+    columns: dict[str, float] = {}
+    for key, estimate in estimates.items():
+        columns |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
+    return columns

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import Estimate, Row, compute_metrics, episode_row
-from rover_rl.algos.evaluation.tables import finite_row
+from rover_rl.algos.evaluation.metrics import Estimate, Row, compute_metrics, episode_row, finite_row
 from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
 from rover_rl.envs.rows import drawn_robots
@@ -31,13 +30,9 @@ WORST = 6  # number of worlds with the lowest success rates that are named and d
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
 results of randomized environments do not, either."""
-_EVENTS = ("ending", "seconds", "contacts", "collisions")
-_OF_MOVERS = (
-    *("wall_contacts", "mover_contacts", "run_into", "least_mover_distance"),
-    *("risk_seconds", "intrusion_seconds", "frozen_seconds"),
-)
-_ROUNDED = {"seconds", *_OF_MOVERS}
-"""Columns of the table in files, those of episodes in worlds with movers, and those that have three digits."""
+_OF_EPISODE = ("ending", "seconds", "contacts", "collisions")  # columns in files, for one goal and endless ones
+_OF_MOVERS = ("wall_contacts", "mover_contacts", "run_into", "least_mover_distance")
+_MOVER_SECONDS = ("risk_seconds", "intrusion_seconds", "frozen_seconds")  # with _OF_MOVERS, these have three digits
 
 
 @dataclass(frozen=True)
@@ -69,12 +64,8 @@ class Evaluation:
 
     @property
     def backend(self) -> str:
-        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
+        """Name of the simulator; ``"module:class"`` of a custom one that is given as an object."""
         return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
-
-    @property
-    def world_name(self) -> str:
-        return self.episodes.name
 
     @cached_property
     def robots(self) -> list[Robot]:
@@ -123,30 +114,23 @@ class Evaluation:
 
     @cached_property
     def by_world(self) -> list[dict[str, Any]]:
-        """Results in each world, in the order of the pool.
-
-        The keys are ``world`` (index in the pool), ``name``, ``count``, ``success_rate``, ``contact_free_success_rate``
-        and ``mean_time_to_traverse`` (s, ``None`` if no goal was reached). A world with movers also has
-        ``mover_contact_share``.
-        """
-        members: dict[int, list[int]] = {}
-        for episode, index in enumerate(self.episodes.world_index.tolist()):
-            members.setdefault(index, []).append(episode)
-        return [self._in_world(index, members[index]) for index in sorted(members)]
-
-    def _in_world(self, index: int, episodes: Sequence[int]) -> dict[str, Any]:
-        rows = [self.table[episode] for episode in episodes]
-        seconds = [row["seconds"] for row in rows if row["success"]]
-        met = [row["mover_contacts"] > 0 for row in rows if "mover_contacts" in row]
-        return {
-            "world": index,
-            "name": self.episodes.world_name(episodes[0]),
-            "count": len(rows),
-            "success_rate": len(seconds) / len(rows),
-            "contact_free_success_rate": sum(row["clean"] for row in rows) / len(rows),
-            "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
-            **({"mover_contact_share": sum(met) / len(met)} if met else {}),
-        }
+        """Results in each world, in the order of the pool. ``mean_time_to_traverse`` (s) is ``None`` without goals."""
+        results, indices = [], self.episodes.world_index
+        for index in indices.unique().tolist():
+            members = (indices == index).nonzero().squeeze(-1).tolist()
+            rows = [self.table[episode] for episode in members]
+            seconds = [row["seconds"] for row in rows if row["success"]]
+            met = [row["mover_contacts"] > 0 for row in rows if "mover_contacts" in row]
+            result = {
+                "world": index,
+                "name": self.episodes.world_name(members[0]),
+                "count": len(rows),
+                "success_rate": len(seconds) / len(rows),
+                "contact_free_success_rate": sum(row["clean"] for row in rows) / len(rows),
+                "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
+            }
+            results.append(result | ({"mover_contact_share": sum(met) / len(met)} if met else {}))
+        return results
 
     def select(self, indices: Sequence[int]) -> Evaluation:
         trajectories = [self.trajectories[index] for index in indices]
@@ -168,11 +152,10 @@ class Evaluation:
         return f"{several} of {len(self.by_world)} worlds, {episodes.name}: {limit}"
 
     def summary(self) -> dict[str, Any]:
-        """Returns policy, backend, world and counts as plain data."""
         return {
             "policy": self.name,
             "backend": self.backend,
-            "world": self.world_name,
+            "world": self.episodes.name,
             "mode": "endless" if self.endless else "one goal",
             "seed": self.episodes.seed,
             "action_repeat": self.action_repeat,
@@ -185,9 +168,8 @@ class Evaluation:
         }
 
     def episode_rows(self) -> list[dict[str, Any]]:
-        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
-        summary, rows = self.summary(), []
-        keys = ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
+        """A row of plain values for each episode, as in ``evaluation.csv``."""
+        summary, rows, keys = self.summary(), [], ("policy", "backend", "imperfection", "mode", "seed", "action_repeat")
         head = {key: summary[key] for key in keys if key in summary}
         for number, episode in enumerate(self._episodes):
             place = (*episode.pop("start", ()), *episode.pop("goal", ()))
@@ -198,9 +180,9 @@ class Evaluation:
         return rows
 
     def to_json(self) -> dict[str, Any]:
-        """Returns all results except the trajectories as plain data."""
-        found = {**self.summary(), "env": plain_env_or_none(self.env)}
-        found |= {"metrics": plain_estimates(self.metrics), "endings": dict(Counter(self.endings))}
+        """All results except the trajectories, as plain data."""
+        found = self.summary() | {"env": plain_env_or_none(self.env), "metrics": plain_estimates(self.metrics)}
+        found["endings"] = dict(Counter(self.endings))
         if not self.episodes.several_worlds:
             return {**found, "episodes": self._episodes}
         indices = self.episodes.world_index.tolist()
@@ -209,31 +191,29 @@ class Evaluation:
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
-        episodes, first = [], ("goals",) if self.endless else ("shortest", "length")
-        for number, row in enumerate(self.table):
-            keys = (*first, *_EVENTS, *(_OF_MOVERS if "mover_contacts" in row else ()))
-            episode = {key: round(row[key], 3) if key in _ROUNDED else row[key] for key in keys}
-            place = {} if self.endless else {"start": self.episodes.start[number], "goal": self.episodes.goal[number]}
-            episodes.append({**{key: value.tolist() for key, value in place.items()}, **episode})
+        keys, episodes = ("goals",) if self.endless else ("shortest", "length"), []
+        for row, start, goal in zip(self.table, self.episodes.start, self.episodes.goal, strict=True):
+            episode = {} if self.endless else {"start": start.tolist(), "goal": goal.tolist()}
+            episode |= {key: row[key] for key in (*keys, *_OF_EPISODE)} | {"seconds": round(row["seconds"], 3)}
+            met = (*_OF_MOVERS, *_MOVER_SECONDS) if "mover_contacts" in row else ()
+            episodes.append(episode | {key: round(row[key], 3) for key in met})
         return episodes
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
-    """Returns the indices of the worlds with the lowest mean success, then with most contacts, then slowest."""
+    """Indices of the worlds with the lowest mean success, then with most contacts, then slowest."""
 
-    def merit(index: int) -> tuple[float, float, float]:
-        results = [evaluation.by_world[index] for evaluation in evaluations]
-        times = [-(result["mean_time_to_traverse"] or math.inf) for result in results]
+    def merit(results: Sequence[dict[str, Any]]) -> tuple[float, float, float]:
         keys = ("success_rate", "contact_free_success_rate")
         success, clean = (sum(result[key] for result in results) for key in keys)
-        return success, clean, sum(times)
+        return success, clean, sum(-(result["mean_time_to_traverse"] or math.inf) for result in results)
 
-    order = sorted(range(len(evaluations[0].by_world)), key=merit)
-    return [evaluations[0].by_world[index]["world"] for index in order[:count]]
+    results = zip(*(evaluation.by_world for evaluation in evaluations), strict=True)
+    return [of_policies[0]["world"] for of_policies in sorted(results, key=merit)[:count]]
 
 
 def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
-    """Returns the settings as plain data, ``None`` if they contain objects that have no plain form."""
+    """The settings as plain data, ``None`` if they contain objects that have no plain form."""
     try:
         return plain_env(env)
     except ValueError:
@@ -248,8 +228,7 @@ def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, fl
 class StoredEvaluation:
     """An evaluation with one goal per episode, as ``evaluation.json`` holds it.
 
-    ``seconds`` is the time limit of an episode, s, and ``durations`` are those of the episodes, s. Each action was held
-    for ``action_repeat`` steps.
+    ``seconds`` is the time limit of an episode, s, and ``durations`` are those of the episodes, s.
     """
 
     policy: str
@@ -265,24 +244,16 @@ class StoredEvaluation:
         return [index for index, ending in enumerate(self.endings) if ending != "goal"]
 
     def telling(self, worst: int, good: int) -> list[int]:
-        """Returns the indices of some episodes that are worth seeing.
-
-        They are the ``worst`` ones, failures or else those that took longest, and ``good`` ones that took as long as
-        most.
-        """
-        failed, all_ones = set(self.failures), range(len(self.endings))
-        # Failures first, in their order, then the others by their duration.
-        order = sorted(all_ones, key=lambda one: (one not in failed, 0.0 if one in failed else -self.durations[one]))
+        """The ``worst`` episodes, failures or else those that took longest, and ``good`` ones of usual time."""
+        failed = self.failures
+        others = [index for index in range(len(self.endings)) if index not in failed]
+        order = failed + sorted(others, key=lambda index: -self.durations[index])
         usual = [one for one in order[worst:] if one not in failed]
         middle = max(0, (len(usual) - good) // 2)
         return order[:worst] + usual[middle : middle + good]
 
     def to_drive(self, episode: int) -> EpisodeSet:
-        """Returns the episodes to drive for the same drive as in the evaluation: the episode alone if possible.
-
-        The random numbers of a randomized environment depend on the episodes that were driven with it. Raises
-        ``ValueError`` if there is no such episode.
-        """
+        """Episodes to drive for the same drive as in the evaluation: if it is random, with those that were its part."""
         if not 0 <= episode < len(self.episodes):
             raise ValueError(f"episode must be between 0 and {len(self.episodes) - 1}, got {episode}")
         exact = self.env.randomization == Randomization() and self.env.pose.source in ("truth", "odometry")
@@ -294,13 +265,8 @@ class StoredEvaluation:
 def read_evaluation(path: Path, policy: str, world: str | None = None, backend: str | None = None) -> StoredEvaluation:
     """Reads the first evaluation of a policy from a file, or from ``evaluation.json`` in a folder.
 
-    Args:
-        world: name of the world, or range of worlds; ``None``: any.
-        backend: name of the simulator; ``None``: any.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file holds no such evaluation.
+    ``world`` (or a range) and ``backend`` are names; ``None``: any. Raises ``ValueError`` if the file holds no such
+    evaluation, ``FileNotFoundError`` if there is none.
     """
     path = path / FILE if path.is_dir() else path
     try:
@@ -318,16 +284,11 @@ def read_evaluation(path: Path, policy: str, world: str | None = None, backend: 
 
 
 def _stored(entry: Mapping[str, Any]) -> StoredEvaluation:
-    rows, pool = entry["episodes"], WorldPool(entry["world"])
+    rows, world = entry["episodes"], entry["world"]
     start, goal, shortest = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
     worlds = torch.tensor([row.get("world", 0) for row in rows])
+    episodes = EpisodeSet(world, WorldPool(world), entry["seed"], start, goal, shortest, world_index=worlds)
     env = EnvConfig(backend=entry["backend"]) if entry["env"] is None else env_from_plain(entry["env"], FILE)
-    return StoredEvaluation(
-        entry["policy"],
-        EpisodeSet(entry["world"], pool, entry["seed"], start, goal, shortest, world_index=worlds),
-        entry["action_repeat"],
-        entry["time_limit"],
-        replace(env, world=entry["world"]),
-        [row["ending"] for row in rows],
-        [row["seconds"] for row in rows],
-    )
+    endings, durations = ([row[key] for row in rows] for key in ("ending", "seconds"))
+    driven = entry["action_repeat"], entry["time_limit"], replace(env, world=world)
+    return StoredEvaluation(entry["policy"], episodes, *driven, endings, durations)

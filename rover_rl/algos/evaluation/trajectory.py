@@ -21,7 +21,7 @@ from rover_rl.worlds.solids import Solids, bounding_balls
 
 TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
 _OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
-_CHUNK = 4096  # Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB.
+_CHUNK = 4096  # number of poses that are tested against an obstacle at once: about 100 MB
 
 
 class Encounters(NamedTuple):
@@ -29,10 +29,9 @@ class Encounters(NamedTuple):
 
     Attributes:
         contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
-        gap: horizontal distance from the disc of the robot's radius around the rover to the surface of the nearest
-            mover, 0 if they overlap, float32 ``[T + 1]``, m.
-        center_distance: horizontal distance from the origin of the rover to that of the nearest mover, float32
-            ``[T + 1]``, m.
+        gap: horizontal distance from the disc of the robot's radius to the surface of the nearest mover, 0 if they
+            overlap, float32 ``[T + 1]``, m.
+        center_distance: horizontal distance between the origins of rover and nearest mover, float32 ``[T + 1]``, m.
     """
 
     contact: Tensor
@@ -41,16 +40,14 @@ class Encounters(NamedTuple):
 
 
 class MoverTrack(NamedTuple):
-    """Where the P solids of the movers are in an episode of T steps, at the start and after each step.
-
-    A track of the last seconds of an episode begins later.
+    """Where the P solids of the movers are, at the start and after each step, or after the last steps of an episode.
 
     Attributes:
         kind: index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
         half: half of the length, width and height, float32 ``[P, 3]``, m.
         mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
         position: centers, float32 ``[T + 1, P, 3]``, m.
-        orientation: orientations, unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
+        orientation: unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
     """
 
     kind: Tensor
@@ -90,7 +87,7 @@ class Trajectory:
         return len(self.collision)
 
     def touching(self, walls: Tensor) -> Tensor:
-        """Returns contacts with anything, bool ``[T + 1]``: those of :func:`find_body_contacts`, and with movers."""
+        """Contacts with anything, bool ``[T + 1]``: those of :func:`find_body_contacts`, and with movers."""
         return walls if self.encounters is None else walls | self.encounters.contact
 
     def until(self, steps: int, ending: str) -> Trajectory:
@@ -148,12 +145,7 @@ def count_runs(flags: Tensor) -> int:
 
 
 def count_reversals(yaw_rates: Sequence[float]) -> int:
-    """Counts the changes of sign in successive yaw rates (rad/s), ignoring zeros.
-
-    Example:
-        >>> count_reversals([0.5, 0.0, -0.5, -0.1, 0.2])
-        2
-    """
+    """Counts the changes of sign in successive yaw rates (rad/s), ignoring zeros."""
     turning = [yaw_rate for yaw_rate in yaw_rates if yaw_rate]
     return sum(a * b < 0 for a, b in pairwise(turning))
 
@@ -163,7 +155,7 @@ def find_body_contacts(
 ) -> list[Tensor]:
     """Finds the poses at which the rover's body touches an obstacle at rest: bool ``[T + 1]`` for each episode.
 
-    See :func:`is_touching`. A contact need not be a lidar collision: at the sides and at the rear, the outline may be
+    A contact (:func:`is_touching`) need not be a lidar collision: at the sides and at the rear, the outline may be
     farther from the lidar.
     """
     together: dict[tuple[World, Robot], list[int]] = {}
@@ -179,14 +171,10 @@ def find_body_contacts(
 
 
 def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
-    """Returns whether the rover's body touches an obstacle in each of several poses, bool ``[P]``.
+    """Whether the rover's body touches an obstacle at poses of ``position [P, 3]`` (m) and ``angles [P, 3]`` (rad).
 
-    The body touches an obstacle if its footprint (``Robot.footprint``), at the height of
-    the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
-
-    Args:
-        position: positions of the rover, ``[P, 3]``, m.
-        angles: roll, pitch and yaw of the rover, ``[P, 3]``, rad.
+    The body touches an obstacle if its footprint (``Robot.footprint``), at the height of the wheel hubs, is within 1 cm
+    of it. Obstacles below the wheel hubs count as ground. ``angles`` are roll, pitch and yaw. Returns bool ``[P]``.
     """
     outline = _outline(robot)
     reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
@@ -198,6 +186,16 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
             points = position[poses, None] + outline @ euler_to_matrix(angles[poses]).mT
             touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
     return touched
+
+
+def _outline(robot: Robot) -> Tensor:
+    """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
+    back, front, right, left = robot.footprint
+    height = sum(hub[2] for hub in robot.wheels.hubs) / len(robot.wheels.hubs)
+    x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
+    sides = torch.cartesian_prod(x, torch.tensor((right, left)))
+    ends = torch.cartesian_prod(torch.tensor((back, front)), y)
+    return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
 
 
 def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Solids]:
@@ -221,27 +219,11 @@ def _circles(world: World) -> tuple[Tensor, Tensor]:
 
 def _near(path: Tensor, obstacle: Solids, reach: float) -> Tensor:
     """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
-    outline = obstacle.footprint.to(path)
+    outline = obstacle.footprint.to(path)  # a convex polygon, counter-clockwise
     near = ((path >= outline.amin(0) - reach) & (path <= outline.amax(0) + reach)).all(-1)
-    near[near.clone()] = _distance_to_polygon(path[near], outline) <= reach
-    return near
-
-
-def _outline(robot: Robot) -> Tensor:
-    """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
-    back, front, right, left = robot.footprint
-    height = sum(hub[2] for hub in robot.wheels.hubs) / len(robot.wheels.hubs)
-    x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
-    sides = torch.cartesian_prod(x, torch.tensor((right, left)))
-    ends = torch.cartesian_prod(torch.tensor((back, front)), y)
-    return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
-
-
-def _distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
-    """Distance from ``points [..., 2]`` to a convex polygon, counter-clockwise ``[K, 2]``, 0 inside it."""
-    edges = polygon.roll(-1, 0) - polygon
-    offsets = points[..., None, :] - polygon
+    edges, offsets = outline.roll(-1, 0) - outline, path[near, None, :] - outline
     along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
     distance = (offsets - along[..., None] * edges).norm(dim=-1).amin(-1)
     inside = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(-1)
-    return distance.masked_fill(inside, 0.0)
+    near[near.clone()] = inside | (distance <= reach)
+    return near

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from rover_rl.algos.evaluation.metrics import Estimate
-from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, finite_row, print_tables, write_rows
+from rover_rl.algos.evaluation.metrics import Estimate, finite_row
+from rover_rl.algos.evaluation.report import Column, cell, estimate_row, print_tables, write_rows
 from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
 from rover_rl.algos.experiments.runs import Against, Experiment, Run, evaluated_success, group
 from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement

@@ -31,12 +31,10 @@ from rover_rl.sims.base import View
 from rover_rl.sims.rendering.cache import MAX_SIDE
 from rover_rl.worlds import World
 
-CANDIDATES = 8
-"""Number of starts from which :func:`film_to_goal` drives."""
-HOLD = 1.0
-"""Duration for which the last picture of an episode is shown, s."""
-_COLORS = 128
-"""Number of colors of a GIF."""
+CANDIDATES = 8  # number of starts from which film_to_goal drives
+HOLD = 1.0  # duration for which the last picture of an episode is shown, s
+_COLORS = 128  # number of colors of a GIF
+_VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "top": TopView}
 
 
 @dataclass(frozen=True)
@@ -81,8 +79,7 @@ def film(
         path: path of the video, ``.mp4`` or ``.gif``. GIFs have fewer colors.
         seconds: duration of the drive, s.
         rows: number of rovers.
-        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`. Its reward is
-            recorded.
+        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
     Returns:
         Rollout of the first rover, ``[T]``, with the components of its reward.
@@ -111,11 +108,8 @@ def film_to_goal(
     """Films a drive that reaches its goal: the first of several, driven at the same time from different starts.
 
     If none reaches its goal, the first drive is filmed, however it ends. Arguments and errors are those of
-    :func:`film`; ``seed=None`` takes the stored starts and goals if the world has them.
-
-    Returns:
-        The drive that is filmed. Its ``ending`` is ``"goal"``, or how it failed; its ``episode`` is the index of its
-        start among those of ``rover-rl evaluate``.
+    :func:`film`; ``seed=None`` takes the stored starts and goals if the world has them. Returns the drive: its
+    ``episode`` is the index of its start among those of ``rover-rl evaluate``.
     """
     style.check(path)
     episodes = choose_episodes(world, CANDIDATES, seed, robot=environment_for(policy, env).robot)
@@ -143,9 +137,6 @@ def film_recording(recording: Recording, path: Path, style: Style) -> None:
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
     _writer(path)[0](path, pictures, fps)
-
-
-_VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "top": TopView}
 
 
 def _pictures(view: ChaseView | TopView, moments: Sequence[Moment]) -> Iterator[np.ndarray]:

@@ -17,8 +17,7 @@ from torch import Tensor
 from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.driving import Step, drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
-from rover_rl.algos.evaluation.parallel import ROWS
+from rover_rl.algos.evaluation.evaluate import ROWS, Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
@@ -35,12 +34,9 @@ from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import Terrain, World, get_world
 from rover_rl.worlds.movers.parts import Parts
 
-NO_WORLD = "none"
-"""Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
-_MARGIN = 12.0
-"""Size of that ground around the drive, m."""
-SHOWN = 5.0
-"""Distance up to which the nearest lidar reading is plotted, m."""
+NO_WORLD = "none"  # stands for flat ground without obstacles, on which the lidar readings show what was there
+_MARGIN = 12.0  # size of that ground around the drive, m
+SHOWN = 5.0  # distance up to which the nearest lidar reading is plotted, m
 State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
 """State and scan of a rover, and the movers around it."""
 
@@ -94,7 +90,7 @@ class Recording:
         return (len(self.moments) - 1) * self.dt
 
     def last(self, seconds: float) -> Recording:
-        """Returns the end of the drive, of the given duration (s) or all of a shorter drive."""
+        """The end of the drive, of the given duration (s) or all of a shorter drive."""
         return replace(self, moments=self.moments[-1 - max(1, round(seconds / self.dt)) :])
 
 
@@ -110,13 +106,9 @@ class Episode:
 
 
 class Tally:
-    """Counts the goals and episodes of ``count`` rovers.
+    """Counts the ``goals`` that rovers have reached and the ``episodes`` that they have ended, int64 ``[N]``.
 
-    Attributes:
-        goals: number of goals that each rover has reached, int64 ``[N]``.
-        episodes: number of episodes that each has ended, int64 ``[N]``.
-        ended: episodes that have ended, in order.
-        event: last event of the followed rover, and its time (s).
+    ``ended`` are these episodes, in order. ``event`` is the last one of the followed rover, and its time (s).
     """
 
     def __init__(self, count: int) -> None:
@@ -213,7 +205,7 @@ def record_stored(policy: Policy | None, stored: StoredEvaluation, episode: int)
 
 
 def curves_of(recording: Recording) -> dict[str, np.ndarray]:
-    """Returns speed, distance to the goal and the nearest lidar reading of the first rover, ``[moments]`` each."""
+    """Speed, distance to the goal and the nearest lidar reading of the first rover, ``[moments]`` each."""
     moments = recording.moments
     distances = [torch.dist(one.rover.position[0, :2].cpu(), one.goal[0].cpu()).item() for one in moments]
     nearest = [one.scan[0].nan_to_num(nan=torch.inf).clamp(0, SHOWN).min().item() for one in moments]
@@ -223,21 +215,20 @@ def curves_of(recording: Recording) -> dict[str, np.ndarray]:
 
 
 def moments_of(states: Sequence[State], goal: Tensor, dt: float, ending: str) -> list[Moment]:
-    """Returns the moments of an episode of one rover, from its states and scans, and the movers around it."""
+    """Moments of an episode of one rover."""
     none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
     moments = [
         Moment(step * dt, rover, scan, goal, none, none, movers=movers)
         for step, (rover, scan, movers) in enumerate(states)
     ]
-    reached, end = ending == "goal", moments[-1].seconds
-    event = "goal reached" if reached else ending, end
-    endings = () if reached else (ending,)
+    reached = ending == "goal"
+    event, endings = ("goal reached" if reached else ending, moments[-1].seconds), () if reached else (ending,)
     moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)
     return moments
 
 
 def recording_of_log(path: Path, number: int | None = None, world: str | None = None) -> Recording:
-    """Reads a drive of a log, resampled to 20 Hz."""
+    """Reads a drive of a log, by default the last one, resampled to 20 Hz."""
     drives = logged_drives(path)
     number = len(drives) - 1 if number is None else number
     if not 0 <= number < len(drives):
@@ -251,8 +242,16 @@ def recording_of_log(path: Path, number: int | None = None, world: str | None = 
     orientation = matrix_to_quaternion(euler_to_matrix(driven.angles))
     # The log holds no wheel odometry.
     speeds = torch.cat((torch.zeros(1), driven.signed_speed))
-    parts = zip(position, orientation, speeds, scans, strict=True)
-    states = [(_state(at, turn, speed, driven.dt), scan[None], None) for at, turn, speed, scan in parts]
+    count = len(scans)
+    rovers = RoverState.pack(
+        position=position,
+        orientation=orientation,
+        linear_velocity=speeds[:, None],
+        angular_velocity=torch.zeros(count, 1),
+        dt=torch.full((count, 1), driven.dt),
+        stamp=torch.zeros(count, 1).double(),
+    )
+    states: list[State] = [(rovers[step : step + 1], scans[step : step + 1], None) for step in range(count)]
     angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
     moments = moments_of(states, goal, driven.dt, drive.ending)
     return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)
@@ -268,15 +267,3 @@ def _world(drive: LoggedDrive, world: str | None, points: Tensor) -> World:
             pass
     side = math.ceil(2 * (points.abs().max().item() + _MARGIN))
     return World(NO_WORLD, Terrain.flat((float(side), float(side))))
-
-
-def _state(position: Tensor, orientation: Tensor, speed: Tensor, dt: float) -> RoverState:
-    nothing = torch.zeros(1, 1)
-    return RoverState.pack(
-        position=position[None],
-        orientation=orientation[None],
-        linear_velocity=speed.reshape(1, 1),
-        angular_velocity=nothing,
-        dt=torch.full((1, 1), dt),
-        stamp=nothing.double(),
-    )

@@ -32,14 +32,10 @@ from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 
-KEPT = 600
-"""Number of steps that are kept."""
-VALUE = "value"
-"""Name of the record of the estimated value."""
-KEPT_EPISODES = 12
-"""Number of rows of the table of episodes."""
-FREE = 3
-"""Level of the cells of a map from which on they are free."""
+KEPT = 600  # number of steps that are kept
+VALUE = "value"  # name of the record of the estimated value
+KEPT_EPISODES = 12  # number of rows of the table of episodes
+FREE = 3  # level of the cells of a map from which on they are free
 Critic: TypeAlias = Callable[[TensorDictBase], float]
 """Estimates the value of an observation ``[1]``."""
 _OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
@@ -58,7 +54,7 @@ class Pose:
         return cls(rover.position.cpu(), rover.orientation.cpu())
 
     def toward(self, other: Pose, share: float) -> Pose:
-        """Returns poses between these and others. A rover that has been put elsewhere is there at once."""
+        """Poses between these and others. A rover that has been put elsewhere is there at once."""
         near = (self.position - other.position).norm(dim=-1, keepdim=True) < 1.0
         share_of = torch.where(near, share, 1.0)
         sign = torch.where((self.orientation * other.orientation).sum(-1, keepdim=True) < 0, -1.0, 1.0)
@@ -101,7 +97,7 @@ class Session:
         return isinstance(self.env, (RoverEnv, RewardedEnv))
 
     def change(self, **changes: Any) -> None:
-        """Makes the environment anew with other settings of :class:`EnvConfig`, such as ``world`` and ``backend``."""
+        """Makes the environment anew with other settings, such as ``world`` and ``backend``."""
         self._make(replace(self.config, **changes), self._policy)
         self.set_policy(self._policy, self._critic)
         self.reset()
@@ -184,17 +180,12 @@ class Session:
 
     def _record(self, before: TensorDictBase, after: TensorDictBase, action: Tensor) -> None:
         row = self.row
-        values = {
-            "distance": after["target"][row, 0].item(),
-            "speed": self.rovers.rover_state.linear_velocity[row].item(),
-            "speed command": action[row, 0].item(),
-            "turn command": action[row, 1].item(),
-        }
+        speed = self.rovers.rover_state.linear_velocity[row].item()
+        values = {"distance": after["target"][row, 0].item(), "speed": speed, "speed command": action[row, 0].item()}
+        values["turn command"] = action[row, 1].item()
         if self._critic is not None:
-            seen = before[row : row + 1]
-            values[VALUE] = self._critic(seen)
-        components = after.get("reward_components", None)
-        if components is not None:
+            values[VALUE] = self._critic(before[row : row + 1])
+        if (components := after.get("reward_components", None)) is not None:
             values |= {f"reward {name}": components[name][row].item() for name in sorted(components.keys())}
         for name, value in values.items():
             self.history.setdefault(name, deque(maxlen=KEPT)).append(value)
@@ -203,7 +194,7 @@ class Session:
         return self._tally.moment(self.seconds, self.rovers, self.row)
 
     def neighbors(self) -> Tensor:
-        """Returns the rovers in the world of the followed one, int64."""
+        """Rovers in the world of the followed one, int64."""
         worlds = self.rovers.worlds
         return torch.tensor([row for row, world in enumerate(worlds) if world is worlds[self.row]])
 
@@ -215,26 +206,25 @@ class Session:
         return self._distances[1].path(0, position, goal)
 
     def action_spread(self) -> Tensor | None:
-        """Returns the distribution of the followed rover's action; ``None`` if the policy has none.
+        """Distribution of the followed rover's action; ``None`` if the policy has none.
 
         It is the lower bound, one standard deviation below the center, the center, one above it, and the upper bound of
         each part, ``[k, 5]``.
         """
-        if self._drive.runner.distribution is None:
+        if (distribution := self._drive.runner.distribution) is None:
             return None
-        loc, scale = (one[self.row].cpu()[:, None] for one in self._drive.runner.distribution)
+        loc, scale = (one[self.row].cpu()[:, None] for one in distribution)
         bounds = action_bounds(self.config.bounded_action)
         low, high = (torch.tensor(one)[:, None] for one in (bounds.low, bounds.high))
         inner = (low + high) / 2 + (high - low) / 2 * (loc + scale * torch.tensor((-1.0, 0.0, 1.0))).tanh()
         return torch.cat((low, inner, high), -1)
 
     def seen_map(self) -> tuple[Tensor, Tensor] | None:
-        """Returns the map that the policy has of what the followed rover has seen, and its route on it.
+        """The map that the policy has of what the followed rover has seen, and its route on it; ``None`` without one.
 
         Returns:
-            Cells that are not free, ``[cells, 3]``: x, y (m), and the level of
-            :meth:`~rover_rl.envs.seen_map.seen_map.SeenMap.levels`. And the points of the route from the rover on,
-            ``[3, 2]``, m. ``None`` if the policy has no map.
+            Cells that are not free, ``[cells, 3]``: x, y (m) and the level of ``SeenMap.levels``, and the points of the
+            route from the rover on, ``[3, 2]``, m.
         """
         reader = next((one for one in self.rovers.observer.readers.values() if isinstance(one, MapReader)), None)
         if reader is None:
@@ -252,10 +242,7 @@ class Session:
         return cells, torch.cat((position[None], corners)).cpu()
 
     def tracked(self) -> Tensor:
-        """Returns the movers that the policy tracks around the followed rover, ``[movers, 5]``.
-
-        They are x and y (m), velocity along x and y (m/s), and radius (m), in the frame of the world.
-        """
+        """Movers that the policy tracks, ``[movers, 5]``: x, y (m), their velocities (m/s) and radius (m)."""
         if (values := self.observation.get(MOVERS, None)) is None:
             return torch.zeros(0, 5)
         rover = self.rovers.rover_state[self.row : self.row + 1]
@@ -266,7 +253,7 @@ class Session:
         return torch.cat((rover.position[:, :2] + place @ turn, velocity @ turn, radius), -1).cpu()
 
     def inside(self) -> dict[str, float]:
-        """Returns numbers on the inside of the policy: norms of the parts of a recurrent state."""
+        """Numbers on the inside of the policy: norms of the parts of a recurrent state."""
         return {f"norm of {key}": value[self.row].norm().item() for key, value in self._drive.runner.state.items()}
 
     def close(self) -> None:

@@ -32,16 +32,19 @@ from rover_rl.worlds.movers.part_kernels import cast_at_movers
 from rover_rl.worlds.movers.parts import Parts
 from rover_rl.worlds.world import Area
 
-_INCHES = 3.75
-"""Height of every frame, so that text and lines scale with the resolution."""
-_BEAM = "#ffd400"
-"""Color of lidar beams."""
-_EVENT_SECONDS = 1.5
-"""Duration for which an event is shown, s."""
+_INCHES = 3.75  # height of every frame, so that text and lines scale with the resolution
+_BEAM = "#ffd400"  # color of lidar beams
+_EVENT_SECONDS = 1.5  # duration for which an event is shown, s
+_ARROWS = "↑↖←↙↓↘→↗"  # directions relative to the rover, counterclockwise from straight ahead
+_COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+_ARROWHEAD = ((0.4, 0.0), (-0.28, 0.25), (-0.14, 0.0), (-0.28, -0.25))
+"""Outline of a rover's symbol, slightly larger than the rover, m."""
+_TRAIL_SECONDS = 6.0  # duration of a trail, s
+_MARGIN = 2.5  # margin around the starts and goals, m
 
 
 class _FrameFigure:
-    """Figure with a caption at the bottom and no margins. Only some artists are redrawn for each frame."""
+    """Figure with a caption at the bottom and no margins. Only its ``artists`` are redrawn for each frame, in order."""
 
     def __init__(self, width: int, height: int, columns: Sequence[float]) -> None:
         dpi = height / _INCHES
@@ -51,7 +54,6 @@ class _FrameFigure:
         self.ax: Axes = figure.add_axes((0, 0, 1, 1))
         self.ax.set_axis_off()
         self.artists: list[Artist] = []
-        """Artists that are redrawn for each frame, in this order."""
         text: dict[str, Any] = {"transform": self.ax.transAxes, "va": "center", "fontsize": 9.5}
         self._caption = [self.ax.text(column, 0.035, "", color="white", **text) for column in columns]
         halo = withStroke(linewidth=3, foreground="white")
@@ -111,8 +113,7 @@ class ChaseView:
         pose = rover.position.double(), rover.orientation.double()
         camera = Camera.on(*pose, renderer.sight, "chase")
         image = renderer.render_from(camera, *pose, *self._size, moment.goal[0], moment.movers).numpy()
-        start, hits = lidar_hits(moment.rover, moment.scan, self._recording.robot, self._recording.ray_angles)
-        points = _points(start, hits)
+        points = _points(*lidar_hits(moment.rover, moment.scan, self._recording.robot, self._recording.ray_angles))
         pixels, seen = camera.see(points, *self._size)
         if moment.movers is not None:
             seen &= ~hides(moment.movers, camera.eye, points)
@@ -124,12 +125,9 @@ class ChaseView:
         away = moment.goal[0] - rover.position[:2]
         bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
         arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
-        caption = (
-            f"{moment.seconds:.1f} s",
-            f"{round(rover.linear_velocity.item(), 2) + 0:.2f} m/s".replace("-", "−"),
-            f"goal {arrow} {away.norm():.1f} m",
-            f"goals: {moment.goals[0]}",
-        )
+        speed = f"{round(rover.linear_velocity.item(), 2) + 0:.2f} m/s".replace("-", "−")
+        goals = f"goals: {moment.goals[0]}"
+        caption = (f"{moment.seconds:.1f} s", speed, f"goal {arrow} {away.norm():.1f} m", goals)
         event, since = moment.event
         return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "", rendered.image)
 
@@ -143,12 +141,8 @@ class ChaseView:
         self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
 
 
-_ARROWS = "↑↖←↙↓↘→↗"
-"""Arrows for directions relative to the rover, counterclockwise from straight ahead."""
-
-
 def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
+    """Origins ``[N, 1, 3]`` and ends ``[N, beams, 3]`` of lidar beams, m. Those without a return are NaN."""
     ranges = torch.where(ranges.isfinite(), ranges, torch.nan).cpu().float()[..., None]
     directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1).float()
     mount = torch.tensor(robot.lidar_position)
@@ -158,7 +152,7 @@ def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor)
 
 
 def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes the origin ``[3]`` and the hit points ``[hits, 3]`` of the lidar beams of the first rover, m."""
+    """Origin ``[3]`` and hit points ``[hits, 3]`` of the lidar beams of the first rover, m."""
     start, ends = lidar_beams(rover[:1], ranges[:1], robot, angles)
     return start[0, 0], ends[0][ends[0].isfinite().all(-1)]
 
@@ -172,7 +166,7 @@ def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
 
 
 def hides(movers: Parts, eye: Tensor, points: Tensor) -> Tensor:
-    """Returns whether a mover lies between ``eye [3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
+    """Whether a mover lies between ``eye [3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
     sight = (points - eye).reshape(1, -1, 3)
     far = torch.full(sight.shape[:2], math.inf)
     shown = movers.chosen(0, torch.from_numpy(movers.in_view(eye.numpy())))
@@ -181,10 +175,7 @@ def hides(movers: Parts, eye: Tensor, points: Tensor) -> Tensor:
 
 
 class TopView:
-    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover.
-
-    Movers are those that the first rover meets.
-    """
+    """View of all rovers from above, their trails and goals, with beams and movers of the first one."""
 
     def __init__(self, recording: Recording, width: int, height: int) -> None:
         self._recording = recording
@@ -234,15 +225,6 @@ class TopView:
         same = episodes[:-1] == episodes[1:]
         self._trails.set_segments(list(segments[same].numpy()))
         self._trails.set_color(colors[same.numpy()])
-
-
-_COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
-_ARROWHEAD = ((0.4, 0.0), (-0.28, 0.25), (-0.14, 0.0), (-0.28, -0.25))
-"""Outline of a rover's symbol, slightly larger than the rover, m."""
-_TRAIL_SECONDS = 6.0
-"""Duration of a trail, s."""
-_MARGIN = 2.5
-"""Margin around the starts and goals, m."""
 
 
 def _area(world: World, aspect: float) -> Area:

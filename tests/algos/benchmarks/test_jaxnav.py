@@ -97,7 +97,7 @@ def test_the_score_of_a_run_is_its_success_weighted_by_path_length(courses: list
 
 
 def test_the_table_says_what_differs(courses: list[Course]) -> None:
-    results = [result_of(JaxNav(courses, 3, runs=1, goal_radius=0.5), ["goal", "contact"])]
+    results = [result_of(JaxNav(courses, unsolvable=3, runs=1, goal_radius=0.5), ["goal", "contact"])]
     text = printed(print_results, results, 120)
     for expected in (
         "JaxNav: 2 levels, one run each; goal within 0.5 m and 50 s, any contact fails",

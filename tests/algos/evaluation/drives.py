@@ -1,4 +1,4 @@
-"""Recorded drives for tests, and what tests do with evaluations."""
+"""Worlds, episodes and recorded drives for tests, and what tests do with evaluations."""
 
 from __future__ import annotations
 
@@ -13,10 +13,20 @@ import torch
 from rich.console import Console
 
 from rover_rl import World
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
+from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.trajectory import Trajectory
-from rover_rl.worlds import Terrain
+from rover_rl.envs.config import EnvConfig
+from rover_rl.worlds import Terrain, box
+from rover_rl.worlds.pool import WorldPool
 
-FIELD = World("field", Terrain.flat((12.0, 12.0)))
+WARP = EnvConfig(backend="warp")
+FIELD = World("field", Terrain.flat((9.0, 9.0)))
+WALL = World("wall", Terrain.flat((9.0, 9.0)), [box((0.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
+CRATES = World("crates", Terrain.flat((9.0, 9.0)), [box((2.0, y, 0.5), (0.5, 0.5, 1.0)) for y in (-2.0, 0.0, 2.0)])
+POOL = WorldPool(FIELD, WALL, CRATES)
+EPISODES = draw_episodes(POOL, 3, seed=1)
+"""Three episodes in each of three worlds."""
 
 
 def line(
@@ -31,6 +41,12 @@ def line(
     first, last = (torch.tensor([*point, 0.0]) for point in (start, end))
     none = torch.zeros(steps, dtype=torch.bool)
     return Trajectory(first + share * (last - first), torch.zeros(steps + 1, 3), none, none, ending, reversals)
+
+
+def evaluation(name: str, endings: Sequence[str], episodes: EpisodeSet = EPISODES) -> Evaluation:
+    """An evaluation of straight drives of 1 m, free of obstacles, with the given endings."""
+    drives = [line(ending, (-3.0, -0.5), (-3.0, 0.5)) for ending in endings]
+    return Evaluation(name, episodes.part(0, len(endings)).with_used_worlds(), 1, 60.0, drives)
 
 
 def assert_same(ours: Sequence[Trajectory], theirs: Sequence[Trajectory]) -> None:

@@ -1,93 +1,103 @@
+"""Evaluations: what is driven, in one process and in several, and the command."""
+
 from __future__ import annotations
 
 import json
-import math
+import multiprocessing
+import os
+import signal
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from matplotlib.image import imread
+from tensordict import TensorDictBase
 
 from rover_rl import World
 from rover_rl.algos.config import training_config, with_settings
-from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, endless_episodes
-from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
-from rover_rl.algos.evaluation.plots import draw_paths
-from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.evaluation.cores import over_cores
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, endless_episodes, stored_episodes
+from rover_rl.algos.evaluation.evaluate import SMALL, Evaluation, Request, evaluate, evaluate_all, usual_seconds
+from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, Randomization
+from rover_rl.robots import get_robot
 from rover_rl.worlds import Terrain, box
+from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import ahead, straight
-from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, printed
+from tests.algos.evaluation.drives import EPISODES, FIELD, WALL, WARP, assert_same
 from tests.algos.policy.memories import CountingPolicy, recurrent_checkpoint
+from tests.fork_server import fork_server
 
-EPISODES = draw_episodes(FIELD, count=3, seed=1)
-MANY = draw_episodes(FIELD, count=9, seed=1)
-
-
-@pytest.fixture(scope="module")
-def driven() -> Evaluation:
-    return evaluate(straight, EPISODES, name="straight")
+THREE = EPISODES.part(0, 3).with_used_worlds()
+SLIPPERY = "tests.algos.evaluation.slippery:Slippery"
 
 
-# --- one goal
+# --- what is driven
 
 
-def test_driving_at_the_goal_reaches_it_on_open_ground(driven: Evaluation) -> None:
+def test_driving_at_the_goal_reaches_it_on_open_ground() -> None:
+    driven = evaluate(straight, THREE, name="straight")
     assert driven.endings == ["goal"] * 3
     assert driven.success_rate == 1
-    for path, start, goal, steps in zip(
-        driven.paths, EPISODES.start, EPISODES.goal, map(len, driven.trajectories), strict=True
-    ):
+    assert driven.env.backend == "bullet"
+    assert driven.metrics["mean_time_to_traverse"].value > THREE.shortest.mean()
+    lengths = map(len, driven.trajectories)
+    for path, start, goal, steps in zip(driven.paths, THREE.start, THREE.goal, lengths, strict=True):
         assert len(path) == steps + 1
         torch.testing.assert_close(path[0], start[:2], atol=0.02, rtol=0)
         assert torch.dist(path[-1], goal) < 0.5
-    assert driven.metrics["mean_time_to_traverse"].value > EPISODES.shortest.mean()
 
 
 @pytest.mark.parametrize("kind", ["random", "gru"])
 def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str) -> None:
-    torch.manual_seed(0)
+    many = draw_episodes(FIELD, count=9, seed=1)
     policy = None if kind == "random" else recurrent_checkpoint(kind).make_actor()
-    together = evaluate(policy, MANY, seconds=0.6, rows=9)
+    together = evaluate(policy, many, seconds=0.6, rows=9, env=WARP)
     for rows in (1, 4):
-        assert_same(evaluate(policy, MANY, seconds=0.6, rows=rows).trajectories, together.trajectories)
+        assert_same(evaluate(policy, many, seconds=0.6, rows=rows, env=WARP).trajectories, together.trajectories)
     if kind != "random":  # which draws for the number of an episode
-        turned = EpisodeSet("field", FIELD, 1, MANY.start.flip(0), MANY.goal.flip(0), MANY.shortest.flip(0))
-        backwards = evaluate(policy, turned, seconds=0.6, rows=8)
+        turned = EpisodeSet("field", FIELD, 1, many.start.flip(0), many.goal.flip(0), many.shortest.flip(0))
+        backwards = evaluate(policy, turned, seconds=0.6, rows=8, env=WARP)
         assert_same(backwards.trajectories[::-1], together.trajectories)
+
+
+@pytest.mark.parametrize("backend", ["bullet", "warp"])
+def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: str) -> None:
+    env, policy = EnvConfig(backend=backend), ScriptedPolicy()
+    alone = [evaluate(policy, EPISODES.part(first, first + 3), seconds=0.4, env=env) for first in (0, 3, 6)]
+    expected = [trajectory for part in alone for trajectory in part.trajectories]
+    for rows in (2, 5):
+        assert_same(evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows).trajectories, expected)
 
 
 def test_a_policy_with_memory_decides_as_often_as_in_training() -> None:
     policy = CountingPolicy()
-    evaluation = evaluate(policy, EPISODES, seconds=2.0, rows=1)
-    assert (evaluation.action_repeat, policy.calls) == (4, 3 * 10)
-    every_step = evaluate(policy, endless_episodes(FIELD, 2), seconds=0.5, action_repeat=1)
+    driven = evaluate(policy, THREE, seconds=2.0, rows=1, env=WARP)
+    assert (driven.action_repeat, policy.calls) == (4, 3 * 10)
+    every_step = evaluate(policy, endless_episodes(FIELD, 2), seconds=0.5, action_repeat=1, env=WARP)
     assert (every_step.action_repeat, policy.calls) == (1, 3 * 10 + 10)
     # It drives faster the more decisions it has taken in an episode, and starts anew in each.
-    assert_same(evaluate(policy, EPISODES, seconds=2.0, rows=3).trajectories, evaluation.trajectories)
-    speeds = [trajectory.speed for trajectory in evaluation.trajectories]
-    assert all(0.05 < speed.max() < 0.15 for speed in speeds)
+    assert_same(evaluate(policy, THREE, seconds=2.0, rows=3, env=WARP).trajectories, driven.trajectories)
+    assert all(0.05 < trajectory.speed.max() < 0.15 for trajectory in driven.trajectories)
 
 
-def test_the_random_policy_starts_at_the_same_places_and_leaves_the_generator_alone(driven: Evaluation) -> None:
+def test_the_random_policy_leaves_the_generator_alone() -> None:
     before = torch.random.get_rng_state()
-    first, second = (evaluate(None, EPISODES, action_repeat=4, seconds=1) for _ in range(2))
+    first, second = (evaluate(None, THREE, action_repeat=4, seconds=1, env=WARP) for _ in range(2))
     assert torch.equal(before, torch.random.get_rng_state())
     assert_same(first.trajectories, second.trajectories)
     assert first.name == "random"
-    for ours, theirs in zip(first.paths, driven.paths, strict=True):
-        assert torch.equal(ours[0], theirs[0])
-
-
-ROOM = World("room", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 8.0, 1.0))])
-BEHIND_A_WALL = EpisodeSet("room", ROOM, 0, torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[5.0, 0.0]]), torch.ones(1))
 
 
 def test_driving_into_a_wall_jams_and_touches_it() -> None:
-    jammed = evaluate(ahead, BEHIND_A_WALL, seconds=10)
+    room = World("room", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 8.0, 1.0))])
+    behind = EpisodeSet("room", room, 0, torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[5.0, 0.0]]), torch.ones(1))
+    jammed = evaluate(ahead, behind, seconds=10, env=WARP)
     assert jammed.endings == ["jammed"]
     assert jammed.metrics["collisions"].value == 1
     assert jammed.metrics["body_contacts"].value >= 1
@@ -95,39 +105,8 @@ def test_driving_into_a_wall_jams_and_touches_it() -> None:
     assert jammed.trajectories[0].collision[-16:].all()
 
 
-def test_settings_out_of_range_raise() -> None:
-    for setting in ({"action_repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
-        with pytest.raises(ValueError, match=f"{next(iter(setting))} must be at least"):
-            evaluate(straight, EPISODES, **setting)
-
-
-# --- the environment that a policy was made for
-
-
-def test_a_policy_made_for_another_environment_raises(checkpoint: Checkpoint) -> None:
-    actor, env = checkpoint.make_actor(), EnvConfig(lidar=LidarConfig(points=16))
-    message = "^the policy was made for lidar points 32, and the environment has 16$"
-    with pytest.raises(ValueError, match=message):
-        evaluate(actor, EPISODES, env=env, seconds=0.1)
-
-
-def test_a_checkpoint_drives_in_the_environment_that_it_was_made_for(checkpoint: Checkpoint) -> None:
-    config = with_settings(checkpoint.config, lidar=LidarConfig(points=16), world="maze")
-    config = with_settings(config, randomization=Randomization.typical(), action=ActionConfig(min_speed=0.0))
-    encoder = ObservationEncoder(lidar_points=16)
-    actor = Checkpoint(config, 1, make_actor(encoder, (8,)).state_dict()).make_actor()
-    evaluation = evaluate(actor, EPISODES, seconds=0.2)
-    # Policies are compared without randomization.
-    assert evaluation.env == EnvConfig(
-        world="field", num_envs=3, seed=1, end_on_goal=True, lidar=config.env.lidar, action=config.env.action
-    )
-
-
-# --- goals without end
-
-
-def test_goals_keep_coming() -> None:
-    endless = evaluate(straight, endless_episodes(FIELD, 2, 1), seconds=18, env=EnvConfig(backend="warp"))
+def test_goals_keep_coming_and_the_jam_ending_can_be_left_out() -> None:
+    endless = evaluate(straight, endless_episodes(FIELD, 2, 1), seconds=18, env=WARP)
     goals = [int(trajectory.goal.sum()) for trajectory in endless.trajectories]
     assert [len(trajectory) for trajectory in endless.trajectories] == [360, 360]
     assert min(goals) >= 2
@@ -136,62 +115,135 @@ def test_goals_keep_coming() -> None:
     assert endless.metrics["ended_early"].value == 0
     first = {"goals": goals[0], "ending": "time limit", "seconds": 18.0, "contacts": 0, "collisions": 0}
     assert endless.to_json()["episodes"][0] == first
+    episodes = endless_episodes("maze", 1, 1)
+    with_jam, without = (evaluate(ahead, episodes, seconds=5, jam=jam, env=WARP) for jam in (True, False))
+    assert (with_jam.endings, without.endings) == (["jammed"], ["time limit"])
+    ours, theirs = with_jam.trajectories[0], without.trajectories[0]
+    assert torch.equal(ours.position, theirs.position[: len(ours) + 1])
 
 
-def test_without_the_jam_ending_a_collision_goes_on() -> None:
-    with_jam, without = (evaluate(ahead, endless_episodes("maze", 1, 1), seconds=5, jam=jam) for jam in (True, False))
-    assert [trajectory.ending for trajectory in with_jam.trajectories] == ["jammed"]
-    assert [trajectory.ending for trajectory in without.trajectories] == ["time limit"]
-    for ours, theirs in zip(with_jam.trajectories, without.trajectories, strict=True):
-        assert torch.equal(ours.position, theirs.position[: len(ours) + 1])
+def test_the_time_limit_follows_the_longest_path_of_the_set() -> None:
+    hall = World("hall", Terrain.flat((44.0, 4.0)), spawn_range=((-21, -10), (-1, 1)), goal_range=((20, 21), (-1, 1)))
+    episodes = draw_episodes(hall, 40)
+    limit = round(4 * float(episodes.shortest.max()))
+    assert 150 < limit < 168
+    assert usual_seconds(WARP, episodes) == limit
+    assert usual_seconds(WARP, EPISODES) == usual_seconds(WARP, stored_episodes("maze")) == 60
+    zero = get_robot("rover_zero")
+    slow = replace(WARP, robot=replace(zero, drive=replace(zero.drive, max_speed=0.5)))
+    assert usual_seconds(slow, episodes) == round(8 * float(episodes.shortest.max()))
+    for given, expected in ((None, limit), (7.0, 7.0)):
+        parts = Request(None, episodes, {"env": WARP, "seconds": given}).parts()
+        assert [part.options["seconds"] for part in parts] == [expected] * 2
 
 
-# --- results
+def test_what_cannot_be_driven_raises(checkpoint: Checkpoint) -> None:
+    for setting in ({"action_repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
+        with pytest.raises(ValueError, match=f"{next(iter(setting))} must be at least"):
+            evaluate(straight, THREE, **setting)  # type: ignore[arg-type]
+    points = {"env": EnvConfig(lidar=LidarConfig(points=16))}
+    message = "^the policy was made for lidar points 32, and the environment has 16$"
+    with pytest.raises(ValueError, match=message):
+        evaluate_all([Request(checkpoint.make_actor(), THREE, points)], 1)
+    with pytest.raises(ValueError, match="workers must be at least 1"):
+        evaluate_all([Request(None, THREE)], workers=0)
 
 
-def test_results_and_pictures(driven: Evaluation, tmp_path: Path) -> None:
-    random = evaluate(None, EPISODES, seconds=1)
-    endless = evaluate(straight, endless_episodes(FIELD, 2, 1), seconds=1)
-    write_evaluation(tmp_path / "evaluation.json", [driven, random, endless])
-    written = json.loads((tmp_path / "evaluation.json").read_text())
-    modes = [("straight", "one goal"), ("random", "one goal"), ("policy", "endless")]
-    assert [(entry["policy"], entry["mode"]) for entry in written] == modes
-    assert written[0]["endings"] == {"goal": 3}
-    assert [episode["ending"] for episode in written[0]["episodes"]] == ["goal"] * 3
-    for episode in written[0]["episodes"]:
-        assert episode["length"] >= episode["shortest"] - 0.1
-
-    rows = csv_rows(tmp_path / "evaluation.csv")
-    first = [("straight", "0"), ("straight", "1"), ("straight", "2"), ("random", "0")]
-    assert [(row["policy"], row["episode"]) for row in rows[:4]] == first
-    for row, episode in zip(rows, written[0]["episodes"], strict=False):
-        assert [float(row[key]) for key in ("start_x", "start_y", "start_yaw")] == episode["start"]
-        assert (row["ending"], row["contacts"]) == ("goal", "0")
-        assert float(row["seconds"]) == episode["seconds"]
-    assert len(rows) == sum(entry["count"] for entry in written)
-    assert rows[-1]["goals"] == str(written[-1]["episodes"][-1]["goals"])
-
-    rows = csv_rows(tmp_path / "evaluation-summary.csv")
-    assert [row["policy"] for row in rows] == ["straight", "random", "policy"]
-    for row, entry in zip(rows, written, strict=True):
-        for key, estimate in entry["metrics"].items():
-            for column, field in ((key, "value"), (f"{key}_low", "low"), (f"{key}_high", "high")):
-                number = float(row[column])
-                assert estimate[field] == (pytest.approx(number) if math.isfinite(number) else None)
-
-    draw_paths([driven, random], tmp_path / "paths.png")
-    assert imread(tmp_path / "paths.png")[..., :3].std() > 0.05
+def test_a_checkpoint_drives_in_the_environment_that_it_was_made_for(checkpoint: Checkpoint) -> None:
+    config = with_settings(checkpoint.config, lidar=LidarConfig(points=16), world="maze")
+    config = with_settings(config, randomization=Randomization.typical(), action=ActionConfig(min_speed=0.0))
+    actor = Checkpoint(config, 1, make_actor(ObservationEncoder(lidar_points=16), (8,)).state_dict()).make_actor()
+    # Policies are compared without randomization.
+    assert evaluate(actor, THREE, seconds=0.2).env == EnvConfig(
+        world=THREE.name, num_envs=3, seed=1, end_on_goal=True, lidar=config.env.lidar, action=config.env.action
+    )
 
 
-def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) -> None:
-    again = Evaluation("again", *list(vars(driven).values())[1:5])
-    text = printed(print_table, [driven, again], 80, groups={"straight": "both of them", "again": "both of them"})
-    assert text.count("3 episodes in field: one goal within 60 s") == 1
-    row = next(line for line in text.splitlines() if line.startswith(" straight"))
-    assert "100.0" in row
-    assert f"{driven.metrics['spl'].value:.2f}" in row
-    assert all(shown in text for shown in ("44–100", "both of them", "± 0.0"))
-    assert not any(hidden in text for hidden in ("nan", "jammed", "turns:"))
+# --- processes
+
+
+@pytest.fixture
+def preloaded() -> None:
+    """Lets the fork server, if it does not run yet, import what other tests need, too."""
+    fork_server()
+
+
+def in_this_process(td: TensorDictBase) -> TensorDictBase:
+    assert multiprocessing.parent_process() is None
+    return td.set("action", torch.zeros(len(td), 2))
+
+
+def in_another_process(td: TensorDictBase) -> TensorDictBase:
+    assert multiprocessing.parent_process() is not None
+    return td.set("action", torch.zeros(len(td), 2))
+
+
+def assert_equal(ours: Evaluation, theirs: Evaluation) -> None:
+    """The same to the last bit, except for the number of rovers that drive at once."""
+    assert replace(ours.env, num_envs=1) == replace(theirs.env, num_envs=1)
+    assert ours.to_json()["episodes"] == theirs.to_json()["episodes"]
+    assert ours.name == theirs.name
+    assert_same(ours.trajectories, theirs.trajectories)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("preloaded")
+def test_results_in_two_processes_are_those_of_one(checkpoint: Checkpoint) -> None:
+    # Two parts, the second of which is shorter.
+    many, actor = draw_episodes(FIELD, 40, seed=1, min_path=1.0), checkpoint.make_actor()
+    several = draw_episodes(WorldPool("maze:10000", FIELD, WALL), 3, seed=2, min_path=1.0)
+    randomized = replace(WARP, randomization=Randomization.typical())
+    requests = [
+        Request(None, many, {"name": "random", "seconds": 0.3, "env": WARP}),
+        Request(actor, many, {"name": "network", "seconds": 0.3, "env": WARP}),
+        Request(actor, endless_episodes("tests.algos.train.runs:field", 10, 3), {"name": "endless", "seconds": 0.3}),
+        Request(ScriptedPolicy(), several, {"name": "worlds", "seconds": 0.3, "env": randomized}),
+        Request(in_another_process, many.first(SMALL), {"name": "elsewhere", "seconds": 0.1, "env": WARP}),
+    ]
+    before = torch.random.get_rng_state()
+    parallel = evaluate_all(requests, workers=2)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    for ours, request in zip(parallel[:3], requests[:3], strict=True):
+        assert_equal(ours, evaluate(request.policy, request.episodes, **request.options))
+    # The random numbers of a randomized environment depend on the episodes that are driven with it.
+    assert_equal(parallel[3], evaluate_all(requests[3:4], 1)[0])
+    # Small evaluations stay in this process.
+    evaluate_all([Request(in_this_process, many.first(SMALL - 1), {"seconds": 0.1, "env": WARP})], workers=2)
+
+
+def failing(_: Any) -> None:
+    raise ZeroDivisionError("in the policy")
+
+
+def endless(_: Any) -> None:
+    signal.pause()
+
+
+def killed(_: Any) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def call(function: Any) -> Any:
+    return function(None)
+
+
+@pytest.mark.usefixtures("preloaded")
+@pytest.mark.parametrize(
+    ("function", "error", "message"),
+    [
+        (failing, ZeroDivisionError, "^in the policy$"),
+        (killed, ChildProcessError, r"ended by signal 9 \(Killed\), perhaps because the memory"),
+    ],
+)
+def test_the_error_tells_what_happened_in_a_process_and_ends_the_others(
+    function: Any, error: type[Exception], message: str
+) -> None:
+    before = set(multiprocessing.active_children())
+    with pytest.raises(error, match=message):
+        over_cores(call, [endless, function], "working", workers=2)
+    for process in set(multiprocessing.active_children()) - before:
+        process.join(60)
+        assert process.exitcode is not None
 
 
 # --- the command
@@ -207,17 +259,10 @@ def run(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def complaint(capsys: pytest.CaptureFixture[str], *args: object) -> str:
-    assert main(["evaluate", *map(str, args)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
-
-
 def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureFixture[str], run: Path) -> None:
     first, second = run / "run-1", run / "run-2" / "checkpoint.pt"
-    assert main(["evaluate", str(first), str(second), "scripted", "random", "--count", "2", "--seconds", "0.5"]) == 0
+    given = ["evaluate", str(first), str(second), "scripted", "random", "--count", "2", "--seconds", "0.5"]
+    assert main([*given, "--workers", "1"]) == 0
     assert {"evaluation.json", "evaluation.csv", "paths.png"} <= {file.name for file in first.iterdir()}
     written = json.loads((first / "evaluation.json").read_text())
     assert [entry["policy"] for entry in written] == ["run-1", "run-2", "scripted", "random"]
@@ -225,8 +270,68 @@ def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureF
     assert "PPO in maze" in capsys.readouterr().out
 
 
-def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run: Path) -> None:
-    assert "say which --world to drive in" in complaint(capsys, "random")
-    assert "unknown world 'mars'" in complaint(capsys, "scripted", "--world", "maze", "mars")
-    assert "no checkpoint at" in complaint(capsys, run / "run-1", run / "none.pt")
-    assert "count must be" in complaint(capsys, run / "run-1", "--count", 0)
+def test_the_command_takes_ranges_and_imperfections(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = [
+        "evaluate",
+        "scripted",
+        "--world",
+        "maze:10000-10001@0.2",
+        "--seconds",
+        "0.5",
+        "--imperfect",
+        "late",
+        "all",
+    ]
+    assert main([*given, "--episodes", "2", "--workers", "1", "--backend", "warp", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "2 episodes in each of 2 worlds" in text
+    assert "Lowest success rates of scripted in maze:10000-10001@0.2, warp, exact: maze:10000@0.2 0%" in text
+    assert "Success, and its change against exact" in text
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [(one["imperfection"], one["world"], one["count"]) for one in results] == [
+        (kind, "maze:10000-10001@0.2", 4) for kind in ("exact", "late", "all")
+    ]
+    assert results[1]["worlds"][1]["name"] == "maze:10001@0.2"
+    delays = [one["env"]["randomization"]["scan_latency"] for one in results]
+    assert delays == [[0, 0], [3, 3], [1, 2]]
+    assert min(imread(path).std() for path in tmp_path.glob("paths*.png")) > 0.05
+
+
+def test_the_command_drives_the_same_episodes_in_each_backend(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ["evaluate", "scripted", "--world", "maze", "--backend", "bullet", SLIPPERY, "--count", "1"]
+    assert main([*given, "--seconds", "5", "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [entry["backend"] for entry in results] == ["bullet", SLIPPERY]
+    starts = [[(episode["start"], episode["goal"]) for episode in entry["episodes"]] for entry in results]
+    assert starts[0] == starts[1]
+    reached = [{n for n, one in enumerate(entry["episodes"]) if one["ending"] == "goal"} for entry in results]
+    assert reached[0] > reached[1]
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    assert pictures == {"paths-bullet.png", f"paths-{SLIPPERY.replace(':', '-')}.png"}
+    assert "in one backend and not in another" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("random", "say which --world to drive in"),
+        ("scripted --world maze mars", "unknown world 'mars'"),
+        ("RUN/run-1 RUN/none.pt", "no checkpoint at"),
+        ("RUN/run-1 --count 0", "count must be"),
+        ("scripted --world maze --imperfect latte", "unknown imperfection 'latte', perhaps 'late'"),
+        ("scripted --world maze --backend bullet gazebo --out RUN/new", "unknown backend 'gazebo'"),
+        (f"scripted --world maze --backend bullet {SLIPPERY[:-8]}NotInstalled --out RUN/new", "needs a library"),
+    ],
+)
+def test_the_command_refuses_in_one_line_before_anything_is_driven(
+    capsys: pytest.CaptureFixture[str], run: Path, monkeypatch: pytest.MonkeyPatch, given: str, message: str
+) -> None:
+    monkeypatch.setattr("rover_rl.algos.evaluation.evaluate.evaluate", None)
+    assert main(["evaluate", *given.replace("RUN", str(run)).split()]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
+    assert not (run / "new").exists()
