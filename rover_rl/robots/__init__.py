@@ -1,7 +1,4 @@
-"""Robots: a body, which a URDF describes, a drive and sensors each.
-
-``Robot`` needs PyTorch and is imported on first use.
-"""
+"""Robots: a body, which a URDF describes, a drive and sensors each. ``Robot`` is imported on first use."""
 
 from __future__ import annotations
 
@@ -34,14 +31,10 @@ _REGISTRY = Registry("robot", ROBOTS | FAMILIES, also=", a URDF file, a Robot, o
 
 
 def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
-    """Registers a robot under a name, for ``RoverEnv``, ``EnvConfig`` and ``--robot``.
-
-    Args:
-        name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        robot: robot, function that returns a robot, or ``"module:attribute"`` of either.
+    """Registers a robot, a function that returns one, or ``"module:attribute"`` of either under a new name.
 
     Raises:
-        ValueError: if the name is taken or has other characters.
+        ValueError: if the name is taken or has other characters than letters, digits, ``_``, ``-`` and ``.``.
     """
     _REGISTRY.register(name, robot)
 
@@ -61,10 +54,9 @@ def names_several(robots: RobotSource) -> bool:
 def get_robot(robot: RobotSource) -> Robot:
     """Returns a robot by name. Returns a :class:`Robot` unchanged.
 
-    Args:
-        robot: name in :func:`robot_names`, path of a URDF (``"scout.urdf"``), ``"module:attribute"`` of a robot or of a
-            function that returns one, or a robot. ``"any:17"`` is a robot of a family, a function of a seed. A name may
-            have the fields of :class:`RobotOptions` as settings: ``"scout.urdf(drive=skid_steer, max_speed=1.5)"``.
+    A name is one of :func:`robot_names`, the path of a URDF, or ``"module:attribute"`` of a robot or of a function that
+    returns one. ``"any:17"`` is a robot of a family, a function of a seed. A name may have the fields of
+    :class:`RobotOptions` as settings: ``"scout.urdf(drive=skid_steer, max_speed=1.5)"``.
 
     Raises:
         ValueError: if the name is unknown, that of a range, or refers to something else than a robot; if a URDF holds
@@ -105,20 +97,17 @@ def _read(path: Path, options: RobotOptions, modified: int) -> Robot:
 
 
 def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
-    """Returns a robot of another name than a file with options, of which it takes those on its drive and lidar."""
-    drive: dict[str, Any] = {}
-    for option, value in options.given.items():
-        field = {"max_acceleration": "max_linear_acceleration"}.get(option, option)
-        if option in LIDAR_OPTIONS:
-            continue
-        if not hasattr(robot.drive, field) or option == "drive":
-            raise ValueError(
-                f"option {option} does not fit robot {robot.name!r}, whose drive is a {type(robot.drive).__name__}"
-            )
-        drive[field] = value
+    """A robot of another name than a file with the options on its drive and lidar."""
+    drive = {"max_linear_acceleration" if name == "max_acceleration" else name: name for name in options.given}
+    drive = {field: name for field, name in drive.items() if name not in LIDAR_OPTIONS}
+    for field, name in drive.items():
+        if not hasattr(robot.drive, field) or name == "drive":
+            kind = type(robot.drive).__name__
+            raise ValueError(f"option {name} does not fit robot {robot.name!r}, whose drive is a {kind}")
     changes: dict[str, Any] = dict(options.lidar_settings)
     if drive:
-        changes["drive"] = replace(robot.drive, **drive)
+        limits: dict[str, Any] = {field: options.given[name] for field, name in drive.items()}
+        changes["drive"] = replace(robot.drive, **limits)
     if options.lidar is not None:
         try:
             x, y, z = map(float, options.lidar.split())
@@ -129,10 +118,7 @@ def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
 
 
 def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
-    """Returns the robots that episodes draw from, each once.
-
-    Args:
-        robots: robot, its name, a range of seeds of a family (``"any:0-255"``), or a list of them.
+    """Returns the robots of a robot, its name, a range of seeds (``"any:0-255"``), or a list of them, each once.
 
     Raises:
         ValueError: as :func:`get_robot`, or if there are no robots or too many, or a range is not in order.
@@ -167,15 +153,5 @@ def __getattr__(name: str) -> Any:
     return Robot
 
 
-__all__ = [
-    "FAMILIES",
-    "ROBOTS",
-    "Robot",
-    "RobotOptions",
-    "check_training_robots",
-    "get_robot",
-    "get_robots",
-    "names_several",
-    "register_robot",
-    "robot_names",
-]
+__all__ = ["FAMILIES", "ROBOTS", "Robot", "RobotOptions", "check_training_robots", "get_robot", "get_robots"]
+__all__ += ["names_several", "register_robot", "robot_names"]

@@ -42,7 +42,9 @@ def any_robot(seed: int = 0) -> Robot:
     """
     draw = np.random.default_rng((0xA27, seed))
     is_car = draw.random() < 0.5
-    base, track, radius = _wheels(draw)
+    base = _log_uniform(draw, 0.22, 0.62)
+    track = float(np.clip(base * draw.uniform(0.7, 1.5), 0.22, 0.6))
+    radius = float(np.clip(base * draw.uniform(0.16, 0.46), 0.05, 0.17))
     width = draw.uniform(0.25, 0.6) * radius + 0.02
     gap = 2 * width if is_car else 0.015
     length = base * draw.uniform(0.9, 1.5) + 0.05
@@ -60,14 +62,10 @@ def any_robot(seed: int = 0) -> Robot:
     mass = _log_uniform(draw, 20.0, 90.0) * max(length, base + 2 * radius) * (track + width)
     center = np.array((base * draw.uniform(-0.08, 0.08), 0.0, bottom + 0.4 * size[2]))
     wheel = mass * draw.uniform(0.02, 0.06)
-    drive = _car(draw, base, track, radius, mass) if is_car else _skid_steer(draw, base, track, radius, mass)
-    body = box_mass(mass - 4 * wheel, center, size)
+    drive = (_car if is_car else _skid_steer)(draw, base, track, mass, radius)
     hubs = [(x, y, radius) for x in (base / 2, -base / 2) for y in (track / 2, -track / 2)]
-    steering: tuple[int, ...] = ()
     # In the order of the drive: the rear wheels of a car come first, and the left wheels of a skid-steer.
-    order = (2, 3, 0, 1) if is_car else (0, 2, 1, 3)
-    if is_car:
-        steering = (-1, -1, 0, 1)
+    order, steering = ((2, 3, 0, 1), (-1, -1, 0, 1)) if is_car else ((0, 2, 1, 3), ())
     across, along = wheel * (3 * radius**2 + width**2) / 12, wheel * radius**2 / 2
     ranges: dict[str, Any] = {"lidar_range": round(_log_uniform(draw, 8.0, 30.0), 2)}
     # A car with a wide turning circle drives backward often.
@@ -75,7 +73,7 @@ def any_robot(seed: int = 0) -> Robot:
     if draw.random() < 0.5 and not wide:
         ranges["lidar_view"] = round(draw.uniform(4.2, 5.5), 2)
     numbers: dict[str, Any] = {
-        "body": body,
+        "body": box_mass(mass - 4 * wheel, center, size),
         "boxes": tuple(boxes),
         "wheel": Mass.of(wheel, np.zeros(3), np.diag((across, along, across))),
         "lidar_position": lidar,
@@ -101,14 +99,7 @@ def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
     return math.exp(draw.uniform(math.log(low), math.log(high)))
 
 
-def _wheels(draw: np.random.Generator) -> tuple[float, float, float]:
-    """Draws the wheelbase, the track and the radius of the wheels, m."""
-    base = _log_uniform(draw, 0.22, 0.62)
-    track = float(np.clip(base * draw.uniform(0.7, 1.5), 0.22, 0.6))
-    return base, track, float(np.clip(base * draw.uniform(0.16, 0.46), 0.05, 0.17))
-
-
-def _skid_steer(draw: np.random.Generator, base: float, track: float, radius: float, mass: float) -> Drive:
+def _skid_steer(draw: np.random.Generator, base: float, track: float, mass: float, radius: float) -> Drive:
     """Draws a skid-steer drive, whose controller knows the slip of its wheels up to a tenth."""
     # Effective distance of wheels at the corners of a rectangle that slip by Coulomb's law.
     separation = track * (1 + (base / track) ** 2) * draw.uniform(0.9, 1.1)
@@ -124,7 +115,7 @@ def _skid_steer(draw: np.random.Generator, base: float, track: float, radius: fl
     )
 
 
-def _car(draw: np.random.Generator, base: float, track: float, radius: float, mass: float) -> Drive:
+def _car(draw: np.random.Generator, base: float, track: float, mass: float, radius: float) -> Drive:
     """Draws an Ackermann drive, which turns about a point beside the car."""
     sharpest = math.atan(base / (0.75 * track + 0.05))
     return Ackermann(

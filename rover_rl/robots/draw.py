@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,15 +24,9 @@ MARGIN = 0.15
 
 
 def draw_robot(robot: Robot, lines: list[str], path: str | Path | None = None) -> Figure:
-    """Draws a robot from above and from the side, and its turning circle.
+    """Draws a robot from above and from the side, its turning circle, and ``lines`` of text.
 
-    Args:
-        robot: robot to draw.
-        lines: text beside the pictures.
-        path: path of the image file, whose suffix selects the format. ``None`` does not save the figure.
-
-    Returns:
-        The figure.
+    ``path`` is that of the image file, whose suffix selects the format. ``None`` does not save the figure.
     """
     figure = Figure(figsize=(12.5, 8.0), layout="constrained")
     axes = figure.subplot_mosaic("AAC;BBT", height_ratios=(1.3, 1.0))
@@ -47,18 +42,12 @@ def draw_robot(robot: Robot, lines: list[str], path: str | Path | None = None) -
 
 
 def _draw_above(ax: Axes, robot: Robot) -> None:
-    outline = robot.footprint
     _add_boxes(ax, robot, (0, 1))
     _add_wheels(ax, robot)
-    width, depth = outline.front - outline.back, outline.left - outline.right
-    corner = (outline.back, outline.right)
-    ax.add_patch(Rectangle(corner, width, depth, fill=False, edgecolor=OUTLINE, linewidth=1.4, label="footprint"))
-    ax.add_patch(
-        Circle(
-            (0, 0), robot.radius, fill=False, edgecolor=OUTLINE, linestyle=(0, (4, 3)), label="disc that is kept free"
-        )
-    )
-    half = (1 + MARGIN) * max(robot.radius, outline.corner)
+    ax.add_patch(_outline(robot, fill=False, edgecolor=OUTLINE, linewidth=1.4, label="footprint"))
+    style: dict[str, Any] = {"fill": False, "edgecolor": OUTLINE, "linestyle": (0, (4, 3))}
+    ax.add_patch(Circle((0, 0), robot.radius, label="disc that is kept free", **style))
+    half = (1 + MARGIN) * max(robot.radius, robot.footprint.corner)
     _add_lidar(ax, robot, 1.4 * half)
     _add_points(ax, robot, (0, 1))
     ax.annotate("", (0.3 * half, 0), (0, 0), arrowprops={"arrowstyle": "->", "color": EDGE})
@@ -68,16 +57,16 @@ def _draw_above(ax: Axes, robot: Robot) -> None:
 
 
 def _draw_side(ax: Axes, robot: Robot) -> None:
-    outline, wheels = robot.footprint, robot.wheels
+    drive, z = robot.drive, robot.lidar_position[2]
     ax.axhline(0.0, color=EDGE, linewidth=1.0)
     _add_boxes(ax, robot, (0, 2))
-    for name, (x, _, z) in zip(robot.drive.wheels, wheels.hubs, strict=True):
-        color = CASTER if name in robot.drive.passive and isinstance(robot.drive, SkidSteer) else TIRE
-        ax.add_patch(Circle((x, z), wheels.radius, facecolor=color, alpha=0.75))
+    casters = drive.casters if isinstance(drive, SkidSteer) else ()
+    for name, (x, _, height) in zip(drive.wheels, robot.wheels.hubs, strict=True):
+        color = CASTER if name in casters else TIRE
+        ax.add_patch(Circle((x, height), robot.wheels.radius, facecolor=color, alpha=0.75))
     _add_points(ax, robot, (0, 2))
-    z = robot.lidar_position[2]
     ax.axhline(z, color=LIDAR, linewidth=0.8, linestyle=(0, (2, 3)))
-    half = (1 + MARGIN) * max(outline.half_length, robot.radius)
+    half = (1 + MARGIN) * max(robot.footprint.half_length, robot.radius)
     top = max([z, *(center[2] + size[2] / 2 for center, size, _ in robot.boxes)])
     ax.set(xlim=(-1.6 * half, 1.6 * half), ylim=(-0.1 * half, top + 0.2 * half), xlabel="x (m)", ylabel="z (m)")
     ax.set_aspect("equal")
@@ -86,26 +75,26 @@ def _draw_side(ax: Axes, robot: Robot) -> None:
 
 def _draw_turn(ax: Axes, robot: Robot) -> None:
     """Draws the sharpest turn: the way of the origin or of the rear axle, and the ground that the body covers."""
-    outline, drive, wheels = robot.footprint, robot.drive, robot.wheels
-    radius, rear = drive.min_radius(wheels), 0.0
-    if isinstance(drive, Ackermann):
-        rear = (wheels.hubs[0][0] + wheels.hubs[1][0]) / 2
+    outline, radius, rear = robot.footprint, robot.drive.min_radius(robot.wheels), robot.drive.pivot(robot.wheels)
     corners = [(x, y) for x in (outline.back, outline.front) for y in (outline.right, outline.left)]
-    reach = [math.hypot(x - rear, radius - y) for x, y in corners]
-    inner = max(radius - outline.left, 0.0)
-    color = {"facecolor": TURN, "alpha": 0.18}
-    ax.add_patch(Wedge((rear, radius), max(reach), 0, 360, width=max(reach) - inner, **color))
+    reach = max(math.hypot(x - rear, radius - y) for x, y in corners)
+    width = reach - max(radius - outline.left, 0.0)
+    ax.add_patch(Wedge((rear, radius), reach, 0, 360, width=width, facecolor=TURN, alpha=0.18))
     if radius:
         ax.add_patch(Circle((rear, radius), radius, fill=False, edgecolor=TURN, linewidth=1.2))
         ax.plot([rear, rear], [radius, 0.0], color=TURN, linewidth=0.8, linestyle=(0, (4, 3)))
         ax.plot([rear], [radius], "+", color=CENTER)
-    size = (outline.back, outline.right), outline.front - outline.back, outline.left - outline.right
-    ax.add_patch(Rectangle(*size, facecolor=BODY, edgecolor=EDGE))
+    ax.add_patch(_outline(robot, facecolor=BODY, edgecolor=EDGE))
     _add_wheels(ax, robot)
     text = f"radius {radius:.2f} m" if radius else "turns in place"
-    ax.set_title(f"sharpest turn: {text}, needs {2 * max(reach):.2f} m", fontsize=10)
-    low, high = radius - 1.1 * max(reach), radius + 1.1 * max(reach)
-    ax.set(xlim=(rear - 1.1 * max(reach), rear + 1.1 * max(reach)), ylim=(low, high), aspect="equal", xlabel="x (m)")
+    ax.set_title(f"sharpest turn: {text}, needs {2 * reach:.2f} m", fontsize=10)
+    sides = {"xlim": (rear - 1.1 * reach, rear + 1.1 * reach), "ylim": (radius - 1.1 * reach, radius + 1.1 * reach)}
+    ax.set(**sides, aspect="equal", xlabel="x (m)")
+
+
+def _outline(robot: Robot, **style: Any) -> Rectangle:
+    back, front, right, left = robot.footprint
+    return Rectangle((back, right), front - back, left - right, **style)
 
 
 def _add_boxes(ax: Axes, robot: Robot, plane: tuple[int, int]) -> None:
@@ -122,14 +111,13 @@ def _add_wheels(ax: Axes, robot: Robot) -> None:
         if isinstance(drive, SkidSteer) and name in drive.casters:
             ax.add_patch(Circle((x, y), width / 2, facecolor=CASTER, edgecolor=TIRE, linewidth=0.6))
             continue
-        corner = (x - wheels.radius, y - width / 2)
-        ax.add_patch(Rectangle(corner, 2 * wheels.radius, width, facecolor=TIRE, alpha=0.85))
+        tire = (x - wheels.radius, y - width / 2), 2 * wheels.radius, width
+        ax.add_patch(Rectangle(*tire, facecolor=TIRE, alpha=0.85))
         if isinstance(drive, Ackermann) and wheels.steering[number] >= 0:
-            curvature, rear = 1 / drive.min_radius(wheels), (wheels.hubs[0][0] + wheels.hubs[1][0]) / 2
-            angle = math.atan2(curvature * (x - rear), 1 - curvature * y)
-            turn = Affine2D().rotate_around(x, y, angle) + ax.transData
-            turned = Rectangle(corner, 2 * wheels.radius, width, fill=False, edgecolor=STEERED, linewidth=1.2)
-            turned.set_transform(turn)
+            curvature, ahead = 1 / drive.min_radius(wheels), x - drive.pivot(wheels)
+            angle = math.atan2(curvature * ahead, 1 - curvature * y)
+            turned = Rectangle(*tire, fill=False, edgecolor=STEERED, linewidth=1.2)
+            turned.set_transform(Affine2D().rotate_around(x, y, angle) + ax.transData)
             ax.add_patch(turned)
 
 
@@ -145,12 +133,7 @@ def _add_lidar(ax: Axes, robot: Robot, length: float) -> None:
 
 
 def _add_points(ax: Axes, robot: Robot, plane: tuple[int, int]) -> None:
-    """Marks the lidar, the IMU and the center of mass."""
-    points = {
-        "lidar": (robot.lidar_position, "o", LIDAR),
-        "IMU": (robot.imu_position, "s", IMU),
-        "center of mass": (robot.center_of_mass, "X", CENTER),
-    }
-    for label, (place, marker, color) in points.items():
+    points = [("lidar", robot.lidar_position, "o", LIDAR), ("IMU", robot.imu_position, "s", IMU)]
+    for label, place, marker, color in [*points, ("center of mass", robot.center_of_mass, "X", CENTER)]:
         x, y = (place[axis] for axis in plane)
         ax.plot([x], [y], marker, color=color, label=label, markersize=6, linestyle="none")

@@ -21,17 +21,11 @@ def largest_of(robots: Iterable[Robot]) -> Robot:
 
 
 class Fleet:
-    """Robots of the rows of a batch.
-
-    Those who hold data of robots keep them by index, ``[K, ...]``, and look them up by ``index``.
+    """Robots of the rows of a batch. Those who hold data of robots keep them by index, ``[K, ...]``.
 
     Args:
         robots: the K robots that there are.
-        index: index of each row's robot among them, int64 ``[N]``.
-
-    Attributes:
-        robots: the K robots.
-        index: index of each row's robot. A change replaces the tensor.
+        index: index of each row's robot among them, int64 ``[N]``. A change replaces the tensor.
 
     Raises:
         ValueError: if there are no robots or too many, or their sensors differ.
@@ -62,7 +56,7 @@ class Fleet:
 
     @property
     def largest(self) -> Robot:
-        """The robot that needs the most space: see ``largest_of``."""
+        """The robot that needs the most space."""
         return largest_of(self.robots)
 
     def __len__(self) -> int:
@@ -70,11 +64,9 @@ class Fleet:
         return len(self.index)
 
     def __getitem__(self, row: int) -> Robot:
-        """Returns the robot of a row."""
         return self.robots[int(self.index[row])]
 
     def __iter__(self) -> Iterator[Robot]:
-        """Iterates over the robots of all rows."""
         return map(self.robots.__getitem__, self.index.tolist())
 
     def table(self, numbers: Callable[[Robot], Any], dtype: torch.dtype = torch.float32) -> Tensor:
@@ -90,37 +82,33 @@ class MassTable:
     """
 
     def __init__(self, robots: Sequence[Robot], device: torch.device | str | None = None) -> None:
-        most = max(len(robot.wheels.hubs) for robot in robots)
-        # A wheel that a robot lacks has no mass.
-        weights = np.array([[float(wheel < len(robot.wheels.hubs)) for wheel in range(most)] for robot in robots])
+        counts = [len(robot.wheels.hubs) for robot in robots]
         hubs = [np.array(robot.wheels.hubs) for robot in robots]
-        moments = [
-            robot.wheel.mass * torch.from_numpy(each).sum(0).numpy() for robot, each in zip(robots, hubs, strict=True)
-        ]
         turns = np.array([np.diag((robot.wheel.inertia[0][0], 0.0, robot.wheel.inertia[0][0])) for robot in robots])
+        # A wheel that a robot lacks has no mass.
+        weights = np.array([[float(wheel < count) for wheel in range(max(counts))] for count in counts])
+        pairs = [*zip(robots, hubs, strict=True)]
         arrays = {
             "mass": [robot.chassis.mass for robot in robots],
             "center": [robot.chassis.center for robot in robots],
             "inertia": [robot.chassis.inertia for robot in robots],
-            "wheels_mass": [len(robot.wheels.hubs) * robot.wheel.mass for robot in robots],
-            "wheels_moment": moments,
-            "hubs": [np.pad(each, ((0, most - len(each)), (0, 0))) for each in hubs],
+            "wheels_mass": [len(own) * robot.wheel.mass for robot, own in pairs],
+            "wheels_moment": [robot.wheel.mass * torch.from_numpy(own).sum(0).numpy() for robot, own in pairs],
+            "hubs": [np.pad(own, ((0, max(counts) - len(own)), (0, 0))) for own in hubs],
             "wheel": np.array([robot.wheel.mass for robot in robots])[:, None] * weights,
             "turn": turns[:, None] * weights[:, :, None, None],
         }
-        tensors = {name: torch.from_numpy(np.array(array, dtype=float)).to(device) for name, array in arrays.items()}
-        self.chassis_mass, self._tensors = tensors["mass"], tensors
+        self._tensors = {name: torch.tensor(np.array(array, dtype=float)).to(device) for name, array in arrays.items()}
+        self.chassis_mass = self._tensors["mass"]
 
     def total(self, chassis_mass: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns the mass properties of whole rovers.
+        """Returns the mass ``[N]``, center of mass ``[N, 3]`` and inertia about it ``[N, 3, 3]`` of whole rovers.
+
+        The inertia leaves out that of wheels about their axles, as the spin of a wheel is a state of its own.
 
         Args:
             chassis_mass: masses of the chassis, ``[N]``, float64; the inertia of the chassis scales with its mass.
             index: robot of each rover, int64 ``[N]``.
-
-        Returns:
-            Mass ``[N]``, center of mass ``[N, 3]``, and inertia about it ``[N, 3, 3]``. The inertia leaves out that of
-            the wheels about their axles, since the spin of a wheel is a state of its own.
         """
         own = {name: values[index] for name, values in self._tensors.items()}
         mass = chassis_mass + own["wheels_mass"]

@@ -18,9 +18,7 @@ class Kinematics:
     twist that it has reached; for a car, its speed (m/s) and the steering angle of the middle of its front axle (rad).
     It is zero at rest. The bits of a row do not depend on other rows: products are sums in a fixed order.
 
-    Args:
-        fleet: robots of the rows.
-        dt: duration of a control step, s.
+    ``dt`` is the duration of a control step, s.
 
     Example:
         >>> from rover_rl.robots import get_robot
@@ -38,9 +36,8 @@ class Kinematics:
         numbers: dict[str, list[Tensor]] = {"matrix": [], "inverse": [], "limit": [], "car": []}
         for drive, wheels in drives:
             # By columns, [n, k] for the product of a matrix [k, n].
-            matrix, inverse = drive.matrix(wheels).T, drive.inverse(wheels).T
-            numbers["matrix"].append(_padded(matrix, self.size, self.motors))
-            numbers["inverse"].append(_padded(inverse, self.motors, self.size))
+            numbers["matrix"].append(_padded(drive.matrix(wheels).T, self.size, self.motors))
+            numbers["inverse"].append(_padded(drive.inverse(wheels).T, self.motors, self.size))
             linear, angular = drive.max_linear_acceleration, drive.max_angular_acceleration
             limit, car = dt * torch.tensor((linear, angular, linear)), torch.ones(7)
             if isinstance(drive, Ackermann):
@@ -50,19 +47,16 @@ class Kinematics:
             numbers["limit"].append(limit[: self.size])
             numbers["car"].append(car)
         cars = [isinstance(drive, Ackermann) for drive, _ in drives]
+        self._any_car, self._all_cars = any(cars), all(cars)
         self._fleet, self._index, device = fleet, fleet.index, fleet.index.device
         # Of each robot, [K, ...]. A copy from the host waits for the device: these are copied once.
         self._tables = {name: torch.stack(rows).to(device) for name, rows in numbers.items()}
         self._tables["is_car"] = torch.tensor(cars, device=device)[:, None]
-        self._any_car, self._all_cars = any(cars), all(cars)
         # Of each row; one robot is that of all rows.
         self._rows = self._tables if len(drives) == 1 else self._of_rows()
 
     def advance(self, set_point: Tensor, command: Tensor) -> Tensor:
-        """Returns the set points after a step, within the limits of the drives.
-
-        ``command`` is ``[N, 2]``, or ``[N, 3]`` if a robot moves sideways.
-        """
+        """Returns the set points after a step with commands of the same shape, within the limits of the drives."""
         rows = self._follow()
         if self._any_car:
             base, _, most = rows["car"][:, :3].split(1, -1)
@@ -75,10 +69,7 @@ class Kinematics:
         return set_point + torch.clamp(command - set_point, -rows["limit"], rows["limit"])
 
     def joints(self, before: Tensor, after: Tensor) -> Joints:
-        """Returns the targets of the joints in a step from one set point to another.
-
-        Speeds are those of the mean twist, so that the distance driven matches the limited acceleration.
-        """
+        """Returns the targets of the joints in a step from one set point to another, with the speeds of their mean."""
         rows, mean = self._follow(), (before + after) * 0.5
         if not self._any_car:
             return Joints(_product(rows["matrix"], mean), mean[:, :0])

@@ -10,7 +10,6 @@ from rover_rl.names import Name
 from rover_rl.plain import take_numbers
 
 DriveKind = Literal["skid_steer", "differential", "ackermann", "mecanum"]
-"""Kinds of drives that are found in a URDF."""
 LIDAR_OPTIONS = ("lidar", "lidar_range", "lidar_view")
 """Options on the lidar. The others, but for ``missing``, are on the drive."""
 
@@ -62,8 +61,7 @@ class RobotOptions:
     @property
     def given(self) -> dict[str, Any]:
         """The options that are set."""
-        values = {item.name: (getattr(self, item.name), item.default) for item in fields(self)}
-        return {name: value for name, (value, default) in values.items() if value != default}
+        return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
 
     @property
     def lidar_settings(self) -> dict[str, float]:
@@ -77,11 +75,7 @@ def with_options(name: str, options: RobotOptions) -> str:
 
 
 def split_options(name: str) -> tuple[str, int | None, RobotOptions]:
-    """Returns the part, the seed and the options of the name of a robot.
-
-    Raises:
-        ValueError: if an option is unknown or has a value of another kind.
-    """
+    """Returns the part, the seed and the options of the name of a robot."""
     parsed = Name.parse(name)
     settings = dict(parsed.settings)
     seed = settings.pop("seed", None)

@@ -22,14 +22,10 @@ WEAKEST, WEAK = 2.0, 15.0
 """Slopes that the motors must be able to climb, and usually can, degrees."""
 FULL_VIEW = math.radians(340)
 """Angle that a lidar sees from which on it sees what is behind the robot, rad."""
-_GRAVITY = 9.81
 
 
 class Footprint(NamedTuple):
-    """Rectangle around the wheels and the body of a robot, seen from above, in the base frame.
-
-    ``back`` and ``front`` are the lowest and the highest x, ``right`` and ``left`` those of y, m.
-    """
+    """Rectangle around the wheels and the body of a robot, seen from above: lowest and highest x and y, m."""
 
     back: float
     front: float
@@ -57,7 +53,7 @@ class Robot:
     """A rover: a rigid body of boxes, wheels that are alike, a drive and sensors.
 
     Positions are in the base frame, whose origin lies on the ground below the center of the rover: x forward, y left,
-    z up. Lengths are in meters, angles in radians. :meth:`from_urdf` reads a robot from its URDF.
+    z up. Lengths are in meters, angles in radians.
 
     Raises:
         ValueError: if a length is not positive, the drive cannot move the wheels, or the robot cannot drive: ``radius``
@@ -77,13 +73,12 @@ class Robot:
     name: str
     """Name of the robot, by which a live simulator identifies it."""
     drive: Drive
-    """Drive, which names the joints of the wheels: see :mod:`rover_rl.robots.drives`."""
+    """Drive, which names the joints of the wheels."""
     body: Mass
     """Mass of the body without wheels, knuckles and boxes with a mass of their own."""
     boxes: tuple[Box, ...]
     """Collision shape of the body."""
     wheels: Wheels
-    """Geometry of the wheels."""
     wheel: Mass
     """Mass of each wheel, about its hub."""
     knuckle: Mass | None = None
@@ -91,21 +86,18 @@ class Robot:
     steering_limits: tuple[float, float] | None = None
     """Lowest and highest angle at which Bullet stops the steering joints, rad. ``None``: it does not."""
     lidar_position: Vector
-    """Position of the lidar, m."""
     imu_position: Vector
-    """Position of the IMU, m."""
     lidar_range: float = 12.0
     """Maximum range of the lidar, m."""
     lidar_view: float = 2 * math.pi
-    """Angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it have no return. A
-    map of what has been seen does not take them for free."""
+    """Angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it have no return,
+    which a map does not take for free."""
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
-    """Radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``: that of the
-    disc around its wheels and body, rounded up to a centimeter."""
+    """Radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``: that around
+    its wheels and body, rounded up to a centimeter."""
     sensors: tuple[Any, ...] = ()
-    """Sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
-    :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries to the
-    observation."""
+    """Sensors besides those that every rover has, which add entries to the observation: each a
+    :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``."""
     # A rule of the task: robots that differ in it alone are the same.
     collision_range: float | None = field(default=None, compare=False)
     """Lidar reading below which the robot is in collision, m. ``None``: in each direction, the distance of its outline
@@ -125,18 +117,16 @@ class Robot:
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
         if not 0 < self.lidar_view <= 2 * math.pi:
-            raise ValueError(
-                f"lidar_view of robot {self.name!r} must be positive and at most 2 pi rad, got {self.lidar_view}"
-            )
+            allowed = f"positive and at most 2 pi rad, got {self.lidar_view}"
+            raise ValueError(f"lidar_view of robot {self.name!r} must be {allowed}")
         for name in ("lidar_position", "imu_position"):
             place = getattr(self, name)
             if len(place) != 3 or not all(map(math.isfinite, place)):
                 raise ValueError(f"{name} must have finite coordinates (x, y, z) in meters, got {place}")
         object.__setattr__(self, "sensors", tuple(self.sensors))
         if len(self.wheels.hubs) != len(self.drive.wheels):
-            raise ValueError(
-                f"the drive of robot {self.name!r} names the wheels {self.drive.wheels}, it has {len(self.wheels.hubs)}"
-            )
+            named = f"names the wheels {self.drive.wheels}, it has {len(self.wheels.hubs)}"
+            raise ValueError(f"the drive of robot {self.name!r} {named}")
         self.drive.check(self.wheels)
         if self.radius is None:
             object.__setattr__(self, "radius", math.ceil(100 * self.footprint.corner - 1e-9) / 100)
@@ -146,7 +136,7 @@ class Robot:
 
     @property
     def sees_behind(self) -> bool:
-        """Whether the lidar sees a full turn, or nearly so: :data:`FULL_VIEW`."""
+        """Whether the lidar sees a full turn, or nearly so."""
         return self.lidar_view > FULL_VIEW
 
     @property
@@ -176,24 +166,12 @@ class Robot:
 
     @cached_property
     def footprint(self) -> Footprint:
-        """The smallest rectangle around the wheels and the boxes, seen from above.
-
-        Wheels are the boxes around their cylinders or spheres.
-
-        Example:
-            >>> from rover_rl.robots import get_robot
-            >>> outline = get_robot("rover_zero").footprint
-            >>> round(outline.half_length, 3), round(outline.half_width, 3)
-            (0.267, 0.225)
-        """
+        """The smallest rectangle around the wheels and the boxes, seen from above."""
         reach = np.array((self.wheels.radius, self.wheels.width / 2 or self.wheels.radius))
         hubs = np.array(self.wheels.hubs)[:, :2]
         centers, sizes = (np.array([box[part] for box in self.boxes]).reshape(-1, 3)[:, :2] for part in (0, 1))
-        low, high = (
-            np.concatenate((hubs - reach, centers - sizes / 2)),
-            np.concatenate((hubs + reach, centers + sizes / 2)),
-        )
-        (back, right), (front, left) = low.min(0).tolist(), high.max(0).tolist()
+        back, right = np.concatenate((hubs - reach, centers - sizes / 2)).min(0).tolist()
+        front, left = np.concatenate((hubs + reach, centers + sizes / 2)).max(0).tolist()
         return Footprint(back, front, right, left)
 
     @classmethod
@@ -219,10 +197,8 @@ class Robot:
             drive: drive. ``None`` finds it.
             options: what the URDF does not tell, if the drive is to be found.
             name: name of the robot. ``None``: that of the URDF.
-            lidar: place of the lidar: a link of the URDF, or a position (x, y, z) in the base frame, m. ``None``: the
-                link ``"lidar_link"``; without a drive, a link with the name of a lidar, or above the middle.
-            imu: place of the IMU. ``None``: the link ``"imu_link"``; without a drive, a link with ``imu`` in its name,
-                or the middle.
+            lidar, imu: places of the sensors: links of the URDF, or positions (x, y, z) in the base frame, m. ``None``:
+                ``"lidar_link"`` and ``"imu_link"``; without a drive, links of such names, or in the middle.
             settings: further fields of :class:`Robot`.
 
         Raises:
@@ -245,7 +221,7 @@ class Robot:
 
 
 def _level_of_user() -> int:
-    """Returns the stack level, for a warning of the caller, of the first code that is no installed package."""
+    """Stack level, for a warning of the caller, of the first code that is no installed package."""
     frame, level = sys._getframe(1), 1
     package = str(Path(__file__).parents[1])
     while frame.f_back is not None and any(part in frame.f_code.co_filename for part in (package, "site-packages")):
@@ -254,19 +230,16 @@ def _level_of_user() -> int:
 
 
 def _check_radius(robot: Robot) -> None:
-    outline = robot.footprint
+    outline, radius = robot.footprint, f"radius of robot {robot.name!r} is {robot.radius:g} m, and its"
     reach = max(outline.half_length, outline.half_width)
     if robot.radius < reach - TOLERANCE:
         raise ValueError(
-            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its body and wheels reach {reach:.3g} m from "
-            f"the origin: it would start in obstacles; {outline.corner:.3g} m holds all of it"
+            f"{radius} body and wheels reach {reach:.3g} m from the origin: it would start in obstacles; "
+            f"{outline.corner:.3g} m holds all of it"
         )
     if robot.radius < outline.corner - TOLERANCE:
-        warnings.warn(
-            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from "
-            "the origin: they may start in obstacles",
-            stacklevel=4,
-        )
+        sentence = f"{radius} corners are {outline.corner:.3g} m from the origin: they may start in obstacles"
+        warnings.warn(sentence, stacklevel=4)
 
 
 def _check_lidar(robot: Robot) -> None:
@@ -274,24 +247,22 @@ def _check_lidar(robot: Robot) -> None:
     if not z > 0:
         raise ValueError(f"the lidar of robot {robot.name!r} is at z = {z:g} m; it must be above the ground, at z > 0")
     beside = max(outline.back - x, x - outline.front, outline.right - y, y - outline.left)
-    if beside <= TOLERANCE:
-        return
     place = f"the lidar of robot {robot.name!r} is at x = {x:g}, y = {y:g} m, {beside:.3g} m outside of its body"
-    if math.hypot(x, y) > robot.radius + TOLERANCE:
+    if beside > TOLERANCE and math.hypot(x, y) > robot.radius + TOLERANCE:
         raise ValueError(f"{place} and outside of its radius of {robot.radius:g} m: it would start in obstacles")
-    warnings.warn(f"{place}: check lidar_position", stacklevel=4)
+    if beside > TOLERANCE:
+        warnings.warn(f"{place}: check lidar_position", stacklevel=4)
 
 
 def _check_motors(robot: Robot) -> None:
-    driven = sum(map(len, robot.drive.motors))
-    force = driven * robot.drive.torque / robot.wheels.radius
-    slope = math.degrees(math.asin(min(1.0, force / (robot.mass * _GRAVITY))))
-    if slope >= WEAK:
-        return
+    driven, torque, radius = sum(map(len, robot.drive.motors)), robot.drive.torque, robot.wheels.radius
+    force = driven * torque / radius
+    slope = math.degrees(math.asin(min(1.0, force / (robot.mass * 9.81))))
     problem = (
-        f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x "
-        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {robot.mass:.3g} kg"
+        f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x {torque:g} N m on a radius of "
+        f"{radius:g} m), and it has {robot.mass:.3g} kg: it cannot climb a slope of"
     )
     if slope < WEAKEST:
-        raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
-    warnings.warn(f"{problem}: it cannot climb a slope of more than {slope:.0f} degrees", stacklevel=4)
+        raise ValueError(f"{problem} {WEAKEST:g} degrees; raise the torque of its drive")
+    if slope < WEAK:
+        warnings.warn(f"{problem} more than {slope:.0f} degrees", stacklevel=4)

@@ -29,12 +29,10 @@ HERE = Frame(np.zeros(3), np.eye(3))
 
 
 class Shape(NamedTuple):
-    """Shape of a robot.
+    """Shape of a robot: ``"box"``, ``"cylinder"`` (along z), ``"sphere"``, ``"mesh"``, or another element of a URDF.
 
-    ``kind`` is ``"box"``, ``"cylinder"`` (along z), ``"sphere"``, ``"mesh"``, or another element of URDF's
-    ``geometry``. ``sizes`` are x, y, z of a box; radius, length of a cylinder; the radius of a sphere, m; or the
-    factors of the coordinates of a mesh, whose ``file`` is as the URDF states it. ``color`` is red, green and blue, 0
-    to 1.
+    ``sizes`` are x, y, z of a box; radius, length of a cylinder; the radius of a sphere, m; or the factors of the
+    coordinates of a mesh, whose ``file`` is as the URDF states it. ``color`` is red, green and blue, 0 to 1.
     """
 
     kind: str
@@ -53,11 +51,8 @@ class Mass(NamedTuple):
 
     @classmethod
     def of(cls, mass: float, center: np.ndarray, inertia: np.ndarray) -> Mass:
-        return cls(
-            float(mass),
-            tuple(center.tolist()),
-            (tuple(inertia[0].tolist()), tuple(inertia[1].tolist()), tuple(inertia[2].tolist())),
-        )
+        first, second, third = map(tuple, inertia.tolist())
+        return cls(float(mass), tuple(center.tolist()), (first, second, third))
 
     @property
     def is_rigid(self) -> bool:
@@ -66,7 +61,7 @@ class Mass(NamedTuple):
         return bool(moments[0] > 0 and moments[2] <= 1.01 * (moments[0] + moments[1]))
 
     def without(self, other: Mass) -> Mass:
-        """Returns the rest of a body without one of its parts."""
+        """The rest of a body without one of its parts."""
         mass, center, own = self.mass - other.mass, np.array(self.center), np.array(other.center)
         rest = (self.mass * center - other.mass * own) / mass
         inertia = np.array(self.inertia) + point_inertia(self.mass, center - rest)
@@ -79,8 +74,7 @@ WEIGHTLESS = Mass(0.0, (0.0, 0.0, 0.0), ((0.0, 0.0, 0.0),) * 3)
 class Box(NamedTuple):
     """Box along the axes of the base frame: center and side lengths, m.
 
-    ``mass`` is that of the box, if it is on a link of its own; ``None`` if it is on the link of the body. Bullet
-    computes links one by one.
+    ``mass`` is ``None`` for a box on the link of the body, else that of its own link: Bullet computes links one by one.
     """
 
     center: Vector
@@ -94,7 +88,7 @@ def point_inertia(mass: float, offset: np.ndarray) -> np.ndarray:
 
 
 def combined_mass(parts: Sequence[tuple[Mass, Frame]]) -> Mass:
-    """Returns the mass of parts together, whose centers of mass are in their frames."""
+    """Mass of parts together, whose centers of mass are in their frames."""
     placed = [(each, frame @ Frame(np.array(each.center), np.eye(3))) for each, frame in parts if each.mass > 0]
     if not placed:
         return WEIGHTLESS
@@ -111,13 +105,13 @@ def combined_mass(parts: Sequence[tuple[Mass, Frame]]) -> Mass:
 
 
 def box_mass(mass: float, center: np.ndarray, size: np.ndarray) -> Mass:
-    """Returns the mass of a box of even density."""
+    """Mass of a box of even density."""
     squares = np.asarray(size) ** 2
     return Mass.of(mass, np.asarray(center), np.diag(mass / 12 * (squares.sum() - squares)))
 
 
 def nine_digits(numbers: Any) -> Any:
-    """Returns nested tuples with their numbers rounded to nine digits."""
+    """Nested tuples with their numbers rounded to nine digits."""
     if isinstance(numbers, tuple):
         rounded = [nine_digits(each) for each in numbers]
         return type(numbers)(*rounded) if hasattr(numbers, "_fields") else tuple(rounded)

@@ -13,8 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rover_rl.robots import Robot, RobotOptions, get_robot
-from rover_rl.robots.drives import Ackermann, Mecanum, SkidSteer
-from rover_rl.robots.skidding import effective_track
+from rover_rl.robots.drives import Ackermann, Mecanum, SkidSteer, effective_track
 from rover_rl.robots.urdf.description import Description
 from tests.robots.public_urdfs import Machine, box, car, inertial, joint, link, shape
 from tests.sims.driven import FLAT, drive, placed

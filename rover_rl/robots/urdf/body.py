@@ -10,7 +10,7 @@ from rover_rl.robots.shapes import Mass, box_mass
 from rover_rl.robots.urdf.description import Description, Piece
 from rover_rl.robots.urdf.wheels import RoundLink
 
-_Corners = tuple[np.ndarray, np.ndarray]
+Corners = tuple[np.ndarray, np.ndarray]
 """Lowest and highest corner of a box along the axes, ``[3]`` each, m."""
 MAX_BOXES = 6
 """Largest number of boxes of a body."""
@@ -26,7 +26,7 @@ SIZES = 0.03, 20.0
 """Smallest and largest length of a robot, m."""
 
 
-def boxes_of(pieces: list[Piece], floor: float) -> list[_Corners]:
+def boxes_of(pieces: list[Piece], floor: float) -> list[Corners]:
     """Returns boxes around shapes: few of them, and none below the height ``floor``."""
     boxes = []
     for piece in pieces:
@@ -36,12 +36,16 @@ def boxes_of(pieces: list[Piece], floor: float) -> list[_Corners]:
             boxes.append((low, high))
     boxes = [box for k, box in enumerate(boxes) if not _is_inside(box, boxes[:k] + boxes[k + 1 :], k)]
     while len(boxes) > MAX_BOXES:
-        boxes = _merged(boxes)
+        # The two boxes for which one around both takes the least additional room become that one.
+        pairs = [(i, j) for i in range(len(boxes)) for j in range(i)]
+        around = {(i, j): _around(boxes[i], boxes[j]) for i, j in pairs}
+        i, j = min(pairs, key=lambda pair: _room(around[pair]) - _room(boxes[pair[0]]) - _room(boxes[pair[1]]))
+        boxes = [box for k, box in enumerate(boxes) if k not in (i, j)] + [around[i, j]]
     return boxes
 
 
-def _is_inside(box: _Corners, others: list[_Corners], index: int) -> bool:
-    """Returns whether a box lies in another. Of equal ones, the first counts."""
+def _is_inside(box: Corners, others: list[Corners], index: int) -> bool:
+    """Whether a box lies in another. Of equal ones, the first counts."""
     low, high = box
     for k, (other_low, other_high) in enumerate(others):
         inside = (other_low <= low).all() and (high <= other_high).all()
@@ -51,19 +55,11 @@ def _is_inside(box: _Corners, others: list[_Corners], index: int) -> bool:
     return False
 
 
-def _merged(boxes: list[_Corners]) -> list[_Corners]:
-    """Replaces the two boxes by one around both for which that takes the least additional room."""
-    pairs = [(i, j) for i in range(len(boxes)) for j in range(i)]
-    around = {(i, j): _around(boxes[i], boxes[j]) for i, j in pairs}
-    i, j = min(pairs, key=lambda pair: _room(around[pair]) - _room(boxes[pair[0]]) - _room(boxes[pair[1]]))
-    return [box for k, box in enumerate(boxes) if k not in (i, j)] + [around[i, j]]
-
-
-def _around(one: _Corners, other: _Corners) -> _Corners:
+def _around(one: Corners, other: Corners) -> Corners:
     return np.minimum(one[0], other[0]), np.maximum(one[1], other[1])
 
 
-def _room(box: _Corners) -> float:
+def _room(box: Corners) -> float:
     return float(np.prod(box[1] - box[0]))
 
 
@@ -91,18 +87,13 @@ def split_mass(
     total: Mass,
     wheels: Sequence[RoundLink],
     hubs: np.ndarray,
-    boxes: list[_Corners],
+    boxes: list[Corners],
     notes: list[str],
 ) -> tuple[Mass, Mass]:
-    """Splits the mass of a robot into that of its body and that of each of its wheels, which are alike.
+    """Splits the ``total`` mass of a robot into that of its body and that of each of its wheels, which are alike.
 
-    Args:
-        urdf: the URDF.
-        total: mass of all of its links, in the base frame.
-        wheels: wheels, without casters.
-        hubs: centers of the wheels and casters, ``[W, 3]``, m.
-        boxes: boxes of the body.
-        notes: gets a sentence on inertias that no rigid body has.
+    ``wheels`` are without casters, ``hubs [W, 3]`` (m) with them. ``notes`` get a sentence on inertias that no rigid
+    body has.
 
     Raises:
         ValueError: if the wheels, or all other links together, have no mass.
@@ -118,19 +109,18 @@ def split_mass(
     # Casters are wheels like the others, so that there may be more wheels than the mass is for.
     mass = min(float(np.mean(masses)), WHEELS_SHARE * total.mass / len(hubs))
     spins = [each.inertia[1][1] * mass / each.mass for each in stated]
-    disc = mass * radius**2 / 2
-    spin = float(np.mean(spins))
+    disc, spin = mass * radius**2 / 2, float(np.mean(spins))
     if not all(SPINS[0] * disc <= each <= SPINS[1] * disc for each in spins):
         notes.append("the inertia of its wheels is not that of a wheel: that of even density is taken")
         spin = disc
     # A wheel of no width is a ball.
     turn = spin / 2 + mass * width**2 / 12 if width else spin
-    rest = total
+    rest, inertia = total, np.diag((turn, spin, turn))
     for hub in hubs:
-        rest = rest.without(Mass.of(mass, hub, np.diag((turn, spin, turn))))
+        rest = rest.without(Mass.of(mass, hub, inertia))
     size = np.max([box[1] for box in boxes], 0) - np.min([box[0] for box in boxes], 0)
     gyration = np.sqrt(max(np.linalg.eigvalsh(rest.inertia)[-1], 0.0) / rest.mass)
     if not (rest.is_rigid and GYRATION[0] < gyration / np.linalg.norm(size) < GYRATION[1]):
         notes.append("the inertia of its body is not that of a rigid body of its size: that of a box is taken")
         rest = box_mass(rest.mass, np.array(rest.center), size)
-    return rest, Mass.of(mass, np.zeros(3), np.diag((turn, spin, turn)))
+    return rest, Mass.of(mass, np.zeros(3), inertia)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,18 +14,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rover_rl.robots.shapes import HERE, Frame, Mass, Shape, combined_mass
-from rover_rl.robots.urdf.expressions import expression_in, leave_out_expressions
-from rover_rl.robots.urdf.meshes import find_mesh, load_mesh
+from rover_rl.robots.urdf.meshes import FOUND_PACKAGE, find_mesh, load_mesh
 from rover_rl.tiny_xml import parse_xml
 
 _SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
 """URDF attributes with the dimensions of a shape, and how many numbers each has, by kind of shape."""
 _ROUND = 32
 """Number of points on a circle. A multiple of 4, so that the bounds along the axes are exact."""
-EXPAND = "expand it first: xacro FILE > robot.urdf"
-"""What to do with a xacro file."""
+_EXPAND = "expand it first: xacro FILE > robot.urdf"
 _ROOTS = {"sdf": "an SDF model", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
 """Other files that describe robots, by their root element."""
+_LIGHT = 0.1
+"""Largest share of the mass of a robot that is left out because of an expression of xacro."""
 
 
 class Link(NamedTuple):
@@ -80,7 +81,7 @@ class Description:
 
     def __init__(self, path: Path, turn: float = 0.0) -> None:
         self.path, root = path, _parsed(path)
-        self.lost = leave_out_expressions(root)
+        self.lost = _leave_out_expressions(root)
         _check_expanded(root)
         self.name = root.get("name", "")
         materials = {each.get("name"): color for each in root.iter("material") if (color := _color(each))}
@@ -117,24 +118,23 @@ class Description:
                 yield from self.below(joint.child)
 
     def chain(self, link: str) -> list[Joint]:
-        """Returns the joints between the base and a link, the base's first."""
+        """The joints between the base and a link, the base's first."""
         if link not in self.mounts:
             return []
-        joint = self.mounts[link]
-        return [*self.chain(joint.parent), joint]
+        return [*self.chain(self.mounts[link].parent), self.mounts[link]]
 
     def axis(self, joint: Joint) -> np.ndarray:
-        """Returns the direction of the axis of a joint, ``[3]``; zeros if the file states none."""
+        """Direction of the axis of a joint, ``[3]``; zeros if the file states none."""
         length = float(np.linalg.norm(joint.axis))
         return self.frames[joint.child].rotation @ joint.axis / length if length > 0 else np.zeros(3)
 
     def mass(self, links: Iterable[str]) -> Mass:
-        """Returns the mass of links together. 0 if they have none."""
+        """Mass of links together. 0 if they have none."""
         stated = [(self.links[name].inertial, self.frames[name]) for name in links]
         return combined_mass([(each[0], frame @ each[1]) for each, frame in stated if each is not None])
 
     def pieces(self, links: Iterable[str], visual: bool, problems: list[str]) -> list[Piece]:
-        """Returns the collision or visual shapes of links. Adds what cannot be read to ``problems``."""
+        """The collision or visual shapes of links. Adds what cannot be read to ``problems``."""
         found = []
         for name in links:
             for shape in self.links[name].visuals if visual else self.links[name].collisions:
@@ -154,20 +154,86 @@ def _parsed(path: Path) -> ET.Element:
     try:
         root = parse_xml(data)
     except ValueError as error:
-        raise ValueError(
-            f"it is a xacro file; {EXPAND}" if b"<xacro:" in data else f"it is not XML ({error})"
-        ) from error
+        reason = f"a xacro file; {_EXPAND}" if b"<xacro:" in data else f"not XML ({error})"
+        raise ValueError(f"it is {reason}") from error
     if root.tag != "robot":
         other = _ROOTS.get(root.tag, f"XML with the root element {root.tag!r}")
         raise ValueError(f"it is {other}; a URDF is needed, whose root element is 'robot'")
     return root
 
 
+def _expression_in(element: ET.Element) -> str:
+    """The first value of an element with an expression of xacro, or nothing. Meshes are found by their package."""
+    values = (FOUND_PACKAGE.sub("", value) if element.tag == "mesh" else value for value in element.attrib.values())
+    return next((value for value in values if "${" in value or "$(" in value), "")
+
+
 def _check_expanded(root: ET.Element) -> None:
     parts = [root, *(part for tag in ("link", "joint") for each in root.findall(tag) for part in each.iter())]
     macros = (element.tag for element in [*root, *parts] if element.tag.startswith("xacro:"))
-    if found := next(macros, "") or next(filter(None, map(expression_in, parts)), ""):
-        raise ValueError(f"it is a xacro file, with {found}; {EXPAND}")
+    if found := next(macros, "") or next(filter(None, map(_expression_in, parts)), ""):
+        raise ValueError(f"it is a xacro file, with {found}; {_EXPAND}")
+
+
+def _leave_out_expressions(root: ET.Element) -> list[str]:
+    """Removes what has an expression of xacro and does not matter for driving, and returns a sentence on each.
+
+    That is: materials, visual shapes, what simulators add to links and joints, and links that are fixed by a joint with
+    an expression, such as an IMU, with all that hangs on them, if that is light.
+    """
+    sentences = []
+
+    def leave_out(parent: ET.Element, part: ET.Element, name: str) -> None:
+        if found := next(filter(None, map(_expression_in, part.iter())), ""):
+            parent.remove(part)
+            sentences.append(f"{name} is left out, as it has the expression {found} of xacro")
+
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        for part in [*joint]:
+            if part.tag not in ("parent", "child", "origin", "axis", "limit"):
+                leave_out(joint, part, f"the {part.tag} of joint {name}")
+            elif part.tag == "limit":
+                for key in ("effort", "velocity"):
+                    if "$" in part.get(key, ""):
+                        sentences.append(f"the {key} of joint {name} is left out: {part.attrib.pop(key)} of xacro")
+        origin = joint.find("origin")
+        # What hangs on another link that is left out is gone already.
+        if origin is not None and (found := _expression_in(origin)) and joint in root.findall("joint"):
+            below, joints = [joint], root.findall("joint")
+            for each in below:
+                below += [one for one in joints if _end(one, "parent") == _end(each, "child") and one not in below]
+            ends = {_end(each, "child") for each in below}
+            links = [link for link in root.findall("link") if link.get("name") in ends]
+            is_light = _stated_mass(links) <= _LIGHT * _stated_mass(root.findall("link"))
+            if is_light and all(each.get("type") == "fixed" for each in below):
+                names = ", ".join(sorted(ends))
+                sentences.append(f"link {names} is left out, as its pose has the expression {found} of xacro")
+                for part in (*below, *links):
+                    root.remove(part)
+    for link in root.findall("link"):
+        for part in [*link]:
+            for material in part.findall("material"):
+                leave_out(part, material, f"the material of link {link.get('name')}")
+            if part.tag not in ("inertial", "collision"):
+                leave_out(link, part, f"the {part.tag} of link {link.get('name')}")
+    for material in root.findall("material"):
+        leave_out(root, material, f"the material {material.get('name')}")
+    return sentences
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def _stated_mass(links: list[ET.Element]) -> float:
+    """Mass of links, as far as it is stated in numbers."""
+    total = 0.0
+    for mass in (link.find("inertial/mass") for link in links):
+        with suppress(ValueError):
+            total += 0.0 if mass is None else float(mass.get("value", "0"))
+    return total
 
 
 def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:
@@ -222,7 +288,7 @@ def _shape(element: ET.Element, materials: Mapping[str | None, tuple[float, ...]
 
 
 def _color(material: ET.Element) -> tuple[float, ...] | None:
-    """Returns the color of a material without its opacity. ``None`` if it only refers to another by name."""
+    """The color of a material without its opacity. ``None`` if it only refers to another by name."""
     color = material.find("color")
     return None if color is None else tuple(_numbers(color, "rgba", 4)[:3])
 
@@ -252,7 +318,7 @@ def _attribute(element: ET.Element, name: str, default: str | None = None) -> st
 
 
 def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> list[float]:
-    """Returns the ``count`` finite numbers of an attribute."""
+    """The ``count`` finite numbers of an attribute."""
     text = _attribute(element, name, default)
     try:
         numbers = [float(word) for word in text.split()]
@@ -265,7 +331,7 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
 
 
 def _held(joint: Joint) -> Frame:
-    """Returns the motion of a joint that is held at the position nearest to zero."""
+    """Motion of a joint that is held at the position nearest to zero."""
     low, high = joint.limits or (0.0, 0.0)
     if joint.kind not in ("revolute", "prismatic") or not low <= high:
         return HERE
@@ -276,7 +342,7 @@ def _held(joint: Joint) -> Frame:
 
 
 def _points(shape: Shape, urdf: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Returns points in the frame of a shape, whose hull is that of the shape, and what its mesh file lacks."""
+    """Points in the frame of a shape, whose hull is that of the shape, and what its mesh file lacks."""
     if shape.kind == "box":
         corners = np.stack(np.meshgrid((-0.5, 0.5), (-0.5, 0.5), (-0.5, 0.5)), -1).reshape(-1, 3)
         return corners * shape.sizes, ()

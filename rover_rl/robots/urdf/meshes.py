@@ -8,31 +8,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.native.output import logged
-from rover_rl.robots.urdf.expressions import FOUND_PACKAGE
 
 if TYPE_CHECKING:
     import trimesh
 
+FOUND_PACKAGE = re.compile(r"(file://)?\$\(find\s+([\w-]+)\)")
+"""Folder of a ROS package in a file name, as xacro states it."""
 _PACKAGE = "package://"
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 """Name of a ROS package in its package.xml."""
 _UNIT = re.compile(rb"<unit[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)")
-"""Unit that a COLLADA file states, m."""
+"""Unit that a COLLADA file states, m. trimesh does not apply it."""
 
 
 def find_mesh(file: str, urdf: Path) -> Path:
     """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
     folder = urdf.resolve().parent
-    # Before xacro's expansion, $(find PACKAGE) stands for its folder.
     file = FOUND_PACKAGE.sub(rf"{_PACKAGE}\2", file)
-    name = file.removeprefix("file://")
-    paths = [folder / name]
+    paths = [folder / file.removeprefix("file://")]
     if file.startswith(_PACKAGE):
         package, _, rest = file.removeprefix(_PACKAGE).partition("/")
-        paths = [
-            parent / rest for parent in (folder, *folder.parents) if package in (parent.name, _package_name(parent))
-        ]
-        paths += [parent / package / rest for parent in (folder, *folder.parents)]
+        parents = (folder, *folder.parents)
+        paths = [parent / rest for parent in parents if package in (parent.name, _package_name(parent))]
+        paths += [parent / package / rest for parent in parents]
     if found := next((path for path in paths if path.is_file()), None):
         return found
     raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
@@ -49,7 +47,7 @@ def readable_mesh(file: str, urdf: Path) -> Path:
 
 
 def _package_name(folder: Path) -> str:
-    """Returns the name of a ROS package in a folder; of another folder, nothing."""
+    """Name of the ROS package in a folder; of another folder, nothing."""
     try:
         stated = _NAME.search((folder / "package.xml").read_text(errors="replace"))
     except OSError:
@@ -94,11 +92,6 @@ def load_mesh(
     meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise ValueError(f"the mesh {path} has no triangles")
-    unit = _collada_unit(path) if path.suffix.lower() == ".dae" else 1.0
+    stated = _UNIT.search(path.read_bytes()) if path.suffix.lower() == ".dae" else None
+    unit = float(stated[1]) if stated else 1.0
     return [mesh.apply_scale([unit * factor for factor in scale]) for mesh in meshes]
-
-
-def _collada_unit(path: Path) -> float:
-    """Returns the unit of a COLLADA file, m, which trimesh does not apply."""
-    stated = _UNIT.search(path.read_bytes())
-    return float(stated[1]) if stated else 1.0

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from rover_rl.robots.drives import Ackermann, Drive, Mecanum, SkidSteer
+from rover_rl.robots.drives import Ackermann, Drive, Mecanum, SkidSteer, effective_track
 from rover_rl.robots.options import RobotOptions
 from rover_rl.robots.shapes import Mass
-from rover_rl.robots.skidding import effective_track
-from rover_rl.robots.urdf.layout import Layout
-from rover_rl.robots.urdf.wheels import RoundLink
+from rover_rl.robots.urdf.wheels import Layout
 
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
@@ -37,15 +35,15 @@ def make_drive(
 
     Args:
         layout: kind of the drive, and the wheels.
-        hubs: centers of the wheels, left and right in turn from front to back, then those of the casters, ``[W, 3]``.
+        hubs: centers of the wheels in the base frame, left and right in turn from front to back, then those of the
+            casters, ``[W, 3]``.
         size: radius and width of the wheels, m.
-        mass: mass of the robot. The base frame is that of the robot.
+        mass: mass of the robot, in the base frame.
         options: limits that are given.
         notes: gets a sentence on what is assumed.
     """
     radius, tread = size
     names = [(left.joint.name, right.joint.name) for left, right in layout.wheels]
-    left, right = (tuple(pair[side] for pair in names) for side in (0, 1))
     count, speed = 2 * len(names), options.max_speed or SkidSteer.max_speed
     driven = 2 if layout.kind == "ackermann" else count
     limits: dict[str, Any] = {
@@ -54,45 +52,36 @@ def make_drive(
         "max_linear_acceleration": options.max_acceleration or _acceleration(hubs, mass, notes),
     }
     if options.torque is None:
-        notes.append(
-            f"its torque is not known: {limits['torque']:g} N m at a wheel are assumed, so that the ground is the limit"
-        )
+        assumed = f"{limits['torque']:g} N m at a wheel are assumed, so that the ground is the limit"
+        notes.append(f"its torque is not known: {assumed}")
     if layout.kind == "ackermann":
-        return _car(layout, hubs, options, limits, notes)
+        (front, rear), swivels = names, [wheel.swivel for wheel in layout.wheels[0] if wheel.swivel is not None]
+        left, right = (swivel.name for swivel in swivels)
+        steering = options.max_steering or _steering(layout, hubs, notes)
+        rate = options.max_yaw_rate or _rounded(speed * (math.tan(steering) / abs(hubs[0, 0] - hubs[2, 0])))
+        wheels: dict[str, Any] = {"knuckles": (left, right), "front": front, "rear": rear}
+        return Ackermann(**wheels, max_steering=steering, max_yaw_rate=rate, **limits)
     if layout.kind == "mecanum":
         (front, rear), arms = names, np.abs(hubs[:4, :2]).mean(0).sum()
-        rate = options.max_yaw_rate or _rounded(speed / arms)
-        return Mecanum(front=front, rear=rear, max_yaw_rate=rate, **limits)
+        return Mecanum(front=front, rear=rear, max_yaw_rate=options.max_yaw_rate or _rounded(speed / arms), **limits)
     track = options.separation or _separation(hubs[:count], tread, mass, notes)
-    rate = options.max_yaw_rate or _rounded(2 * speed / track)
+    sides: dict[str, Any] = {side: tuple(pair[k] for pair in names) for k, side in enumerate(("left", "right"))}
     casters = tuple(CASTER.format(number + 1) for number in range(len(hubs) - count))
-    return SkidSteer(left=left, right=right, casters=casters, separation=track, max_yaw_rate=rate, **limits)
-
-
-def _car(
-    layout: Layout, hubs: np.ndarray, options: RobotOptions, limits: dict[str, Any], notes: list[str]
-) -> Ackermann:
-    front, rear = ((left.joint.name, right.joint.name) for left, right in layout.wheels)
-    left, right = (wheel.swivel.name for wheel in layout.wheels[0] if wheel.swivel is not None)
-    steering = options.max_steering or _steering(layout, hubs, notes)
-    sharpest = math.tan(steering) / abs(hubs[0, 0] - hubs[2, 0])
-    rate = options.max_yaw_rate or _rounded(limits["max_speed"] * sharpest)
-    return Ackermann(knuckles=(left, right), front=front, rear=rear, max_steering=steering, max_yaw_rate=rate, **limits)
+    rate = options.max_yaw_rate or _rounded(2 * speed / track)
+    return SkidSteer(**sides, casters=casters, separation=track, max_yaw_rate=rate, **limits)
 
 
 def _separation(hubs: np.ndarray, tread: float, mass: Mass, notes: list[str]) -> float:
-    """Returns the effective distance of the sides by Coulomb's law. Wheels of some width slip in any turn."""
+    """Effective distance of the sides by Coulomb's law. Wheels of some width slip in any turn."""
     width = float(hubs[0::2, 1].mean() - hubs[1::2, 1].mean())
     track = effective_track(hubs[:, :2], [1, -1] * (len(hubs) // 2), mass.center, tread)
-    notes.append(
-        f"its wheels slip in turns: separation is {track:.3g} m by Coulomb's law, {track / width:.2f} times that of "
-        "its wheels"
-    )
+    by_law = f"separation is {track:.3g} m by Coulomb's law, {track / width:.2f} times that of its wheels"
+    notes.append(f"its wheels slip in turns: {by_law}")
     return round(track, 4)
 
 
 def _acceleration(hubs: np.ndarray, mass: Mass, notes: list[str]) -> float:
-    """Returns the largest acceleration, at which the robot does not tip over."""
+    """Largest acceleration, at which the robot does not tip over."""
     usual = SkidSteer.max_linear_acceleration
     x, _, height = mass.center
     arm = min(hubs[:, 0].max() - x, x - hubs[:, 0].min())
@@ -105,10 +94,11 @@ def _acceleration(hubs: np.ndarray, mass: Mass, notes: list[str]) -> float:
 
 
 def _steering(layout: Layout, hubs: np.ndarray, notes: list[str]) -> float:
-    """Returns the largest steering angle of the middle of the front axle, rad."""
+    """Largest steering angle of the middle of the front axle, rad."""
     base, half = hubs[0, 0] - hubs[2, 0], (hubs[0, 1] - hubs[1, 1]) / 2
     largest = math.atan(base / (INSIDE * np.abs(hubs[:, 1]).max()))
-    stated = [abs(end) for wheel in layout.wheels[0] for end in _limits(wheel)]
+    joints = [wheel.swivel for wheel in layout.wheels[0] if wheel.swivel and wheel.swivel.kind == "revolute"]
+    stated = [abs(end) for joint in joints for end in joint.limits or ()]
     if not stated or max(stated) > WIDEST_STEERING or min(stated) <= 0:
         angle = min(UNKNOWN_STEERING, largest)
         notes.append(f"its steering joints state no limits: {angle:.3g} rad are assumed")
@@ -118,11 +108,6 @@ def _steering(layout: Layout, hubs: np.ndarray, notes: list[str]) -> float:
     return round(min(angle, largest), 4)
 
 
-def _limits(wheel: RoundLink) -> tuple[float, ...]:
-    joint = wheel.swivel
-    return joint.limits if joint is not None and joint.kind == "revolute" and joint.limits is not None else ()
-
-
 def _rounded(value: float) -> float:
-    """Returns a number with three digits."""
+    """Three digits."""
     return float(f"{value:.3g}")

@@ -13,15 +13,14 @@ import numpy as np
 from rover_rl.robots.drives import Ackermann, Drive, Wheels
 from rover_rl.robots.options import RobotOptions
 from rover_rl.robots.shapes import WEIGHTLESS, Box, Mass, Shape, Vector, nine_digits
-from rover_rl.robots.urdf.body import boxes_of, check_mass, check_size, split_mass
+from rover_rl.robots.urdf.body import Corners, boxes_of, check_mass, check_size, split_mass
 from rover_rl.robots.urdf.description import Description, Joint, Piece
-from rover_rl.robots.urdf.layout import Layout, decide
 from rover_rl.robots.urdf.meshes import readable_mesh
 from rover_rl.robots.urdf.motion import CASTER, make_drive
-from rover_rl.robots.urdf.wheels import FoundWheels, RoundLink, find_wheels, forward_turn, round_link
+from rover_rl.robots.urdf.wheels import FoundWheels, Layout, RoundLink, decide, find_wheels, forward_turn, round_link
 
-Mount: TypeAlias = str | tuple[float, float, float]
-"""Place of a sensor: the name of a link of the URDF, or its position (x, y, z) in the base frame, m."""
+Mount: TypeAlias = str | Vector
+"""Place of a sensor: the name of a link of the URDF, or its position in the base frame, m."""
 FLOOR = 0.1
 """Height of the lowest boxes of a body that reaches the ground, by the radius of the wheels."""
 ABOVE = 0.05
@@ -44,10 +43,6 @@ def read_urdf(
     imu: Mount | None = None,
 ) -> dict[str, Any]:
     """Returns the arguments of :class:`~rover_rl.robots.Robot` for the robot of a URDF.
-
-    With a drive, its joints are those of the wheels, and the base frame is that of the file. Without, wheels are found
-    by their joints and shapes, and become alike. All other joints are held, and the body becomes one rigid body of
-    boxes. The mass of all links together stays.
 
     Raises:
         ValueError: if it is no URDF, has no wheels that the drive fits, or lengths and masses of no robot.
@@ -82,10 +77,8 @@ def _stated(
     sizes = {"radius": [each.radius for each in wheels], "mass": [each.mass for each in masses]}
     for what, values in {**sizes, "width": [each.width for each in wheels if each.width]}.items():
         if values and max(values) - min(values) > ALIKE * max(values):
-            raise ValueError(
-                f"its wheels are not alike: the {what} is from {min(values):.4g} to {max(values):.4g}; they may differ "
-                f"by {ALIKE:.0%}"
-            )
+            span = f"{min(values):.4g} to {max(values):.4g}"
+            raise ValueError(f"its wheels are not alike: the {what} is from {span}; they may differ by {ALIKE:.0%}")
     carriers, steering = [urdf.joints[name] for name in drive.steering], []
     for wheel in wheels:
         chain = [joint for joint in urdf.chain(wheel.joint.child)[:-1] if joint in carriers]
@@ -137,8 +130,7 @@ def _wheel(urdf: Description, joint: Joint) -> RoundLink:
     if not abs(urdf.axis(joint)[1]) >= _AXIAL:
         raise ValueError(f"wheel joint {joint.name!r} must turn about y of the base frame")
     problems: list[str] = []
-    wheel = round_link(urdf, joint, problems)
-    if wheel is None:
+    if (wheel := round_link(urdf, joint, problems)) is None:
         reason = problems[0] if problems else "it is not round about its joint"
         raise ValueError(f"wheel link {joint.child!r} must have the shape of a wheel: {reason}")
     return wheel
@@ -206,12 +198,10 @@ def _found(
     drive = make_drive(layout, hubs, (radius, width), total, options, notes)
     names = [wheel.joint.name for wheel in wheels] + [CASTER.format(n + 1) for n in range(len(hubs) - len(wheels))]
     place = dict(zip(names, map(tuple, hubs.tolist()), strict=True))
-    steering = (-1, -1, 0, 1) if isinstance(drive, Ackermann) else ()
-    low, high = (np.array([box[end] for box in boxes]) for end in (0, 1))
-    top = (*((low.min(0) + high.max(0)) / 2)[:2], high[:, 2].max() + ABOVE)
-    imus = [link for link in urdf.frames if "imu" in link.lower()]
-    lidar_position = _lidar(urdf, origin, lidar, top, notes)
-    imu = imu or (imus[0] if imus else tuple(((low.min(0) + high.max(0)) / 2).tolist()))
+    low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
+    middle = (low + high) / 2
+    lidar_position = _lidar(urdf, origin, lidar, (*middle[:2], high[2] + ABOVE), notes)
+    imu = imu or next((link for link in urdf.frames if "imu" in link.lower()), tuple(middle.tolist()))
     notes.insert(0, f"read as {_summary(layout)}")
     notes += urdf.lost
     numbers = {
@@ -222,14 +212,14 @@ def _found(
         "imu_position": _mount(urdf, "imu", imu, origin),
     }
     hubs, radius, width = nine_digits((tuple(place[name] for name in drive.wheels), radius, width))
-    wheel = Wheels(hubs, radius, width, steering)
-    visuals = _visuals(urdf, origin, notes)
+    wheel = Wheels(hubs, radius, width, (-1, -1, 0, 1) if isinstance(drive, Ackermann) else ())
     robot = {key: nine_digits(value) for key, value in numbers.items()}
-    return {**robot, "name": urdf.name, "drive": drive, "wheels": wheel, "order": tuple(names), "visuals": visuals}
+    looks = {"order": tuple(names), "visuals": _visuals(urdf, origin, notes)}
+    return {**robot, **looks, "name": urdf.name, "drive": drive, "wheels": wheel}
 
 
 def _body(urdf: Description, found: FoundWheels, missing: str, notes: list[str]) -> list[Piece]:
-    """Returns the shapes of all links but the wheels: for collisions, or visual ones if there are no others."""
+    """Shapes of all links but the wheels: for collisions, or visual ones if there are no others."""
     pairs = [*found.fixed, *found.steered]
     rolling = {link for pair in pairs for wheel in pair for link in wheel.links}
     others = [name for name in urdf.links if name not in rolling]
@@ -246,10 +236,8 @@ def _body(urdf: Description, found: FoundWheels, missing: str, notes: list[str])
     return []
 
 
-def _boxes(
-    pieces: list[Piece], hubs: np.ndarray, origin: np.ndarray, radius: float, notes: list[str]
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns the lowest and highest corners of the boxes of the body in the base frame."""
+def _boxes(pieces: list[Piece], hubs: np.ndarray, origin: np.ndarray, radius: float, notes: list[str]) -> list[Corners]:
+    """Boxes of the body in the base frame."""
     reach = np.array((radius, 0.0, radius))
     check_size(np.concatenate([hubs - reach, hubs + reach]))
     check_size(np.concatenate([hubs - reach, hubs + reach, *(piece.points - origin for piece in pieces)]))
@@ -265,7 +253,7 @@ def _boxes(
 
 
 def _casters(layout: Layout, hubs: np.ndarray, origin: np.ndarray, center: float, notes: list[str]) -> np.ndarray:
-    """Returns the centers of the wheels that stand for casters, ``[C, 3]``.
+    """Centers of the wheels that stand for casters, ``[C, 3]``.
 
     If the center of mass, at x = ``center``, is not between the wheels and the casters, there is one more.
     """
@@ -288,11 +276,8 @@ def _note_held(urdf: Description, layout: Layout, notes: list[str]) -> None:
     if layout.kind == "ackermann":
         moving |= {wheel.swivel.name for wheel in layout.wheels[0] if wheel.swivel is not None}
     inside = {link for wheel in wheels for link in wheel.links} | layout.others
-    held = [
-        joint.name
-        for joint in urdf.joints.values()
-        if joint.kind != "fixed" and joint.name not in moving and joint.child not in inside
-    ]
+    turning = [joint for joint in urdf.joints.values() if joint.kind != "fixed" and joint.child not in inside]
+    held = [joint.name for joint in turning if joint.name not in moving]
     if held:
         notes.append(f"joints that are held: {', '.join(held[:6])}{', ...' if len(held) > 6 else ''}")
 
@@ -327,15 +312,14 @@ def _lidar(
 
 
 def _mount(urdf: Description, sensor: str, mount: Mount, origin: np.ndarray) -> Vector:
-    """Returns the position of a sensor in the base frame."""
+    """Position of a sensor in the base frame."""
     if isinstance(mount, str) and mount in urdf.frames:
         return _rounded(urdf.frames[mount].position - origin)
     try:
         x, y, z = map(float, mount.split() if isinstance(mount, str) else mount)
     except ValueError:
-        raise ValueError(
-            f'{sensor} must be "x y z" in meters, or one of its links {sorted(urdf.frames)}, got {mount!r}'
-        ) from None
+        allowed = f'"x y z" in meters, or one of its links {sorted(urdf.frames)}'
+        raise ValueError(f"{sensor} must be {allowed}, got {mount!r}") from None
     return x, y, z
 
 
@@ -345,19 +329,18 @@ def _rounded(position: Iterable[float]) -> Vector:
 
 
 def _visuals(urdf: Description, origin: np.ndarray, notes: list[str]) -> tuple[Shape, ...]:
-    """Returns the visual shapes that can be drawn, in the base frame."""
+    """Visual shapes that can be drawn, in the base frame."""
     shapes = []
-    for name, frame in urdf.frames.items():
-        for shape in urdf.links[name].visuals:
-            if shape.kind == "mesh":
-                try:
-                    shape = shape._replace(file=str(readable_mesh(shape.file, urdf.path)))
-                except ValueError as error:
-                    notes.append(f"{error}; it is not drawn")
-                    continue
-            elif shape.kind not in ("box", "cylinder", "sphere"):
-                notes.append(f"a visual shape of link {name!r} is a {shape.kind}; it is not drawn")
+    for name, shape in [(each, shape) for each in urdf.frames for shape in urdf.links[each].visuals]:
+        if shape.kind == "mesh":
+            try:
+                shape = shape._replace(file=str(readable_mesh(shape.file, urdf.path)))
+            except ValueError as error:
+                notes.append(f"{error}; it is not drawn")
                 continue
-            pose = frame @ shape.frame
-            shapes.append(shape._replace(frame=pose._replace(position=pose.position - origin)))
+        elif shape.kind not in ("box", "cylinder", "sphere"):
+            notes.append(f"a visual shape of link {name!r} is a {shape.kind}; it is not drawn")
+            continue
+        pose = urdf.frames[name] @ shape.frame
+        shapes.append(shape._replace(frame=pose._replace(position=pose.position - origin)))
     return tuple(shapes)

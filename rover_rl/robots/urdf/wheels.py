@@ -1,4 +1,7 @@
-"""Finds the wheels of a URDF: by the type and axis of their joints and by their shapes, by names as a tie-break."""
+"""Finds the wheels of a URDF, and decides by them which drive a robot has.
+
+Wheels are told by the type and axis of their joints and by their shapes, by names as a tie-break.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rover_rl.robots.options import DriveKind
 from rover_rl.robots.urdf.description import Description, Joint, Piece
 
 ALONG = 0.9
@@ -16,36 +20,36 @@ ROUND = 0.12
 OFFSET = 0.3
 """Largest distance of the center of a wheel's shape from its axle, by its radius."""
 NEAR_GROUND = 0.25
-"""Largest height of the lowest point of a wheel above that of the lowest wheel, by its radius."""
+"""Largest height of the lowest point of a wheel above that of the lowest wheel, by its radius; and of a caster."""
 TRAIL = 0.15
 """Distance of the hub from a swivel axis above which the wheel is a caster, by its radius."""
 MIDDLE = 0.1
 """Largest distance of a wheel from the middle that is on neither side, by half of the width over the hubs."""
 CASTER_NAMES = ("caster", "castor", "free", "ball", "swivel")
+CASTER_SIZE = 0.5
+"""Largest size of a shape that is taken for a caster, by the distance of the left and right wheels."""
+LEVEL = 1e-3
+"""Height above the lowest point of a caster up to which points of it are on the ground, m."""
+ALIKE = 0.05
+"""Largest difference of the radii of wheels that are taken for alike, by their mean."""
+NO_DRIVE = "no drive of this package has such wheels"
 
 
 class RoundLink(NamedTuple):
-    """A wheel.
-
-    Attributes:
-        joint: joint about its axle.
-        hub: center, ``[3]``, m.
-        radius: radius, m.
-        width: width, m; 0 for a sphere.
-        links: the link of the wheel and all that hangs on it.
-        swivel: joint about z that carries the wheel.
-        trail: distance of the hub from the axis of the swivel along x, m.
-        sign: 1 if the joint turns about +y, -1 about -y.
-    """
+    """A wheel: what turns about a ``joint``, its axle."""
 
     joint: Joint
     hub: np.ndarray
+    """Center, ``[3]``, m."""
     radius: float
     width: float
+    """0 for a sphere."""
     links: tuple[str, ...]
+    """The link of the wheel and all that hangs on it."""
     swivel: Joint | None
+    """Joint about z that carries the wheel."""
     trail: float
-    sign: float
+    """Distance of the hub from the axis of the swivel along x, m."""
 
     @property
     def bottom(self) -> float:
@@ -53,12 +57,28 @@ class RoundLink(NamedTuple):
         return float(self.hub[2]) - self.radius
 
 
-class FoundWheels(NamedTuple):
-    """Wheels on the ground: fixed and steered ones in pairs of left and right, from front to back, and casters."""
+Pair = tuple[RoundLink, RoundLink]
+"""A left and a right wheel."""
 
-    fixed: list[tuple[RoundLink, RoundLink]]
-    steered: list[tuple[RoundLink, RoundLink]]
+
+class FoundWheels(NamedTuple):
+    """Wheels on the ground: fixed and steered ones in pairs, from front to back, and casters."""
+
+    fixed: list[Pair]
+    steered: list[Pair]
     casters: list[RoundLink]
+
+
+class Layout(NamedTuple):
+    """Drive of a robot and its wheels."""
+
+    kind: DriveKind
+    wheels: list[Pair]
+    """From front to back. The first pair of an Ackermann drive steers."""
+    casters: list[tuple[float, float]]
+    """x and y of what holds a differential robot up besides its wheels, m."""
+    others: frozenset[str]
+    """Links that only hold the robot up, and are no part of the body's shape."""
 
 
 def forward_turn(urdf: Description) -> float:
@@ -99,13 +119,13 @@ def find_wheels(urdf: Description) -> FoundWheels:
 
 
 def _rolling_joints(urdf: Description) -> list[Joint]:
-    """Returns the joints that turn without end about a level axis."""
+    """Joints that turn without end about a level axis."""
     joints = (urdf.mounts[name] for name in urdf.below(urdf.base) if name in urdf.mounts)
     return [joint for joint in joints if _turns_freely(joint) and abs(urdf.axis(joint)[2]) < 1 - ALONG**2]
 
 
 def _turns_freely(joint: Joint) -> bool:
-    """Returns whether a joint is continuous, or has limits of more than a turn to both sides."""
+    """Whether a joint is continuous, or has limits of more than a turn to both sides."""
     if joint.kind == "revolute" and joint.limits is not None:
         return joint.limits[0] < -2 * math.pi and joint.limits[1] > 2 * math.pi
     return joint.kind == "continuous"
@@ -117,61 +137,47 @@ def _no_wheels(urdf: Description, rolling: list[Joint]) -> str:
     if not free:
         kinds = sorted({joint.kind for joint in joints})
         return f"it has no wheels: none of its joints turns without end, they are {', '.join(kinds) or 'none'}"
-    if len({round(each) for each in _angles(urdf, rolling)}) >= 3:
-        angles = ", ".join(f"{round(each)}" for each in _angles(urdf, rolling))
-        return (
-            f"its {len(rolling)} wheels have axles at {angles} degrees to its direction ahead; no drive of this "
-            "package has such wheels"
-        )
+    axes = (urdf.axis(joint) for joint in rolling)
+    angles = [round(math.degrees(math.atan2(axis[1], axis[0])) % 180) for axis in axes]
+    if len(set(angles)) >= 3:
+        named = ", ".join(map(str, angles))
+        return f"its {len(rolling)} wheels have axles at {named} degrees to its direction ahead; {NO_DRIVE}"
     stated = Description(urdf.path)
     turning = [(joint.name, stated.axis(joint)) for joint in joints if joint.name in free[:3]]
-    named = ", ".join(f"{name} (about {_direction(axis)})" for name, axis in turning) + (", ..." if free[3:] else "")
-    return f"it has no wheels: nothing that turns on {named} is round about a level axle"
-
-
-def _angles(urdf: Description, rolling: list[Joint]) -> list[float]:
-    """Returns the directions of axles, from 0 to 180 degrees from +x."""
-    axes = (urdf.axis(joint) for joint in rolling)
-    return [math.degrees(math.atan2(axis[1], axis[0])) % 180 for axis in axes]
-
-
-def _direction(axis: np.ndarray) -> str:
-    """Returns the components of a direction as text."""
     # Adding 0 turns -0.0 into 0.0.
-    return " ".join(f"{round(float(each), 2) + 0.0:g}" for each in axis)
+    about = [(name, " ".join(f"{round(float(each), 2) + 0.0:g}" for each in axis)) for name, axis in turning]
+    named = ", ".join(f"{name} (about {axis})" for name, axis in about) + (", ..." if free[3:] else "")
+    return f"it has no wheels: nothing that turns on {named} is round about a level axle"
 
 
 def round_link(urdf: Description, joint: Joint, problems: list[str]) -> RoundLink | None:
     """Returns what a joint turns as a wheel, or ``None`` if that is not round."""
-    links = tuple(urdf.below(joint.child))
-    axis = urdf.axis(joint)
+    links, axis, start = tuple(urdf.below(joint.child)), urdf.axis(joint), urdf.frames[joint.child].position
     failed: list[str] = []
     for visual in (False, True):
         pieces = urdf.pieces(links, visual, failed)
-        size = _wheel_size(pieces, urdf.frames[joint.child].position, axis) if pieces else None
+        size = _wheel_size(pieces, start, axis) if pieces else None
         if size is not None:
             radius, width, middle = size
-            hub = urdf.frames[joint.child].position + middle * axis
+            hub = start + middle * axis
             turning = [each for each in urdf.chain(joint.child)[:-1] if _is_swivel(urdf, each)]
             swivel = turning[-1] if turning else None
             trail = abs(hub[0] - urdf.frames[swivel.child].position[0]) if swivel else 0.0
-            return RoundLink(joint, hub, radius, width, links, swivel, trail, float(np.sign(axis[1])))
+            return RoundLink(joint, hub, radius, width, links, swivel, trail)
     problems += failed
     return None
 
 
 def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple[float, float, float] | None:
-    """Returns radius, width and the middle along the axis from the joint, or ``None`` if the shapes are not round."""
+    """Radius, width and the middle along the axis from the joint, or ``None`` if the shapes are not round."""
     if len(pieces) == 1 and pieces[0].shape.kind in ("sphere", "cylinder"):
         _, frame, sizes, *_ = pieces[0].shape
         offset = frame.position - hub
         middle = float(offset @ axis)
         if len(sizes) == 1:
             return sizes[0], 0.0, middle
-        if (
-            np.linalg.norm(np.cross(frame.rotation[:, 2], axis)) < 1e-6
-            and np.linalg.norm(offset - middle * axis) < 1e-6
-        ):
+        aside = np.linalg.norm(np.cross(frame.rotation[:, 2], axis)), np.linalg.norm(offset - middle * axis)
+        if max(aside) < 1e-6:
             return sizes[0], sizes[1], middle
     arms = np.concatenate([piece.points for piece in pieces]) - hub
     along = arms @ axis
@@ -189,7 +195,7 @@ def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple
 
 
 def _is_swivel(urdf: Description, joint: Joint) -> bool:
-    """Returns whether a joint turns what it carries about z. One that turns it about the axle is told by its name."""
+    """Whether a joint turns what it carries about z. One that turns it about the axle is told by its name."""
     if joint.kind not in ("continuous", "revolute"):
         return False
     axis = np.abs(urdf.axis(joint))
@@ -220,7 +226,7 @@ def _sorted_wheels(wheels: list[RoundLink]) -> FoundWheels:
 
 
 def _is_caster(wheel: RoundLink) -> bool:
-    """Returns whether a wheel follows where the robot goes: it trails behind a free swivel, or has such a name."""
+    """Whether a wheel follows where the robot goes: it trails behind a free swivel, or has such a name."""
     names = f"{wheel.joint.name} {wheel.joint.child} {wheel.swivel.name if wheel.swivel else ''}".lower()
     if any(name in names for name in CASTER_NAMES):
         return True
@@ -228,26 +234,25 @@ def _is_caster(wheel: RoundLink) -> bool:
 
 
 def _check_sides(left: list[RoundLink], right: list[RoundLink], between: list[RoundLink]) -> None:
-    if len(left) == len(right) and left and not between:
-        return
     names = [wheel.joint.name for wheel in between]
     if between and len(left) == len(right) == 1 and between[0].swivel is not None:
-        raise ValueError(f"it has three wheels, of which {names[0]!r} steers; no drive of this package has such wheels")
+        raise ValueError(f"it has three wheels, of which {names[0]!r} steers; {NO_DRIVE}")
     if between:
         count = len(left) + len(right) + len(between)
         raise ValueError(
             f"it has {count} wheel{'s' if count > 1 else ''} on the ground, {len(left)} on the left, {len(right)} on "
-            f"the right and {names} between them; no drive of this package has such wheels, unless that is a caster: a "
-            "swivel, a ball, or a joint so named"
+            f"the right and {names} between them; {NO_DRIVE}, unless that is a caster: a swivel, a ball, or a joint so "
+            "named"
         )
-    raise ValueError(
-        f"it has {len(left)} wheels on the left and {len(right)} on the right; drives of this package have "
-        "as many on each side"
-    )
+    if len(left) != len(right) or not left:
+        raise ValueError(
+            f"it has {len(left)} wheels on the left and {len(right)} on the right; drives of this package have as many "
+            "on each side"
+        )
 
 
-def _pairs(left: list[RoundLink], right: list[RoundLink]) -> list[tuple[RoundLink, RoundLink]]:
-    """Returns pairs of a left and a right wheel, from front to back."""
+def _pairs(left: list[RoundLink], right: list[RoundLink]) -> list[Pair]:
+    """Pairs of a left and a right wheel, from front to back."""
     ahead = [sorted(side, key=lambda wheel: -wheel.hub[0]) for side in (left, right)]
     pairs = [*zip(*ahead, strict=True)]
     for one, other in pairs:
@@ -257,3 +262,104 @@ def _pairs(left: list[RoundLink], right: list[RoundLink]) -> list[tuple[RoundLin
                 f"x = {other.hub[0]:.3g} m; wheels must be in pairs"
             )
     return pairs
+
+
+def decide(urdf: Description, found: FoundWheels, body: list[Piece], wanted: DriveKind | None) -> Layout:
+    """Decides which drive a robot has, by its wheels and the shapes of all other links.
+
+    Raises:
+        ValueError: if no drive of this package has such wheels, or the one that is ``wanted`` has not.
+    """
+    pairs = sorted([*found.fixed, *found.steered], key=lambda pair: -pair[0].hub[0])
+    radii = [wheel.radius for pair in pairs for wheel in pair]
+    if max(radii) - min(radii) > ALIKE * float(np.mean(radii)):
+        span = f"{min(radii):.3g} to {max(radii):.3g} m"
+        raise ValueError(f"its wheels have radii from {span}; the simulators need wheels that are alike")
+    kind = wanted or _kind(urdf, found)
+    if kind == "ackermann":
+        _check_car(found)
+    if kind == "mecanum" and len(pairs) != 2:
+        raise ValueError(f"a mecanum drive has four wheels, it has {2 * len(pairs)}")
+    tops = (wheel.swivel or wheel.joint for wheel in found.casters)
+    others = frozenset(link for top in tops for link in urdf.below(top.child))
+    casters: list[tuple[float, float]] = []
+    if kind in ("skid_steer", "differential"):
+        kind = "skid_steer" if len(pairs) > 1 else "differential"
+    if kind == "differential":
+        touching = _touching(pairs[0], [piece for piece in body if piece.link not in others])
+        others |= {piece.link for piece in touching}
+        casters = [(float(wheel.hub[0]), float(wheel.hub[1])) for wheel in found.casters]
+        casters = [*casters, *map(_lowest, touching)] or _low_ends(pairs[0], body)
+        if not casters:
+            raise ValueError(
+                "it has two wheels and nothing else touches the ground, so that it cannot stand: a caster is a wheel "
+                "on a swivel or a ball at the height of the ground"
+            )
+    return Layout(kind, pairs, casters, others)
+
+
+def _kind(urdf: Description, found: FoundWheels) -> DriveKind:
+    fixed, steered = len(found.fixed), len(found.steered)
+    if steered and not fixed:
+        held = "unless they are held: --robot.drive skid_steer"
+        raise ValueError(f"all of its {2 * steered} wheels steer; {NO_DRIVE}, {held}")
+    if steered > 1 or (steered and fixed > 1):
+        raise ValueError(
+            f"it has {2 * (fixed + steered)} wheels, of which {2 * steered} steer; the Ackermann drive has two that "
+            "steer and two that do not (--robot.drive skid_steer holds them straight)"
+        )
+    if steered:
+        return "ackermann"
+    if fixed == 2 and _has_rollers(urdf, found):
+        return "mecanum"
+    return "differential" if fixed == 1 else "skid_steer"
+
+
+def _has_rollers(urdf: Description, found: FoundWheels) -> bool:
+    """Whether wheels are mecanum wheels: by rollers on joints of their own, or by that word."""
+    if "mecanum" in urdf.path.read_text(errors="replace").lower():
+        return True
+    wheels = (wheel for pair in found.fixed for wheel in pair)
+    mounts = (urdf.mounts[link] for wheel in wheels for link in wheel.links if link != wheel.joint.child)
+    return any(joint.kind == "continuous" for joint in mounts)
+
+
+def _check_car(found: FoundWheels) -> None:
+    counts = len(found.steered), len(found.fixed)
+    if counts != (1, 1):
+        raise ValueError(
+            f"an Ackermann drive has two wheels on steering joints and two others, it has {2 * counts[0]} and "
+            f"{2 * counts[1]}; a steering joint turns about z between the body and the wheel"
+        )
+    if not found.steered[0][0].hub[0] > found.fixed[0][0].hub[0]:
+        raise ValueError("its rear wheels steer; the Ackermann drive of this package steers with the front wheels")
+
+
+def _touching(pair: Pair, body: list[Piece]) -> list[Piece]:
+    """Small shapes of the body that reach the ground: balls and blocks that stand for casters."""
+    wheel, track = pair[0], pair[0].hub[1] - pair[1].hub[1]
+    found = []
+    for piece in body:
+        low, high = piece.points.min(0), piece.points.max(0)
+        if abs(low[2] - wheel.bottom) <= NEAR_GROUND * wheel.radius and (high - low)[:2].max() <= CASTER_SIZE * track:
+            found.append(piece)
+    return found
+
+
+def _lowest(piece: Piece) -> tuple[float, float]:
+    """X and y of the middle of the lowest points of a shape, m."""
+    lowest = piece.points[piece.points[:, 2] <= piece.points[:, 2].min() + LEVEL]
+    x, y = ((lowest[:, :2].min(0) + lowest[:, :2].max(0)) / 2).tolist()
+    return x, y
+
+
+def _low_ends(pair: Pair, body: list[Piece]) -> list[tuple[float, float]]:
+    """Front and back of a body that reaches the ground, as shapes do that hold their casters, too."""
+    wheel = pair[0]
+    points = np.concatenate([np.zeros((0, 3)), *(piece.points for piece in body)])
+    points = points[points[:, 2] <= wheel.bottom + NEAR_GROUND * wheel.radius]
+    if not len(points):
+        return []
+    middle = float(points[:, 1].min() + points[:, 1].max()) / 2
+    ends = [float(points[:, 0].min()), float(points[:, 0].max())]
+    return [(x, middle) for x in ends if abs(x - wheel.hub[0]) > wheel.radius]

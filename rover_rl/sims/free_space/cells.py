@@ -1,6 +1,6 @@
 """Square cells over an area of a world, steps between them in 32 directions, and orientations of a rover.
 
-An orientation is a heading without front and back: orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite.
+Orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ LONGEST = 3
 """Greatest extent of a step along an axis, in cells."""
 ORIENTATIONS = 32
 ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
-"""Mask with all orientations."""
 
 
 class CellGrid:
@@ -39,16 +38,10 @@ class CellGrid:
     """
 
     def __init__(self, area: Area) -> None:
-        self.cell = CELL
-        self.half_diagonal = self.cell / math.sqrt(2)
-        self.area = area
-        self.x, self.y = (self._axis(*ends) for ends in area)
-        self.origin = (float(self.x[0]), float(self.y[0]))
-        self.shape = (len(self.y), len(self.x))
-
-    def _axis(self, low: float, high: float) -> np.ndarray:
-        count = max(2, math.floor((high - low) / self.cell + 1e-6))
-        return low + self.cell * (np.arange(count) + 0.5)
+        self.area, self.cell, self.half_diagonal = area, CELL, CELL / math.sqrt(2)
+        counts = (max(2, math.floor((high - low) / CELL + 1e-6)) for low, high in area)
+        self.x, self.y = (low + CELL * (np.arange(count) + 0.5) for count, (low, _) in zip(counts, area, strict=True))
+        self.origin, self.shape = (float(self.x[0]), float(self.y[0])), (len(self.y), len(self.x))
 
     def centers(self, chosen: np.ndarray) -> Tensor:
         """Centers of the chosen cells, bool ``[rows, columns]``: float64 ``[count, 2]``, m."""
@@ -101,10 +94,7 @@ def ring(count: int, start: float = 0.0) -> Tensor:
 
 
 def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
-    """Cells that a straight line from the center of cell (0, 0) to that of another cell runs through.
-
-    Cells that the line only touches in a corner do not count.
-    """
+    """Cells that a straight line from the center of cell (0, 0) to that of another runs through, without corners."""
     # Shares of the line at which it crosses the borders between cells, as exact fractions.
     borders = {Fraction(2 * k + 1, 2 * abs(side)) for side in step for k in range(abs(side))}
     shares = sorted({Fraction(0), Fraction(1), *borders})
@@ -124,8 +114,7 @@ STEP_ORIENTATIONS = [round(math.atan2(y, x) / math.pi * ORIENTATIONS) % ORIENTAT
 def free_steps(fits: np.ndarray) -> np.ndarray:
     """Steps that are free from each cell: bit k of uint32 ``[rows, columns]`` is step k.
 
-    The orientation of a step must fit in all cells that it runs through. ``fits`` are the orientations that fit in each
-    cell, as bits ``[rows, columns]``; 0 in cells that are not passable.
+    The orientation of a step must fit in all cells that it runs through: ``fits`` are those of each cell, as bits.
     """
     rows, columns = fits.shape
     around = np.pad(fits.astype(np.uint32), LONGEST)

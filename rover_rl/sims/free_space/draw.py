@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from scipy.ndimage import label
+from scipy import ndimage
 
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import cells_of
@@ -36,18 +36,13 @@ CANDIDATES = 16
 """Number of goals, of which :func:`draw_task` draws the farthest from the start."""
 CAUTION = 1.0
 """Relative extra cost of the drawn path at obstacles: it keeps away from them where there is room."""
-MOVER_LABEL = f"mover, and {SECONDS:g} s of its way"
-"""What the legend says on movers."""
 
 
 def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
-    """Draws a map of a world: ground, obstacles, free space, and the areas of the task.
+    """Draws a map of a world: ground, obstacles, the free space of a robot, and the areas of the task.
 
-    Args:
-        world: world to draw.
-        robot: robot for which the free space is computed.
-        path: path of the image file, whose suffix selects the format. ``None`` does not save the figure.
-        ax: axes to draw on. ``None`` creates a new figure.
+    ``path`` is that of the image file, whose suffix selects the format; ``None`` does not save the figure. ``None`` as
+    ``ax`` creates a new figure.
     """
     view = _view(world)
     if ax is None:
@@ -80,7 +75,7 @@ def _draw_free_space(ax: Axes, world: World, robot: Robot) -> None:
     used = np.zeros_like(passable)
     for cells in (free.spawn_cells, free.goal_cells):
         used[cells_of(free, cells)] = True
-    parts, _ = label(passable, np.ones((3, 3)))
+    parts, _ = ndimage.label(passable, np.ones((3, 3)))
     reached = np.isin(parts, np.unique(parts[used & passable]))
     colors = np.zeros((*passable.shape, 4))
     colors[passable] = to_rgba(CUT_OFF, 2 * UNUSED)
@@ -124,11 +119,12 @@ def _add_legend(ax: Axes, world: World, *more: Line2D) -> None:
         Line2D([], [], color=SPAWN, linewidth=2.2, label="start area"),
         Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
         Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
-        *([Line2D([], [], color=WAY, marker="o", markersize=7, label=MOVER_LABEL)] if world.movers else []),
-        *more,
     ]
+    if world.movers:
+        label = f"mover, and {SECONDS:g} s of its way"
+        handles.append(Line2D([], [], color=WAY, marker="o", markersize=7, label=label))
     style: dict[str, Any] = {"ncols": 3, "frameon": False, "handlelength": 1.8, "columnspacing": 1.4}
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), **style)
+    ax.legend(handles=[*handles, *more], loc="upper center", bbox_to_anchor=(0.5, -0.09), **style)
 
 
 def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
@@ -151,7 +147,7 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
         *ax.plot(*start.tolist(), color=SPAWN, label="start", marker="o", **marks),
         *ax.plot(*goal.tolist(), color=GOAL, label="goal", marker="*", **marks),
     ]
-    path_line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
-    _add_legend(ax, world, *places, path_line)
+    line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
+    _add_legend(ax, world, *places, line)
     figure.savefig(path, dpi=150)
     return float(shortest_paths(world, robot, start[None], goal[None])[0])

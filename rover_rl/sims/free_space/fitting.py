@@ -1,7 +1,6 @@
 """Worlds that fit robots: the scale of passages that they need, and the names of worlds with it.
 
-Generated worlds have passages for Rover Zero, which needs a disc of 0.35 m. A larger robot needs the same layout,
-wider, and so does a car, which cannot turn in place.
+Generated worlds have passages for Rover Zero. A larger robot needs the same layout, wider, and so does a car.
 """
 
 from __future__ import annotations
@@ -30,13 +29,11 @@ GROUPS = 4
 
 
 def passage_scale(robot: Robot, radius: float | None = None) -> float:
-    """Returns the scale of generated worlds that fit a robot: 1 or more, in steps of 0.1.
+    """Returns the scale of generated worlds that fit a robot with a disc of ``radius``, m: 1 or more, in steps of 0.1.
 
     The disc of the robot fits as that of Rover Zero does. In a corridor of a maze, a robot that does not turn in place
     has room for its disc on both sides of a turning circle's radius, in which it can turn around in three parts. One
     whose lidar does not see behind has room for its whole turning circle, and need not drive backward.
-
-    ``radius`` is that of its disc, m. ``None``: ``robot.radius``.
 
     Raises:
         ValueError: if it would be more than 10.

@@ -40,12 +40,7 @@ def rest_on_ground(ground: World | TerrainRows, robot: Robot, poses: Tensor) -> 
     """Returns the poses of rovers that stand on the ground of a world, or on the terrain of each row.
 
     A rover is aligned with the plane fitted to the ground below its wheels, and raised until no wheel is below the
-    ground.
-
-    Args:
-        ground: ground below the rovers.
-        robot: robot that defines the wheels.
-        poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
+    ground. ``poses [N, 3]`` are planar: x, y (m) and yaw (rad).
 
     Returns:
         Position ``[N, 3]`` (m) and rotation matrix ``[N, 3, 3]`` (columns: forward, left, up) of the base frame. Both
@@ -88,10 +83,8 @@ def _wheels(robot: Robot, device: torch.device) -> tuple[Tensor, Tensor]:
 
 
 def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
-    """Tangent of the steepest slope at eight points around the center of each cell: ``[rows, columns]``.
-
-    They are at the distance of the corners, between the directions of the edges of the terrain's triangles.
-    """
+    """Tangent of the steepest slope at eight points around the center of each cell: ``[rows, columns]``."""
+    # At the distance of the corners, between the directions of the edges of the terrain's triangles.
     around = (ring(8, start=math.pi / 8) * grid.half_diagonal).numpy()
     squares = np.empty(grid.shape)
     inputs = [ground_of(terrain), grid.x, grid.y, around, squares]
@@ -100,10 +93,10 @@ def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
 
 
 def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor, yaws: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns in which headings ``yaws [64, 2]`` (cosine, sine) a rover may rest at centers ``cells [S, 2]`` (m).
+    """Headings of ``yaws [64, 2]`` (cosine, sine) in which a rover may rest at centers ``cells [S, 2]``, m.
 
     The rover must be upright, and the scan plane above the ground within ``GROUND_CLEARANCE`` of all positions of the
-    lidar in the cell. Returns bits of int64, ``[S]``, and the position of the lidar relative to the center of the cell
+    lidar in the cell. Returns bits of int64 ``[S]``, and the position of the lidar relative to the center of the cell
     at each heading, ``[S, 64, 2]``, m.
     """
     headings = torch.zeros(len(cells), dtype=torch.int64)
@@ -113,17 +106,6 @@ def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor,
     outputs = [offsets.numpy(), headings.numpy().view(np.uint64)]
     wp.launch(kernels.find_rest_headings, len(cells), inputs + outputs, device="cpu")
     return headings, offsets
-
-
-def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -> Tensor:
-    """Returns for which centers ``cells [S, 2]`` (m) :func:`rest_headings` surely allows all headings: bool ``[S]``.
-
-    On rolling ground, this quick test makes free space two to four times as fast. It may miss cells.
-    """
-    level = torch.zeros(len(cells), dtype=torch.bool)
-    inputs = [ground_of(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
-    wp.launch(kernels.find_level_cells, len(cells), inputs, device="cpu")
-    return level
 
 
 def _stance(robot: Robot, grid: CellGrid) -> kernels.Stance:

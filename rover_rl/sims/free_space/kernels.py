@@ -12,7 +12,6 @@ from rover_rl.worlds.ground_kernels import Grounds, plane_at
 RINGS = wp.constant(4)
 """Number of rings of test points around a cell."""
 ALL = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Mask with all 32 orientations."""
 
 
 @wp.kernel
@@ -50,68 +49,8 @@ class Stance:
 
 
 @wp.func
-def deviation(ground: Grounds, at: wp.vec2d, slope: wp.vec2d, radius: wp.float64) -> wp.vec2d:
-    """Lowest and highest vertex in a square around a point, relative to a plane through height 0 there.
-
-    Infinite values if the square exceeds the terrain.
-    """
-    low = wp.float64(wp.inf)
-    high = wp.float64(-wp.inf)
-    corner = wp.vec2d(ground.grids[0, 0], ground.grids[0, 1])
-    cell = ground.grids[0, 2]
-    rows = int(ground.grids[0, 3])
-    columns = int(ground.grids[0, 4])
-    first_i = int(wp.floor((at[0] - radius - corner[0]) / cell))
-    first_j = int(wp.floor((at[1] - radius - corner[1]) / cell))
-    last_i = int(wp.ceil((at[0] + radius - corner[0]) / cell))
-    last_j = int(wp.ceil((at[1] + radius - corner[1]) / cell))
-    if first_i < 0 or first_j < 0 or last_i >= columns or last_j >= rows:
-        return wp.vec2d(-low, -high)
-    for j in range(first_j, last_j + 1):
-        y = corner[1] + wp.float64(j) * cell - at[1]
-        for i in range(first_i, last_i + 1):
-            x = corner[0] + wp.float64(i) * cell - at[0]
-            height = wp.float64(ground.heights[0, j * columns + i]) - slope[0] * x - slope[1] * y
-            low = wp.min(low, height)
-            high = wp.max(high, height)
-    return wp.vec2d(low, high)
-
-
-@wp.kernel
-def find_level_cells(ground: Grounds, stance: Stance, cells: wp.array[wp.vec2d], level: wp.array[wp.bool]):
-    """Finds cells on ground so level that :func:`find_rest_headings` allows all headings; thread ``t`` does cell ``t``.
-
-    The ground around the center lies between two planes of slope s: by ``[a, b]`` within the wheels' distance, and
-    below B within reach. The plane fitted below the wheels then has a slope g with ``|g - s| <= e``, where e follows
-    from ``(b - a) / 2`` and the wheels' leverage, ``sum |x| / sum x^2`` along both axes. So the scan plane is at least
-    ``a - e |middle| + lidar_z - e reach - B`` above the ground.
-    """
-    t = wp.tid()
-    at = cells[t]
-    wheel = wp.float64(0.0)
-    leverage = wp.vec2d()
-    for n in range(stance.wheels.shape[0]):
-        arm = stance.wheels[n]
-        wheel = wp.max(wheel, wp.length(arm + stance.middle))
-        leverage += wp.vec2d(wp.abs(arm[0]) / stance.spread[0], wp.abs(arm[1]) / stance.spread[1])
-    east = plane_at(ground, 0, at[0] + wheel, at[1])[0]
-    west = plane_at(ground, 0, at[0] - wheel, at[1])[0]
-    north = plane_at(ground, 0, at[0], at[1] + wheel)[0]
-    south = plane_at(ground, 0, at[0], at[1] - wheel)[0]
-    slope = wp.vec2d(east - west, north - south) / (wp.float64(2.0) * wheel)
-    near = deviation(ground, at, slope, wheel)
-    far = deviation(ground, at, slope, stance.reach)
-    error = wp.length(leverage) * (near[1] - near[0]) / wp.float64(2.0)
-    # The cosine of the steepest possible tilt.
-    steepest = wp.length(slope) + error
-    upright = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + steepest * steepest)
-    height = near[0] + stance.lidar[2] - error * (wp.length(stance.middle) + stance.reach) - far[1]
-    level[t] = upright > stance.upright and height > stance.gap
-
-
-@wp.func
 def fit_plane(ground: Grounds, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> wp.vec3d:
-    """Height (m) and slopes, forward and to the left, of the plane fitted below the wheels: see ``ground_frame``."""
+    """Height (m) and slopes, forward and to the left, of the plane fitted below the wheels."""
     total = wp.float64(0.0)
     forward = wp.float64(0.0)
     left = wp.float64(0.0)
@@ -233,7 +172,7 @@ def find_headings(
     """Finds the heading bins in which the lidar is far enough from all obstacles; thread ``t`` does cell ``t``.
 
     Bit k of ``headings`` is set if that holds at both ends of bin k, the headings k and k + 1 of 64. ``offsets`` of the
-    lidar and the headings in which a rover ``rests`` are those of each cell, or the same for all.
+    lidar and the headings in which a rover ``rests`` are of each cell, or the same for all.
     """
     t = wp.tid()
     own = wp.min(t, rests.shape[0] - 1)

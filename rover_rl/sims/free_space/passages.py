@@ -1,17 +1,12 @@
 """Narrow passages: cells that a rover passes in some orientations only, where its footprint fits.
 
-The footprint, a rectangle, is covered by discs along the rover's x axis
-(:func:`rover_rl.robots.footprint.covering_discs`). It is free at the center of a cell in an orientation of
-:mod:`rover_rl.sims.free_space.cells`, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the
-distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of each disc, where r is the radius
-of the discs, and the last term covers the half bin.
+Discs along the x axis cover the footprint (:func:`rover_rl.robots.footprint.covering_discs`). It is free at the center
+of a cell in an orientation, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the nearest obstacle is at
+least ``r + m + |x_i| pi / 64`` from the center of each disc of radius r: the last term covers the half bin.
 
 A rectangle that moves along its length, by less than its length, sweeps what it covers at both ends. So the rover
 drives straight from the center of a cell to that of another without touching if its footprint is free at both ends,
 forward or backward. It turns on the spot while all orientations between are free. Chains of such motions join cells.
-
-SciPy's connected components tell what can be reached, not how far it is: a cell has 32 states, one per orientation,
-which the path searches do not tell apart.
 
 Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of those of 0.65 m, 12 % of those of 0.6 m
 (120 gaps in a wall of 0.2 m at random offsets and angles).
@@ -45,10 +40,9 @@ def headings_of_bins() -> np.ndarray:
 
 
 def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: float = MARGIN) -> np.ndarray:
-    """Orientations in which the footprint at the center of each cell is free: bits of uint32.
+    """Orientations in which the footprint at the center of each cell is free, with the ``margin`` (m): bits of uint32.
 
-    ``room`` is the distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m. The footprint
-    keeps the ``margin`` (m).
+    ``room`` is the distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
     """
     centers, radius = covering_discs(robot)
     discs = centers[centers > -1e-9]

@@ -56,15 +56,11 @@ def spread_costs(
     In open surroundings, a shortest path consists of steps in two neighboring directions, so that a path that arrives
     in an open cell by step k goes on by step k - 1, k or k + 1.
 
-    Args:
-        weights: weights of the cells, at least 1; 0 for a cell that is not passable.
-        steps: free steps of each cell, as bits in the order of their directions.
-        is_open: whether all steps are free and all weights are 1 in the surroundings of each cell.
-        offsets, lengths: difference of the cell numbers at the two ends of each step, and its length, in cells.
-        sources: numbers of the cells at which the paths end.
-        costs: results, ``[sources, cells]``, filled with infinity.
-        heads: first cell of each bucket, ``[sources, BUCKETS]``, filled with -1.
-        following, preceding, arrivals: working memory, ``[sources, cells]``; the last step of the path to each cell.
+    A cell has a weight of at least 1, or 0 if it is not passable, and free ``steps`` as bits in the order of their
+    directions. It ``is_open`` if all steps are free and all weights are 1 around. ``offsets`` are the differences of
+    the cell numbers at the ends of each step, ``lengths`` are in cells. ``costs [sources, cells]`` are filled with
+    infinity, ``heads [sources, BUCKETS]``, the first cell of each bucket, with -1. ``following``, ``preceding`` and
+    ``arrivals``, the last step of the path to each cell, are working memory, ``[sources, cells]``.
     """
     t = wp.tid()
     first = heads[t]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +22,7 @@ from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import LONGEST, ORIENTATIONS, STEPS, CellGrid, distance_to_cells, free_steps
 from rover_rl.sims.free_space.ground import slopes_on_grid
 from rover_rl.sims.free_space.path_kernels import BUCKETS, spread_costs
-from rover_rl.sims.free_space.space import FreeSpace, free_space
+from rover_rl.sims.free_space.space import free_space
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.table import SlotTable
 from rover_rl.worlds.terrain import MAX_SLOPE
@@ -36,7 +36,7 @@ friction that a rover slides sideways and hardly turns."""
 SPAN = LONGEST * math.sqrt(2)
 """Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0
-"""Largest caution. The queue of :func:`~rover_rl.sims.free_space.path_kernels.spread_costs` holds no longer steps."""
+"""Largest caution. The queue of the kernel holds no longer steps."""
 GOAL_RADIUS = 0.5
 """Distance at which the contract's task counts a goal as reached, m."""
 SQUARE = 0.5
@@ -55,15 +55,9 @@ class PathGrid:
     """Costs of the shortest paths to goals, from every cell of the free-space grid.
 
     Paths consist of steps in 32 directions, and end at the passable cell nearest to the goal. A cell without a path has
-    the cost of the nearest cell with one. The search, a kernel, is three (maze) to seven times (moon) as fast as
-    SciPy's.
-
-    Args:
-        world: world of the paths.
-        robot: robot that determines the free space.
-        caution: relative extra cost of a path in narrow cells, at the edge of the roomy cells, and on the steepest
-            ground, at most 15. It decreases linearly to 0 at a distance of 0.35 m from the edge, and on ground of
-            12 degrees. With 0, the cost is the length.
+    the cost of the nearest cell with one. With ``caution``, at most 15, a path costs so much more in narrow cells, at
+    the edge of the roomy cells, and on the steepest ground. It decreases linearly to 0 at a distance of 0.35 m from the
+    edge, and on ground of 12 degrees. With 0, the cost is the length.
 
     Attributes:
         passable: cells through which paths may run, bool ``[rows, columns]``.
@@ -88,31 +82,20 @@ class PathGrid:
         self.passable, self.roomy = space.passable, space.roomy
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
-        self._prepare(space, caution, _steepness(world) if caution else 0.0)
-        reachable = np.isfinite(self.spread(self._number(space.goal_cells[:1]))[0]).reshape(self._shape)
-        self.reachable = torch.from_numpy(reachable)
-        self._nearest = distance_to_cells(reachable)[1].ravel()
-
-    def _prepare(self, space: FreeSpace, caution: float, steepness: np.ndarray | float) -> None:
-        """Copies weights, with ``caution`` also by the steepness, free steps and openness to the kernel's arrays."""
         # A margin around the grid counts as an edge.
         closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
         edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
-        extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, steepness).clip(0, 1)
+        extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, _steepness(world) if caution else 0.0).clip(0, 1)
         weights = np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32)
-        # A step leads to cells within SPAN.
-        even = distance_to_cells(weights != 1, SPAN + 1)[0] > SPAN
-        steps = free_steps(space.orientations().numpy())
+        # All cells that a step leads to, within SPAN, are as free.
+        is_open = (edge > SPAN) & (distance_to_cells(weights != 1, SPAN + 1)[0] > SPAN)
         self._offsets = np.array([y * self._shape[1] + x for x, y in STEPS])
-        lengths = [math.hypot(*step) for step in STEPS]
-        arrays = (
-            (weights, float),
-            (steps, wp.uint32),
-            ((edge > SPAN) & even, bool),
-            (self._offsets, int),
-            (lengths, float),
-        )
+        arrays = [(weights, float), (free_steps(space.orientations().numpy()), wp.uint32), (is_open, bool)]
+        arrays += [(self._offsets, int), (np.array([math.hypot(*step) for step in STEPS]), float)]
         self._grid = [wp.array(np.ravel(values), dtype=kind, device="cpu") for values, kind in arrays]
+        reachable = np.isfinite(self.spread(self._number(space.goal_cells[:1]))[0]).reshape(self._shape)
+        self.reachable = torch.from_numpy(reachable)
+        self._nearest = distance_to_cells(reachable)[1].ravel()
 
     def costs(self, goals: Tensor) -> Tensor:
         """Costs from every cell to goals ``[G, 2]`` (m): float32 ``[G, rows, columns]``, m, on the CPU."""
@@ -173,7 +156,7 @@ class PathDistances:
         worlds: worlds, by index. Usually ``RoverEnv.pool``.
         robot: robot that determines the free space, or a function that returns that of a world.
         device: device of positions and goals. ``None`` is the CPU.
-        caution: relative extra cost of a path right beside an obstacle: see :class:`PathGrid`.
+        caution: relative extra cost of a path right beside an obstacle, as in :class:`PathGrid`.
 
     Example:
         >>> distances = PathDistances([get_world("maze")], get_robot("rover_zero"))
@@ -204,21 +187,15 @@ class PathDistances:
         self._slots: OrderedDict[int, int] = OrderedDict()
 
     def __call__(self, world: Tensor, position: Tensor, goal: Tensor) -> Tensor:
-        """Returns the distance from each position to its goal, float32 ``[..., 1]``, m.
+        """Returns the distance from each position ``[..., 2]`` to its goal ``[..., 2]``, float32 ``[..., 1]``, m.
 
-        Args:
-            world: index of each row's world, int64 ``[..., 1]``.
-            position: positions, ``[..., 2]``, m.
-            goal: goals, ``[..., 2]``, m.
+        ``world`` are the indices of the rows' worlds, int64 ``[..., 1]``.
         """
         fields = self.fields(world.flatten(), goal.reshape(-1, 2))
         return self.along(fields, position.reshape(-1, 2))[0].reshape(world.shape)
 
     def fields(self, world: Tensor, goal: Tensor) -> Tensor:
-        """Number of each goal's field for :meth:`along`, valid until the next call: int64 ``[N]``.
-
-        The arguments are the index of each row's world, int64 ``[N]``, and the goals, ``[N, 2]``, m.
-        """
+        """Number of the field of each goal ``[N, 2]`` (m) in a world, int64 ``[N]``, valid until the next call."""
         square = (goal / SQUARE).round().long() + _OFFSET
         keys, row = torch.unique((world << 32) | (square[:, 0] << 16) | square[:, 1], return_inverse=True)
         keys = keys.tolist()
@@ -231,16 +208,13 @@ class PathDistances:
         return torch.tensor([self._slots[key] for key in keys], device=goal.device)[row]
 
     def along(self, fields: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-        """Distance (m) from positions ``[N, ..., 2]`` to the goals of ``fields [N]``, and whether there is one.
-
-        They are float32 and bool ``[N, ...]``.
-        """
+        """Distance (m) from positions ``[N, ..., 2]`` to the goals of ``fields [N]``, and whether there is a path."""
         slot, cell, inside = self._cells(fields, position)
         values = self._fields.values[slot, cell]
         return values.abs(), inside & ~values.signbit()
 
     def path(self, world: int, start: Tensor, goal: Tensor) -> Tensor:
-        """Points of the shortest path between two points ``[2]`` of a world, ``[P, 2]``, m: :meth:`PathGrid.path`."""
+        """Points of the shortest path between two points ``[2]`` of a world, ``[P, 2]``, m."""
         return self._grid(world).path(start, goal)
 
     def narrow(self, fields: Tensor, position: Tensor) -> Tensor:
@@ -258,10 +232,8 @@ class PathDistances:
         return fields.reshape(rows), (row * count_x + column).long(), inside
 
     def _compute(self, index: int, keys: list[int], needed: int) -> None:
-        """Computes the fields of squares in one world, of ``needed`` fields that the current call needs in all.
-
-        A key consists of the index of the world, and the numbers of the square, in 32, 16 and 16 bits.
-        """
+        """Computes the fields of squares in one world, of ``needed`` fields that the current call needs in all."""
+        # A key consists of the index of the world, and the numbers of the square, in 32, 16 and 16 bits.
         grid = self._grid(index)
         squares = torch.tensor([((key >> 16) & 0xFFFF, key & 0xFFFF) for key in keys]) - _OFFSET
         costs = torch.where(grid.reachable, 1.0, -1.0) * grid.costs(squares * SQUARE)
@@ -288,8 +260,7 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
     A path from a cell that is not passable starts with a straight line to the nearest passable cell.
 
     Args:
-        world: world of the paths.
-        robot: robot that determines the free space.
+        world, robot: world of the paths, and robot that determines its free space.
         start: positions ``[count, 2]``, m, or poses ``[count, 3]``.
         goal: goals ``[count, 2]``, m.
         goal_radius: distance at which a goal is reached, m.
@@ -305,35 +276,29 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
     return _Strings(world, robot, goal_radius).lengths(start, goal)
 
 
-class _Strings:
+class _Strings(PathGrid):
     """Paths of a world, pulled taut. Coordinates and lengths are in cells, centers whole numbers."""
 
     def __init__(self, world: World, robot: Robot, goal_radius: float) -> None:
-        space = free_space(world, robot)
-        self._world, self._robot = world, robot
-        self._cell, self._origin = space.cell, np.array(space.origin)
-        self._reach = goal_radius / space.cell
-        # Bits of the orientations in which the rover may be in each cell.
-        self._fits = np.pad(space.orientations().numpy(), 1)
-        self._numbers = np.flatnonzero(space.passable.numpy())
-        # x and y of every passable cell.
+        super().__init__(world, robot)
+        self._reach = goal_radius / self.cell
+        # Bits of the orientations in which the rover may be in each cell, and the passable cells.
+        self._fits = np.pad(free_space(world, robot).orientations().numpy(), 1)
+        self._numbers = np.flatnonzero(self.passable.numpy())
         self._points = self._place(self._numbers)
 
-    @cached_property
-    def _grid(self) -> PathGrid:
-        return PathGrid(self._world, self._robot)
-
     def _place(self, numbers: np.ndarray) -> np.ndarray:
+        """X and y of cells."""
         row, column = np.divmod(numbers, self._fits.shape[1] - 2)
         return np.stack((column, row), -1).astype(float)
 
     def lengths(self, start: Tensor, goal: Tensor) -> Tensor:
-        starts, goals = ((xy[:, :2].double().numpy() - self._origin) / self._cell for xy in (start, goal))
+        starts, goals = ((xy[:, :2].double().numpy() - np.array(self.origin)) / self.cell for xy in (start, goal))
         entries = self._entries(starts, goals)
         lengths = np.linalg.norm(entries - starts, axis=1)
         for index in np.flatnonzero(~self._visible(starts, entries) & (lengths > 0)):
             lengths[index] = self._detour_length(starts[index], goals[index])
-        return torch.from_numpy(lengths * self._cell).float()
+        return torch.from_numpy(lengths * self.cell).float()
 
     def _entries(self, points: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Where the straight line from each point to its goal enters the goal's disc (inside: the point)."""
@@ -361,7 +326,7 @@ class _Strings:
     def _detour_length(self, start: np.ndarray, goal: np.ndarray) -> float:
         """Length of the path from a start ``[2]`` to a goal ``[2]`` whose straight line is blocked."""
         first = self._numbers[((self._points - start) ** 2).sum(1).argmin()]
-        (costs,), (arrivals,) = self._grid.spread(np.array([first]))
+        (costs,), (arrivals,) = self.spread(np.array([first]))
         near = self._numbers[((self._points - goal) ** 2).sum(1) < (self._reach + 2) ** 2]
         ends = self._place(near)
         entries = self._entries(ends, goal)
@@ -370,7 +335,7 @@ class _Strings:
         if not np.isfinite(total).any():
             return math.inf
         last = int(total.argmin())
-        way = self._place(self._grid.way(arrivals, near[last], first)[::-1])
+        way = self._place(self.way(arrivals, near[last], first)[::-1])
         return self._pull(np.vstack((start, way, entries[last])), goal)
 
     def _pull(self, points: np.ndarray, goal: np.ndarray) -> float:

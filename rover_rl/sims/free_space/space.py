@@ -17,17 +17,10 @@ from torch import Tensor
 from rover_rl import robots, worlds
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space import ground
+from rover_rl.sims.free_space import ground, passages
 from rover_rl.sims.free_space.cells import ALL_ORIENTATIONS, CellGrid, cells_of, distance_to_cells, ring
 from rover_rl.sims.free_space.kernels import find_headings
-from rover_rl.sims.free_space.passages import (
-    MARGIN,
-    find_reach,
-    fit_orientations,
-    headings_of_bins,
-    orientations_of_bins,
-)
-from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays
+from rover_rl.worlds import cache
 from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.terrain import MAX_SLOPE
@@ -44,7 +37,7 @@ EXTRA_CLEARANCE = 0.2
 TILT_MARGIN = 0.02
 """Maximum horizontal displacement of the lidar by different tilts of the rover within a cell, m."""
 CHUNK = 4096
-"""Number of cells on rough ground whose headings are checked at once, which limits the memory to about 10 MB."""
+"""Number of cells on uneven ground whose headings are checked at once, which limits the memory to about 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +47,7 @@ class FreeSpace:
     Cells are roomy or narrow. In a roomy cell, the turning circle is free wherever in the cell the rover is. Episodes
     start and end in roomy cells. Narrow cells count only where they join roomy cells of the spawn and goal areas that
     are otherwise separate: the footprint is free at their centers in some orientations, in which the rover drives
-    through, forward or backward. See ``rover_rl.sims.free_space.passages``.
+    through, forward or backward.
 
     All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
     center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
@@ -88,9 +81,11 @@ class FreeSpace:
 
     def to(self, device: torch.device | str | None) -> FreeSpace:
         """Returns a copy with its tensors on ``device``. ``None`` is the CPU."""
-        tensors = {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
-        moved: dict[str, Any] = {name: value.to(device or "cpu") for name, value in tensors.items()}
+        moved: dict[str, Any] = {name: value.to(device or "cpu") for name, value in self._tensors()}
         return replace(self, **moved)
+
+    def _tensors(self) -> list[tuple[str, Tensor]]:
+        return [(name, value) for name, value in vars(self).items() if isinstance(value, Tensor)]
 
     def contains(self, xy: Tensor) -> Tensor:
         """Whether points ``xy [..., 2]`` (m) lie in passable cells: bool ``[...]``."""
@@ -102,10 +97,7 @@ class FreeSpace:
         return inside & passable[row, column]
 
     def orientations(self) -> Tensor:
-        """Orientations in which the rover may be in each cell: bits of int64, ``[rows, columns]``.
-
-        All 32 bits are set in a roomy cell, none where the cell is not passable.
-        """
+        """Orientations of the rover in each cell, all in a roomy one: bits of int64, ``[rows, columns]``."""
         masks = torch.where(self.roomy, ALL_ORIENTATIONS, 0)
         masks[self.passable & ~self.roomy] = self.narrow_orientations
         return masks
@@ -114,8 +106,7 @@ class FreeSpace:
 def free_space(world: World, robot: Robot) -> FreeSpace:
     """Returns the free space of a world for a robot.
 
-    It is computed once, and stored on disk by the content of the world and the robot in the folder of the cache,
-    ``~/.cache/rover_rl``.
+    It is computed once, and stored by the content of the world and the robot in the folder of the cache.
 
     Raises:
         ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
@@ -127,7 +118,6 @@ def free_space(world: World, robot: Robot) -> FreeSpace:
 
 
 _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
-_KIND = "free_space"
 _CELLS = ("spawn_cells", "goal_cells")
 """Lists of cells, which are stored as booleans of the grid."""
 
@@ -135,25 +125,25 @@ _CELLS = ("spawn_cells", "goal_cells")
 def _stored(world: World, robot: Robot) -> FreeSpace:
     """The free space that is stored on disk, else computed and stored. A full or read-only disk is no error."""
     folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
-    key = content_key(code_key(*folders), _description(robot), world.key)
+    key = cache.content_key(cache.code_key(*folders), _description(robot), world.key)
     grid = CellGrid(overlap(world.bounds, world.terrain.extent))
-    arrays = load_arrays(_KIND, key)
+    arrays = cache.load_arrays("free_space", key)
     if arrays is not None:
         cells = {name: grid.centers(arrays.pop(name)) for name in _CELLS}
         tensors = {name: torch.from_numpy(each) for name, each in arrays.items()}
         return FreeSpace(grid.cell, grid.origin, **cells, **tensors)
     space = _compute(world, robot, grid)
-    arrays = {name: value.numpy() for name, value in vars(space).items() if isinstance(value, Tensor)}
+    arrays = {name: value.numpy() for name, value in space._tensors()}
     for name in _CELLS:
         arrays[name] = np.zeros_like(arrays["passable"])
         arrays[name][cells_of(space, getattr(space, name))] = True
-    store_arrays(_KIND, key, arrays)
+    cache.store_arrays("free_space", key, arrays)
     return space
 
 
 @lru_cache(maxsize=16)
 def _description(robot: Robot) -> bytes:
-    """Content of the description of a robot: its numbers, whatever its name."""
+    """The numbers of a robot, whatever its name."""
     return repr(replace(robot, name="")).encode()
 
 
@@ -165,16 +155,16 @@ def _compute(world: World, robot: Robot, grid: CellGrid) -> FreeSpace:
     x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
     open_ground = gentle & grid.within((x, y))
     roomy, poses = open_ground & (room >= robot.radius + grid.half_diagonal), np.full(grid.shape, ALL_ORIENTATIONS)
-    reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+    reached, narrow = passages.find_reach(robot, grid, room, gentle, roomy, areas)
     if not all((reached & area).any() for area in areas):
         # The rover turns at the centers of cells, but does not fit in all orientations wherever in a cell it is.
-        roomy = open_ground & (room >= robot.radius + MARGIN)
-        poses = fit_orientations(robot, grid, room, grid.half_diagonal)
-        reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+        roomy = open_ground & (room >= robot.radius + passages.MARGIN)
+        poses = passages.fit_orientations(robot, grid, room, grid.half_diagonal)
+        reached, narrow = passages.find_reach(robot, grid, room, gentle, roomy, areas)
     spawn, goal = (reached & area & (poses != 0) for area in areas)
     goal_cells, spawn_cells = grid.centers(goal), grid.centers(spawn)
     _check_any(world, robot, "goal", goal_cells)
-    headings = _headings(world, robot, grid, clearance, spawn_cells) & orientations_of_bins(poses[spawn])
+    headings = _headings(world, robot, grid, clearance, spawn_cells) & passages.orientations_of_bins(poses[spawn])
     spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
     if not robot.drive.turns_in_place:
@@ -195,11 +185,9 @@ def _compute(world: World, robot: Robot, grid: CellGrid) -> FreeSpace:
 
 def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
     if len(cells) == 0:
-        area = getattr(world, f"{kind}_range")
-        raise ValueError(
-            f"world {world.name!r} has no free {kind} cell for {robot.name!r}, which needs a free disc of "
-            f"{robot.radius:g} m, in {kind}_range {area}"
-        )
+        place = f"{kind}_range {getattr(world, f'{kind}_range')}"
+        needs = f"{robot.name!r}, which needs a free disc of {robot.radius:g} m"
+        raise ValueError(f"world {world.name!r} has no free {kind} cell for {needs}, in {place}")
 
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
@@ -220,8 +208,8 @@ def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float
 def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     """Cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
-    Strips and corners narrower than ``LANE_WIDTH`` do not count. The distance of cliffs counts between centers. No
-    rover passes between cliffs through narrow cells, as wheels slip on slopes.
+    Strips and corners narrower than ``LANE_WIDTH`` do not count. No rover passes between cliffs through narrow cells,
+    as wheels slip on slopes.
     """
     if world.terrain.is_flat:
         return np.ones(grid.shape, dtype=bool)
@@ -237,22 +225,17 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
 
     A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
-    yaws = torch.from_numpy(headings_of_bins())
-    ahead, left, above = robot.lidar_position
+    yaws = torch.from_numpy(passages.headings_of_bins())
+    ahead, left, _ = robot.lidar_position
     margin = grid.half_diagonal + math.hypot(ahead, left) * math.pi / HEADINGS + TILT_MARGIN
-    headings = torch.full((len(cells),), -1)
-    hard = torch.ones(len(cells), dtype=torch.bool)
     if world.terrain.is_flat:
         offsets = torch.stack((ahead * yaws[:, 0] - left * yaws[:, 1], ahead * yaws[:, 1] + left * yaws[:, 0]), -1)
         chunks = [(cells, torch.tensor([-1]), offsets[None])]
     else:
-        # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
-        reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(ground.MAX_TILT) + grid.cell
-        hard = (clearance[cells_of(grid, cells)] < reach) | ~ground.level_cells(world.terrain, robot, grid, cells)
-        parts = cells[hard].split(CHUNK)
+        parts = cells.split(CHUNK)
         chunks = [(part, *ground.rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
     for least in LIDAR_CLEARANCES:
-        headings[hard] = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
+        headings = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
         if headings.any():
             break
     return headings
@@ -287,7 +270,7 @@ def _clear_headings(
 ) -> Tensor:
     """Heading bins of ``cells [S, 2]`` in which the lidar is ``least`` (m) from obstacles: ``[S]``.
 
-    The headings in which the rover ``rests``, and ``offsets`` of the lidar there, are those of each cell or of all.
+    The headings in which the rover ``rests``, and ``offsets`` of the lidar there, are of each cell or of all.
     """
     headings = torch.zeros(len(cells), dtype=torch.int64)
     field = [clearance.numpy(), wp.vec2d(*grid.origin), grid.cell, least]

@@ -43,15 +43,11 @@ class Scene:
 
 @wp.func
 def ground_at(scene: Scene, x: float, y: float) -> wp.vec4:
-    """Terrain triangle below or above the point (x, y). Beyond the grid, the height of the nearest edge continues.
+    """Terrain triangle at (x, y): slopes dz/dx and dz/dy, ``1 / sqrt(1 + (dz/dx)^2 + (dz/dy)^2)``, and height (m).
 
-    A cell is split along the diagonal from (i + 1, j) to (i, j + 1), as :class:`rover_rl.worlds.Terrain` does.
-
-    Within a cell, u and v in [0, 1] are the coordinates along x and y, and u + v = 1 is the diagonal. Both triangles
-    are planes through a right-angle corner c: ``z = z_c + (u - u_c) dz_x + (v - v_c) dz_y``.
-
-    Returns:
-        Slopes dz/dx and dz/dy, cosine of the tilt ``1 / sqrt(1 + (dz/dx)^2 + (dz/dy)^2)``, and height (m).
+    A cell is split along the diagonal from (i + 1, j) to (i, j + 1), as :class:`rover_rl.worlds.Terrain` does. Within
+    a cell, u and v in [0, 1] are the coordinates along x and y, and u + v = 1 is the diagonal. Both triangles are
+    planes through a right-angle corner c: ``z = z_c + (u - u_c) dz_x + (v - v_c) dz_y``.
     """
     rows = scene.heights.shape[0]
     columns = scene.heights.shape[1]
@@ -88,8 +84,5 @@ def ground_normal(ground: wp.vec4) -> wp.vec3:
 
 @wp.func
 def ground_gap(ground: wp.vec4, height: float) -> float:
-    """Distance (m) of a point at ``height`` to the plane of its triangle, ``(z - z_ground) cos(tilt)``.
-
-    Negative below the ground.
-    """
+    """Distance (m) of a point at ``height`` to the plane of its triangle; negative below the ground."""
     return (height - ground[3]) * ground[2]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from rover_rl import worlds
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.worlds import World
-from rover_rl.worlds.cache import code_key, content_key, load_arrays, store_arrays
 from rover_rl.worlds.solids import Solids, bounding_balls, face_polygons
 
 BLOCK_SIDE = 1.5
@@ -24,8 +21,6 @@ ROUNDING = 1e-4
 """Safety margin of bounds for the rounding errors of single precision, m."""
 GRID_CELL = 1.0
 """Side length of a cell of the broad-phase grid, m."""
-KIND = "scenes"
-"""Folder of the cache."""
 ALIGNMENT = 64
 """Alignment of the arrays of a scene in memory, bytes: the length of a cache line."""
 ARRAY_TYPES = {name: var.type.dtype for name, var in vars(Scene)["vars"].items() if hasattr(var.type, "dtype")}
@@ -60,7 +55,7 @@ class SceneTable:
         """Packs a world that may be set soon. It is safe to call from another thread."""
         packed = self._packed.get(world)
         if packed is None:
-            packed = self._packed[world] = PackedScene.stored(world, self._reach)
+            packed = self._packed[world] = PackedScene.of(world, self._reach)
         return packed
 
     def __setitem__(self, slot: int, world: World) -> None:
@@ -75,35 +70,16 @@ class SceneTable:
 class PackedScene:
     """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
-    Attributes:
-        block: the arrays of the scene one after the other, uint8, each aligned to a cache line.
-        record: struct of the scene, uint8, in which the addresses of the arrays are relative to the block.
+    ``block`` has the arrays of the scene one after the other, each aligned to a cache line. ``record`` is the struct of
+    the scene, in which the addresses of the arrays are relative to the block. Both are uint8.
     """
 
     block: np.ndarray
     record: np.ndarray
 
     @classmethod
-    def stored(cls, world: World, reach: float) -> PackedScene:
-        """Returns the packed world that is stored on disk, or packs and stores it: see :meth:`of`."""
-        here = Path(__file__).parent
-        code = code_key(here, Path(worlds.__file__).parent)
-        key = content_key(code, wp.config.version, repr(reach), world.key)
-        arrays = load_arrays(KIND, key)
-        if arrays is not None:
-            return cls(**arrays)
-        packed = cls.of(world, reach)
-        store_arrays(KIND, key, vars(packed))
-        return packed
-
-    @classmethod
     def of(cls, world: World, reach: float) -> PackedScene:
-        """Packs a world.
-
-        Args:
-            world: world to pack.
-            reach: radius of a sphere around the center of mass that contains the rover, m; 0 for rays.
-        """
+        """Packs a world for a ``reach``, as in :class:`SceneTable`."""
         terrain = world.terrain
         heights = terrain.heights.numpy()
         block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
@@ -129,23 +105,19 @@ class PackedScene:
         return cls(memory, record)
 
     def record_at(self, address: int) -> np.ndarray:
-        """Returns the struct of the scene for a copy of the block at an address, uint8."""
+        """The struct of the scene for a copy of the block at an address, uint8."""
         record = self.record.copy()
         record.view(np.uint64)[ADDRESSES] += np.uint64(address)
         return record
 
 
 def _aligned(size: int) -> int:
-    """Returns the size (bytes) up to the next array in a block."""
+    """Size (bytes) up to the next array in a block."""
     return -(-size // ALIGNMENT) * ALIGNMENT
 
 
 def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
-    """Bounding planes of each block of cells, ``[rows, columns, 4]``.
-
-    Each entry holds the slopes dz/dx and dz/dy of a plane fitted to the ground of the block, borders included, and the
-    heights at the middle of the block of two such planes that bound the ground from below and from above (m).
-    """
+    """Bounding planes of each block of cells, ``[rows, columns, 4]``, as ``Scene.blocks``. Borders are included."""
     starts = [np.arange(0, count - 1, block) for count in heights.shape]
     # Grid points of each block along an axis. The last block may have fewer: then its last one counts several times.
     points = [
@@ -164,7 +136,7 @@ def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
 
 
 def _solids(solids: Solids) -> dict[str, np.ndarray]:
-    """Returns planes, vertices and bounding spheres of the obstacles, as flat lists."""
+    """Planes, vertices and bounding spheres of the obstacles, as flat lists."""
     vertices = solids.vertices.numpy()
     middles, radii = bounding_balls(vertices, solids.starts) if solids else (vertices, np.zeros(0))
     return {
@@ -177,7 +149,7 @@ def _solids(solids: Solids) -> dict[str, np.ndarray]:
 
 
 def _faces(solids: Solids) -> dict[str, np.ndarray]:
-    """Returns the faces of the obstacles, as flat lists. Obstacles of the same shape share them."""
+    """Faces of the obstacles, as flat lists. Obstacles of the same shape share them."""
     firsts, polygons = {}, list[np.ndarray]()
     for index, shape in enumerate(solids.shapes):
         if shape not in firsts:
@@ -191,10 +163,7 @@ def _faces(solids: Solids) -> dict[str, np.ndarray]:
 
 
 def _grid(solids: Solids, reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Returns the size and the lists of the broad-phase grid.
-
-    The grid lists for each cell the obstacles within reach of a rover centered in it.
-    """
+    """Size and lists of the broad-phase grid: for each cell the obstacles within reach of a rover centered in it."""
     if not solids:
         lists = {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}
         return {"grid_cell": GRID_CELL, "grid_columns": 0, "grid_rows": 0}, lists

