@@ -11,7 +11,7 @@ from tests.envs.scripted import Moment
 
 
 def test_held_rows_stand_still_in_bullet_and_then_go_on_as_if_nothing_had_happened():
-    rows, before, held_for, after = 4, 10, 5, 10
+    rows, before, held_for, after = 4, 6, 5, 5
     active, held = [0, 2], [1, 3]
     mask = torch.tensor([True, False, True, False])
     env, twin = (make_env(world_n="maze", num_envs=rows, seed=3, lidar_beams=32) for _ in range(2))
@@ -41,7 +41,7 @@ def test_held_rows_stand_still_in_bullet_and_then_go_on_as_if_nothing_had_happen
         assert (
             td.select(*OBSERVATION, "reward")[active] == twin_results[k].select(*OBSERVATION, "reward")[active]
         ).all()
-    assert td["outcome", "steps"].flatten().tolist() == [15, 10, 15, 10]
+    assert td["outcome", "steps"].flatten().tolist() == [11, 6, 11, 6]
 
     # The held rows now follow the twin, except that the solver has to find its contacts again.
     for k in range(before, before + after):

@@ -53,7 +53,7 @@ def test_the_observation_is_clipped_to_its_bounds_and_the_outcome_is_not():
     assert result["outcome", "angular_velocity"].item() == -13.0
 
 
-@hypothesis.settings(max_examples=150, deadline=None)
+@hypothesis.settings(max_examples=50, deadline=None)
 @hypothesis.given(data=st.data(), points=st.integers(1, 40), extra=st.integers(0, 60))
 def test_pooling_is_the_contracts_for_any_beams_and_any_readings(data, points, extra):
     reading = st.one_of(st.floats(-1, 15, width=32), st.sampled_from([math.inf, -math.inf, math.nan, 0.0, 12.0, -0.0]))
@@ -66,7 +66,7 @@ yaws = st.floats(-3.140625, 3.140625, width=32)
 coordinates = st.floats(-40, 40, width=32)
 
 
-@hypothesis.settings(max_examples=200, deadline=None)
+@hypothesis.settings(max_examples=50, deadline=None)
 @hypothesis.given(coordinates, coordinates, yaws, coordinates, coordinates)
 def test_target_info_is_the_contracts(x, y, yaw, goal_x, goal_y):
     distance, angle = contract.target_info(x, y, yaw, (goal_x, goal_y))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import product
 
 import numpy as np
@@ -67,12 +66,6 @@ def test_draws_are_uniform_and_neighbours_are_independent(kind):
     # Pairs of neighbors, and pairs of the number and the index from the same bits.
     for a, b in ((unit[:-1], unit[1:]), (unit, (index + 0.5) / 40)):
         assert chisquare(np.histogram2d(a, b, 10, ((0, 1), (0, 1)))[0].flatten()).pvalue > 1e-3
-
-
-def test_every_bit_of_a_draw_is_as_often_1_as_0():
-    bits = draws("row").flatten()
-    ones = torch.stack([((bits >> place) & 1).float().mean() for place in range(64)])
-    assert (ones - 0.5).abs().max() < 5 * 0.5 / math.sqrt(len(bits))
 
 
 def test_the_same_seed_gives_the_same_episodes_and_another_seed_others():

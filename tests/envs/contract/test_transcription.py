@@ -20,7 +20,7 @@ from tests.envs.scripted import Moment
 
 def test_scripts_of_every_kind_give_what_the_transcription_says():
     rng = np.random.default_rng(0)
-    rows, steps = 24, 150
+    rows, steps = 24, 100
 
     def script() -> list[Moment]:
         x, y, near = *rng.uniform(-2, 2, 2), 0.0

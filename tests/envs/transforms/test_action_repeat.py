@@ -112,8 +112,3 @@ def test_several_goals_in_one_decision_all_count() -> None:
 
 def test_specs_hold() -> None:
     check_env_specs(field(4), break_when_any_done="both")
-
-
-def test_no_repeat_raises() -> None:
-    with pytest.raises(ValueError, match="at least 1 step, got 0"):
-        ActionRepeat(0)

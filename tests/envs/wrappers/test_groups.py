@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import RewardSum, StepCounter
 from torchrl.envs.utils import check_env_specs
 
@@ -50,12 +51,25 @@ def test_values_are_those_of_the_rows() -> None:
             assert torch.equal(grouped["rovers"][key].flatten(0, 1), td[key])
 
 
-def test_a_rover_that_is_done_waits_for_its_group() -> None:
-    env = GroupedRovers(make(length=8, end_on_goal=True))
+def begun(env: GroupedRovers) -> TensorDict:
+    """Resets to starts from which one rover of the first group is soon at its goal."""
     start = torch.tensor([[0.0, 0, 0], [0.0, 4.0, 0], [0.0, -4.0, 0]]).repeat(2, 1, 1)
     goal = start[..., :2] + torch.tensor([6.0, 0.0])
     goal[0, 1] = torch.tensor([0.55, 4.0])
-    td = env.reset(start=start, goal=goal)
+    return env.reset(start=start, goal=goal)
+
+
+def test_any_done_ends_the_group_if_asked() -> None:
+    env = GroupedRovers(make(length=50, end_on_goal=True), done_on_any=True)
+    td = begun(env)
+    while not td["done"].any():
+        td = env.step(td.set(("rovers", "action"), torch.tensor([1.0, 0.0]).expand(2, 3, 2)))["next"]
+    assert td["done"].flatten().tolist() == td["terminated"].flatten().tolist() == [True, False]
+
+
+def test_a_rover_that_is_done_waits_for_its_group() -> None:
+    env = GroupedRovers(make(length=8, end_on_goal=True))
+    td = begun(env)
     for step in range(1, 9):
         td = env.step(td.set(("rovers", "action"), torch.tensor([1.0, 0.0]).expand(2, 3, 2)))["next"]
         ended = td["rovers", "done"].squeeze(-1)
@@ -71,18 +85,6 @@ def test_a_rover_that_is_done_waits_for_its_group() -> None:
     td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
     assert td["rovers", "mask"].tolist() == [[True] * 3, [False] * 3]
     assert td["rovers", "done"].squeeze(-1).tolist() == [[False] * 3, [True] * 3]
-
-
-def test_any_done_ends_the_group_if_asked() -> None:
-    env = GroupedRovers(make(length=50, end_on_goal=True), done_on_any=True)
-    start = torch.tensor([[0.0, 0, 0], [0.0, 4.0, 0], [0.0, -4.0, 0]]).repeat(2, 1, 1)
-    goal = start[..., :2] + torch.tensor([6.0, 0.0])
-    goal[0, 1] = torch.tensor([0.55, 4.0])
-    td = env.reset(start=start, goal=goal)
-    while not td["done"].any():
-        td = env.step(td.set(("rovers", "action"), torch.tensor([1.0, 0.0]).expand(2, 3, 2)))["next"]
-    assert td["done"].flatten().tolist() == [True, False]
-    assert td["terminated"].flatten().tolist() == [True, False]
 
 
 def test_transforms_go_inside_and_around() -> None:

