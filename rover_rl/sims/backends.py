@@ -61,7 +61,6 @@ class Backend(Protocol):
         device: torch.device | None = None,
     ) -> Simulator:
         """Builds the simulator: see :func:`make_simulator`."""
-        ...
 
 
 def register_backend(name: str, backend: Any) -> None:
@@ -79,10 +78,7 @@ def backend_names() -> list[str]:
 
 
 def find_settings(name: str) -> Any:
-    """Returns the settings class of a backend, or the :class:`Backend` registered under the name.
-
-    Raises ``ValueError`` if the name is unknown.
-    """
+    """Returns the settings class of a backend, or a registered :class:`Backend`. Raises ``ValueError`` if unknown."""
     return _REGISTRY.find(name)
 
 
@@ -108,11 +104,10 @@ def make_simulator(
         backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
             example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
         worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-        robot: robot model, or a fleet with the robot of each rover, which backends with the feature ``"robots"``
-            simulate.
-        physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
-        connection: topics of a real rover. ``None`` uses those of the contract.
-        device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
+        robot: robot model, or a fleet with the robot of each rover, for backends with the feature ``"robots"``.
+        physics: physics preset of a backend that is given by name. ``None``: the default settings.
+        connection: topics of a real rover. ``None``: those of the contract.
+        device: device of the task's tensors, on which the backend runs if it can. ``None``: the CPU.
         control_rate: control steps per second. ``None``: those of the backend's settings, 20 by default.
 
     Raises:
@@ -132,10 +127,8 @@ def make_simulator(
     name = name_of(settings)
     simulator = getattr(import_module(f"rover_rl.sims.{name}.simulator"), f"{name.capitalize()}Simulator")
     if len(robots) > 1 and "robots" not in simulator.features:
-        raise ValueError(
-            f"several robots in one batch need a backend that simulates them: {simulator.__name__} does not have the "
-            "feature 'robots'; use backend='warp', or name one robot"
-        )
+        problem = f"{simulator.__name__} does not have the feature 'robots'; use backend='warp', or name one robot"
+        raise ValueError(f"several robots in one batch need a backend that simulates them: {problem}")
     return simulator(worlds, robot, settings, **{option: options[option] for option in _OPTIONS.get(name, ())})
 
 
@@ -176,10 +169,10 @@ def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
             settings = _REGISTRY.call(backend, settings)
     if not isinstance(settings, Backend) and name_of(settings) not in BACKENDS:
         source = f" under the name {backend!r}" if isinstance(backend, str) else ""
-        raise ValueError(
-            f"backend must be one of {backend_names()}, settings of one, or an object with a method {_MAKE} that "
-            f"returns a Simulator, got {settings!r}{source}"
+        wanted = (
+            f"one of {backend_names()}, settings of one, or an object with a method {_MAKE} that returns a Simulator"
         )
+        raise ValueError(f"backend must be {wanted}, got {settings!r}{source}")
     return settings
 
 
@@ -190,10 +183,7 @@ def _make_custom(backend: Backend, arguments: dict[str, Any]) -> Simulator:
         reason = "it is a class; pass an object of it" if isinstance(backend, type) else error
         raise ValueError(f"backend {backend!r} must have a method {_MAKE}: {reason}") from error
     simulator = backend.make(**arguments)
-    missing = [name for name in _REQUIRED if not hasattr(simulator, name)]
-    if missing:
-        raise ValueError(
-            f"make() of backend {backend!r} must return a rover_rl.sims.Simulator, got {simulator!r} without "
-            f"{', '.join(missing)}"
-        )
+    if missing := ", ".join(name for name in _REQUIRED if not hasattr(simulator, name)):
+        wanted = f"make() of backend {backend!r} must return a rover_rl.sims.Simulator"
+        raise ValueError(f"{wanted}, got {simulator!r} without {missing}")
     return simulator

@@ -36,13 +36,12 @@ class Scanner(Protocol):
         ``inf`` means no return, 0 a beam that starts inside a solid. ``rows`` are the rovers whose lidar scans, bool
         ``[N]``; ``None``: all. The others keep their last scan. A real lidar has its own period.
         """
-        ...
 
 
 class LiveRover(Protocol):
     """What a real rover has and a simulated one does not: messages, which have an age, and what is in them.
 
-    A ``topic`` of ``None`` is that of the connection.
+    A ``topic`` of ``None`` is that of the connection. Images have ``size`` rows and columns.
 
     Attributes:
         last_command: forward speed (m/s) and yaw rate (rad/s) of the last command, within the limits.
@@ -53,45 +52,33 @@ class LiveRover(Protocol):
 
     def follow_clock(self) -> None:
         """Begins to read the clock that the stamps of the messages are of."""
-        ...
 
     def state_age(self) -> Tensor:
         """Age of the state, ``[N, 1]``, s, after :meth:`follow_clock`; at most ``MAX_AGE``."""
-        ...
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
         """Position ``[N, 3]`` (m) and orientation ``[N, 4]`` of the rovers at the time of their last scans."""
-        ...
 
     def covered(self) -> Tensor:
         """Which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
-        ...
 
     def ranges(self) -> Tensor:
         """Beams of the latest scan, ``[1, beams]``, m."""
-        ...
 
     def segments(self, points: int) -> Tensor | None:
         """Nearest reading of each segment of the latest raw scan, ``[1, points]``, m; ``inf`` for none.
 
         ``None`` if it has fewer readings than segments.
         """
-        ...
 
     def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Latest depth image in a size (rows and columns), m: ``inf`` without a return, 0 for what is lost or too near.
-
-        Before the first image, all pixels are lost.
-        """
-        ...
+        """Latest depth image, m: ``inf`` without a return, 0 for what is lost or too near, or before the first."""
 
     def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Latest color image in a size (rows and columns), 0 to 1, ``[3, rows, columns]``; black before the first."""
-        ...
+        """Latest color image, 0 to 1, ``[3, rows, columns]``; black before the first."""
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
         """Latest points of a 3D lidar in its own frame, ``[P, 3]``, m; ``None`` before the first ones."""
-        ...
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
@@ -106,7 +93,6 @@ class LiveRover(Protocol):
             topic: topic of an elevation map with ``layer``, or of a point cloud.
             mount: position of the lidar whose frame the point cloud is in, in the frame of the robot, m.
         """
-        ...
 
 
 class Simulator:
@@ -120,6 +106,8 @@ class Simulator:
         control_dt: duration of a control step, s.
         device: device of the tensors.
         features: optional features.
+        live: the real rover, around which nothing is known but the map. ``None`` in simulation.
+        robot_connected: whether the rovers are connected. Always true in simulation.
     """
 
     num_envs: int
@@ -129,12 +117,10 @@ class Simulator:
 
     @property
     def live(self) -> LiveRover | None:
-        """The real rover, around which nothing is known but the map. ``None`` in simulation."""
         return None
 
     @property
     def robot_connected(self) -> bool:
-        """Whether the rovers are connected. Always true in simulation."""
         return True
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
@@ -211,8 +197,7 @@ class Simulator:
 
         Feature ``"worlds"``; without it, a rover keeps its first world. The simulator is built with a
         :class:`~rover_rl.worlds.table.WorldTable`, whose rows change worlds. It holds worlds by slot. If a pool has no
-        more worlds than rovers, all of them are in slots from the start, and a change of worlds is a new tensor of
-        slots.
+        more worlds than rovers, all of them are in slots from the start.
         """
         raise NotImplementedError
 

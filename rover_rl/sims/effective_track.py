@@ -14,10 +14,8 @@ from rover_rl.worlds import Terrain, World
 
 SETTLING, MEASURED = 1.0, 3.0
 """Time to settle, and time of the measurement, s."""
-RATE = 0.5
-"""Yaw rate that is commanded, as a share of the robot's largest one."""
-FASTEST = 1.0
-"""Largest yaw rate that is commanded, rad/s."""
+RATE, FASTEST = 0.5, 1.0
+"""Yaw rate that is commanded, as a share of the robot's largest one, and its largest value, rad/s."""
 
 
 def measured_track(robot: Robot, backend: str = "warp") -> float:
@@ -35,21 +33,19 @@ def measured_track(robot: Robot, backend: str = "warp") -> float:
     """
     drive = robot.drive
     if not isinstance(drive, SkidSteer):
-        raise ValueError(
-            f"only a SkidSteer drive has an effective track, that of {robot.name!r} is {type(drive).__name__}"
-        )
+        kind = type(drive).__name__
+        raise ValueError(f"only a SkidSteer drive has an effective track, that of {robot.name!r} is {kind}")
     simulator = make_simulator(backend, worlds=[World("level", Terrain.flat((40, 40)))], robot=robot)
-    simulator.reset(torch.ones(1, dtype=torch.bool), torch.zeros(1, 3))
     command = torch.tensor([[0.0, min(FASTEST, RATE * drive.max_yaw_rate)]])
     turned = reported = 0.0
     try:
+        state = simulator.reset(torch.ones(1, dtype=torch.bool), torch.zeros(1, 3))
         for _ in range(round(SETTLING / simulator.control_dt)):
             state = simulator.step(command)
         for _ in range(round(MEASURED / simulator.control_dt)):
-            before = quaternion_to_euler(state.orientation)[0, 2]
-            state = simulator.step(command)
-            after = quaternion_to_euler(state.orientation)[0, 2]
-            turned += float(torch.remainder(after - before + math.pi, 2 * math.pi) - math.pi)
+            before, state = state, simulator.step(command)
+            start, end = (quaternion_to_euler(one.orientation)[0, 2] for one in (before, state))
+            turned += float(torch.remainder(end - start + math.pi, 2 * math.pi) - math.pi)
             reported += float(state.angular_velocity[0, -1]) * simulator.control_dt
     finally:
         simulator.close()

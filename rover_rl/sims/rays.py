@@ -30,10 +30,7 @@ _TOLERANCE = 1e-6
 
 
 class RayCaster:
-    """Casts rays in the worlds of the rows of a batch. Rovers are not in the scenes.
-
-    The scene of a world is built when a row first needs it. The range of a ray depends on its row's world alone.
-    """
+    """Casts rays in the worlds of the rows of a batch, without rovers. A scene is built when a row first needs it."""
 
     def __init__(self, worlds: WorldTable) -> None:
         self._worlds, self._entered = worlds, worlds.follow()
@@ -81,10 +78,7 @@ def aimed_rays(rover: RoverState, mount: Sequence[float], directions: Tensor) ->
 
 
 class RayScanner:
-    """Lidar of a simulator that has none of its own: see :class:`~rover_rl.sims.base.Scanner`.
-
-    The ``robot`` carries it, and its beams are equally spaced over a full turn.
-    """
+    """Lidar of a simulator that has none of its own: see :class:`~rover_rl.sims.base.Scanner`."""
 
     def __init__(self, simulator: Simulator, worlds: WorldTable, robot: Robot, beams: int) -> None:
         angles = beam_angles(beams)

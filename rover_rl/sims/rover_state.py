@@ -23,8 +23,8 @@ SIDES = ("front", "left", "back", "right")
 class RoverState(TensorClass):
     """Batched rover state, with batch size ``[N]``. Tensors are float32 unless stated otherwise.
 
-    Contact forces and motor torques are means over the physics steps of a control step: the momentum that is
-    transferred, divided by the duration of the step. Simulators agree on it, and not on the peak of an impact.
+    Contact forces and motor torques are means over the physics steps of a control step, ``None`` unless asked for:
+    simulators agree on these, and not on the peak of an impact.
 
     Attributes:
         position: position of the base frame in the world frame, ``[N, 3]``, m.
@@ -33,19 +33,19 @@ class RoverState(TensorClass):
         angular_velocity: counter-clockwise yaw rate from wheel odometry, ``[N, 1]``, rad/s.
         dt: duration of the last step, ``[N, 1]``, s.
         stamp: time of the state, ``[N, 1]``, s, float64.
-        contact: whether any part of the rover, chassis or wheel, touched an obstacle in the last control step, in any
-            of its physics steps, bool ``[N, 1]``. The ground is no obstacle, whether it carries the wheels or scrapes
-            the chassis. False after a reset. ``None`` if the backend does not report contacts.
-        lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` for a drive that does not
-            move sideways.
+        contact: whether any part of the rover, chassis or wheel, touched an obstacle in any physics step of the last
+            control step, bool ``[N, 1]``. The ground is no obstacle, also where it scrapes the chassis. False after a
+            reset. ``None`` if the backend does not report contacts.
+        lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` unless the drive moves
+            sideways.
         mover_contact: whether the rover touched a mover in the last control step, bool ``[N, 1]``. ``contact`` is true,
             too, then. ``None`` if the simulator has no movers.
         contact_force: horizontal normal forces on the rover by the side that they come from, front, left, back and
             right in the base frame: those of obstacles, then those of movers, ``[N, 8]``, N, summed over the contacts.
-            Zero after a reset. ``None`` unless asked for.
+            Zero after a reset.
         wheel_torque: torque that the motor of each wheel exerts on it, in the order of ``Drive.wheels``,
             ``[N, W]``, N m. Positive torques drive forward. Zero after a reset, for a wheel without a motor, and beyond
-            the wheels of a robot that has fewer than others of the batch. ``None`` unless asked for.
+            the wheels of a robot that has fewer than others of the batch.
     """
 
     position: Tensor
@@ -87,8 +87,7 @@ def beam_angles(beams: int) -> Tensor:
 def by_side(push: np.ndarray) -> np.ndarray:
     """Forces on the rover ``[..., 2]`` along x and y of the base frame (N) by :data:`SIDES`, ``[..., 4]``, N.
 
-    What pushes backward is in front, and what pushes to the right is on the left. A force at an angle counts on two
-    sides, by its components.
+    What pushes backward is in front. A force at an angle counts on two sides, by its components.
     """
     return np.concatenate((-push, push), -1).clip(0.0)
 

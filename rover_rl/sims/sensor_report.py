@@ -20,12 +20,8 @@ ImageKind: TypeAlias = Literal["depth", "colors"]
 class ElevationMap(NamedTuple):
     """Heights of the ground on a grid along the axes of a frame, in the order of ANYbotics' grid_map.
 
-    Attributes:
-        heights: heights ``[rows, columns]``, m; NaN where none is known. The first row has the largest x, and the first
-            column the largest y.
-        center: x and y of the middle of the map, m.
-        cell: side of a cell, m.
-        layer: name of the layer.
+    ``heights`` are ``[rows, columns]``, m; NaN where none is known. The first row has the largest x, and the first
+    column the largest y. ``center`` is the middle of the map, and ``cell`` the side of a cell, m.
 
     Example:
         >>> slope = ElevationMap(torch.tensor([[3.0, 3.0], [1.0, 1.0]]), (0.0, 0.0), cell=1.0)
@@ -84,12 +80,9 @@ class SimulatedRover(Protocol):
 
     def reset(self, pose: tuple[float, float, float]) -> None:
         """Moves the rover to a pose, at rest."""
-        ...
 
     def move_to(self, pose: tuple[float, float, float]) -> None:
         """Does the same as :meth:`reset`; raises ``ValueError`` if the rover cannot stand there, and leaves it."""
-        ...
 
     def step(self, command: tuple[float, float]) -> SensorReport:
         """Takes a step with a command: forward speed, m/s, and yaw rate, rad/s."""
-        ...

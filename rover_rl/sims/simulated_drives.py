@@ -13,10 +13,7 @@ from rover_rl.sims.rover_state import RoverState
 
 
 class SimulatedDrives:
-    """State of the drives and clocks of a batch of simulated rovers, for steps of ``dt`` (s).
-
-    A change of the fleet's index is followed.
-    """
+    """Drives and clocks of a batch of simulated rovers, for steps of ``dt`` (s). Changes of the index are followed."""
 
     def __init__(self, fleet: Fleet, dt: float) -> None:
         self._kinematics, self._step = Kinematics(fleet, dt), dt
@@ -52,12 +49,10 @@ class SimulatedDrives:
     def state(
         self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None, **reports: Tensor
     ) -> RoverState:
-        """Returns the state of the rovers.
+        """Returns the state of the rovers, with what else the simulator knows.
 
-        Args:
-            body: position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
-                (rad), ``[N, 7 + M + S]``.
-            contact, mover_contact, reports: fields of the state. ``None`` if the simulator does not know.
+        ``body`` is position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
+        (rad), ``[N, 7 + M + S]``.
         """
         twist = self.odometry(Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :]))
         optional = {"contact": contact, "mover_contact": mover_contact}

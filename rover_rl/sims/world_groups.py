@@ -70,15 +70,9 @@ class WorldGroup:
     ) -> np.ndarray:
         """Advances rovers by one control step.
 
-        Args:
-            local: rovers to advance.
-            speeds: speed of each motor of all rovers of the group, ``[count, M]``, rad/s.
-            angles: angle of each steering joint, ``[count, S]``, rad.
-            near: parts of movers near the rovers of the group.
-
-        Returns:
-            Which of ``local`` touched an obstacle or a mover in any of the physics steps, and, if there are movers,
-            which touched a mover, bool ``[k, 1]`` or ``[k, 2]``.
+        ``speeds`` of each motor are ``[count, M]``, rad/s, ``angles`` of each steering joint ``[count, S]``, rad, of
+        all rovers of the group, and ``near`` are the parts of movers near these. Returns which of ``local`` touched an
+        obstacle or a mover in any of the physics steps, and, with movers, which touched one: bool ``[k, 1 or 2]``.
         """
         raise NotImplementedError
 
@@ -95,11 +89,10 @@ class Lidar(Protocol):
     """Lidar in the world of a group."""
 
     def scan(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-        """Returns ranges ``[k, beams]`` (m) from poses of base frames, of which ``WorldGroup`` has the form.
+        """Returns ranges ``[k, beams]`` (m) from poses as ``WorldGroup`` has them: ``inf`` where a beam hits nothing.
 
-        They are ``inf`` where a beam hits nothing, and 0 for all beams of a lidar inside a solid.
+        They are 0 for all beams of a lidar inside a solid.
         """
-        ...
 
 
 Change: TypeAlias = Callable[[WorldGroup, np.ndarray, Any], None]
@@ -109,13 +102,8 @@ Change: TypeAlias = Callable[[WorldGroup, np.ndarray, Any], None]
 class GroupedSimulator(Simulator):
     """Base of simulators on the CPU that keep consecutive rovers in the same world together.
 
-    A simulator has :meth:`_group` and :meth:`_lidars`. Each thread works on a share of the rovers of every world.
-
-    Args:
-        worlds: world of each rover.
-        robot: robot model.
-        settings: settings of the physics.
-        threads: number of threads.
+    A simulator has :meth:`_group` and :meth:`_lidars`. Each of the threads works on a share of the rovers of every
+    world.
     """
 
     features: frozenset[Feature] = frozenset(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,26 +22,26 @@ def make_robot_model(robot: Robot, device: wp.Device) -> RobotModel:
     wheels = len(robot.wheels.hubs)
     if wheels > MAX_WHEELS:
         raise ValueError(f"the warp backend supports at most {MAX_WHEELS} wheels, {robot.name!r} has {wheels}")
-    model = RobotModel()
-    model.wheels = wheels
-    model.motors = len(robot.drive.motors)
-    model.motor_of_wheel = wp.array(robot.drive.motor_of_wheel, dtype=int, device=device)
-    model.steering_of_wheel = wp.array(robot.wheels.steering or (-1,) * wheels, dtype=int, device=device)
-    rollers = [
-        wp.vec3() if angle is None else wp.vec3(math.cos(angle), math.sin(angle), 0.0) for angle in robot.drive.rollers
-    ]
-    model.rollers = wp.array(rollers, dtype=wp.vec3, device=device)
-    model.wheel_radius = robot.wheels.radius
-    model.wheel_half_width = robot.wheels.width / 2
-    model.wheel_inertia = robot.wheel.inertia[1][1]
-    model.hubs = wp.array(np.array(robot.wheels.hubs), dtype=wp.vec3, device=device)
+    drive = robot.drive
     centers, halves = (np.array([box[part] for box in robot.boxes]).reshape(-1, 3) / (part + 1) for part in (0, 1))
-    model.box_centers = wp.array(centers, dtype=wp.vec3, device=device)
-    model.box_halves = wp.array(halves, dtype=wp.vec3, device=device)
-    model.chassis_points = wp.array(chassis_points(centers, halves), dtype=wp.vec3, device=device)
+    arms = [(0.0, 0.0) if angle is None else (math.cos(angle), math.sin(angle)) for angle in drive.rollers]
+    model = RobotModel()
+    model.wheels, model.motors = wheels, len(drive.motors)
+    model.wheel_radius, model.wheel_half_width = robot.wheels.radius, robot.wheels.width / 2
+    model.wheel_inertia = robot.wheel.inertia[1][1]
     model.bounding_radius = bounding_radius(robot)
-    model.lidar_position = wp.vec3(*robot.lidar_position)
-    model.lidar_range = robot.lidar_range
+    model.lidar_position, model.lidar_range = wp.vec3(*robot.lidar_position), robot.lidar_range
+    model.motor_of_wheel = wp.array(drive.motor_of_wheel, dtype=int, device=device)
+    model.steering_of_wheel = wp.array(robot.wheels.steering or (-1,) * wheels, dtype=int, device=device)
+    points: dict[str, Any] = {
+        "rollers": [(*arm, 0.0) for arm in arms],
+        "hubs": robot.wheels.hubs,
+        "box_centers": centers,
+        "box_halves": halves,
+        "chassis_points": chassis_points(centers, halves),
+    }
+    for name, values in points.items():
+        setattr(model, name, wp.array(np.reshape(values, (-1, 3)), dtype=wp.vec3, device=device))
     return model
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.native.warp import wp
+from rover_rl.native.warp import stream_of, wp
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Feature, Simulator, View
@@ -43,18 +43,10 @@ GPU_LIDAR_LANES = 4
 
 
 class WarpSimulator(Simulator):
-    """Batch of rovers simulated by Warp kernels, a thread each.
+    """Batch of rovers simulated by Warp kernels, a thread each, on a device: by default the CPU.
 
-    All rovers share a launch, whatever world they are in; they do not interact.
-
-    Args:
-        worlds: world of each rover.
-        robot: robot, or a fleet with the robot of each rover.
-        settings: settings of the physics; ``None`` uses the defaults.
-        device: device of the simulation and of its tensors; ``None`` is the CPU.
-
-    Raises:
-        ValueError: for a robot with too many wheels.
+    All rovers share a launch, whatever world they are in; they do not interact. ``robot`` may be a fleet. Raises
+    ``ValueError`` for a robot with too many wheels.
     """
 
     features: frozenset[Feature] = frozenset(
@@ -77,7 +69,9 @@ class WarpSimulator(Simulator):
         self.fleet = Fleet.of(robot, count, self.device)
         self._drive = SimulatedDrives(self.fleet, self.control_dt)
         self._renderers: dict[Robot, RendererCache] = {}
-
+        self._wp_device = wp.device_from_torch(self.device)
+        blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
+        self._options = {"device": self._wp_device, **blocks}
         self._buffers = StateBuffers(self.fleet)
         self._models = ModelTable(self.fleet, self._wp_device)
         self._worlds = WorldTable.of(worlds, self.device)
@@ -93,21 +87,6 @@ class WarpSimulator(Simulator):
         self._dynamics = self._record_dynamics()
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
 
-    @property
-    def lidar_ranges(self) -> Tensor:
-        """Maximum range of each rover's lidar, ``[N]``, m."""
-        return self._models.ranges[self.fleet.index]
-
-    @property
-    def _wp_device(self) -> wp.Device:
-        return wp.device_from_torch(self.device)
-
-    @property
-    def _launch_options(self) -> dict[str, Any]:
-        """Keyword arguments of every launch: the device, and the block size on a GPU."""
-        blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
-        return {"device": self._wp_device, **blocks}
-
     def _divide(self) -> list[tuple[int, int]]:
         """First rover and number of rovers of each CPU thread."""
         threads = self.settings.threads or torch.get_num_threads()
@@ -118,10 +97,9 @@ class WarpSimulator(Simulator):
 
     def _record(self, kernel: wp.Kernel, *inputs: Any, lanes: tuple[int, ...] = ()) -> list[wp.Launch]:
         """Records the launches of a kernel, one per CPU thread, with ``lanes`` threads of the device per rover."""
-        options = {"record_cmd": True, **self._launch_options}
         inputs = (self._scenes.scenes, self._models.models, *inputs)
         return [
-            wp.launch(kernel, dim=(count, *lanes), inputs=[*inputs, first, *lanes], **options)
+            wp.launch(kernel, dim=(count, *lanes), inputs=[*inputs, first, *lanes], record_cmd=True, **self._options)
             for first, count in self._shards
         ]
 
@@ -132,13 +110,8 @@ class WarpSimulator(Simulator):
             dtype = vars(MoverArrays)["vars"][name].type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
-        inputs = [
-            _solver(self.settings, max(robot.mass for robot in self.fleet.robots)),
-            self._buffers.rovers,
-            self._forms.scenes,
-            arrays,
-        ]
-        return self._record(step_dynamics, *inputs)
+        solver = _solver(self.settings, max(robot.mass for robot in self.fleet.robots))
+        return self._record(step_dynamics, solver, self._buffers.rovers, self._forms.scenes, arrays)
 
     def measure(self, fields: Collection[Force]) -> None:
         self._buffers.measure(fields)
@@ -155,14 +128,14 @@ class WarpSimulator(Simulator):
             self._form_count = len(self._movers.forms)
             # A world of the solids of all parts, each in its own frame.
             solids = [hull(form.corners()) for form in self._movers.forms]
-            with wp.ScopedStream(self._stream):
+            with wp.ScopedStream(stream_of(self.device)):
                 self._forms[0] = World("forms", Terrain.flat((4.0, 4.0)), solids)
         if self._parts is not self._movers.parts:
             self._parts = self._movers.parts
             self._dynamics = self._record_dynamics()
 
     def scanner(self, beams: int) -> WarpScanner:
-        scanner = WarpScanner(self, beams)
+        scanner = WarpScanner(self, beams, self._models.ranges)
         angles = beam_angles(beams).numpy()
         directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device=self._wp_device)
         rovers = self._buffers.struct(scanned=scanner.rows, ranges=scanner.ranges, visible=scanner.visible)
@@ -171,10 +144,10 @@ class WarpSimulator(Simulator):
 
     def enter_worlds(self) -> None:
         # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
-        with wp.ScopedStream(self._stream):
+        with wp.ScopedStream(stream_of(self.device)):
             for slot, world in self._entered().items():
                 self._scenes[slot] = world
-        self._buffers.scene.copy_(self._worlds.slots)
+        self._buffers.tensors["scene"].copy_(self._worlds.slots)
 
     def prepare_world(self, world: World) -> None:
         self._scenes.prepare(world)
@@ -184,9 +157,9 @@ class WarpSimulator(Simulator):
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         self._buffers.poses.copy_(poses)
-        self._buffers.active.copy_(mask)
+        self._buffers.tensors["active"].copy_(mask)
         inputs = [self._scenes.scenes, self._models.models, self._buffers.rovers, self._poses]
-        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
+        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=stream_of(self.device), **self._options)
         self._drive.reset(mask)
         return self.state()
 
@@ -194,25 +167,22 @@ class WarpSimulator(Simulator):
         self._buffers.set_dynamics(mask, dynamics)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        targets = self._drive.advance(commands, active)
-        self._buffers.target_speeds.copy_(targets.speeds)
-        self._buffers.target_angles.copy_(targets.angles)
-        if active is None:
-            self._buffers.active.fill_(True)
-        else:
-            self._buffers.active.copy_(active)
+        targets, tensors = self._drive.advance(commands, active), self._buffers.tensors
+        tensors["target_speeds"].copy_(targets.speeds)
+        tensors["target_angles"].copy_(targets.angles)
+        _mark(tensors["active"], active)
         self._follow_movers()
         self.launch()
         return self.state()
 
     def state(self) -> RoverState:
-        buffers = self._buffers
-        touched = None if self._parts is None else buffers.mover_contact.clone()
-        reports = {name: values.clone() for name, values in buffers.reports.items()}
-        return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched, **reports)
+        body, *touched = (self._buffers.tensors[name] for name in ("base_state", "contact", "mover_contact"))
+        contacts = [one.clone()[:, None] for one in touched[: 1 if self._parts is None else 2]]
+        reports = {name: values.clone() for name, values in self._buffers.reports.items()}
+        return self._drive.state(body.clone(), *contacts, **reports)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        pose, movers = self._buffers.base_state[row, :7], shown_parts(self._movers, row)
+        pose, movers = self._buffers.tensors["base_state"][row, :7], shown_parts(self._movers, row)
         renderers = self._renderers.setdefault(self.fleet[row], RendererCache(self.fleet[row]))
         return renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 
@@ -223,17 +193,12 @@ class WarpSimulator(Simulator):
         for renderers in self._renderers.values():
             renderers.close()
 
-    @property
-    def _stream(self) -> wp.Stream | None:
-        """Torch's current CUDA stream, which orders kernels and tensor operations; ``None`` on the CPU."""
-        return wp.stream_from_torch(self.device) if self.device.type == "cuda" else None
-
     def launch(self) -> None:
         self.run(self._dynamics)
 
     def run(self, recorded: Sequence[wp.Launch]) -> None:
         """Launches a recorded kernel on each thread and waits for them on the CPU; on a GPU, returns immediately."""
-        stream = self._stream
+        stream = stream_of(self.device)
         others = [self._pool.submit(launch.launch, stream) for launch in recorded[1:]] if self._pool else []
         recorded[0].launch(stream)
         for other in others:
@@ -251,7 +216,7 @@ class WarpScanner:
         launches: recorded launches of the kernel.
     """
 
-    def __init__(self, simulator: WarpSimulator, beams: int) -> None:
+    def __init__(self, simulator: WarpSimulator, beams: int, reach: Tensor) -> None:
         count, device = simulator.num_envs, simulator.device
         self.angles = beam_angles(beams).float().to(device)
         self.rows = torch.ones(count, dtype=torch.bool, device=device)
@@ -259,13 +224,10 @@ class WarpScanner:
         self.visible = torch.zeros(count, SECTORS, device=device)
         self.lanes = simulator.settings.lidar_lanes or (GPU_LIDAR_LANES if device.type == "cuda" else 1)
         self.launches: list[wp.Launch] = []
-        self._simulator = simulator
+        self._simulator, self._reach = simulator, reach
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        if rows is None:
-            self.rows.fill_(True)
-        else:
-            self.rows.copy_(rows)
+        _mark(self.rows, rows)
         self.launch()
         return self.ranges.clone()
 
@@ -273,24 +235,28 @@ class WarpScanner:
         """Launches the kernel for the rovers of :attr:`rows`."""
         if self.lanes > 1:
             self.ranges.masked_fill_(self.rows[:, None], torch.inf)
-            self.visible.copy_(self._simulator.lidar_ranges[:, None])
+            self.visible.copy_(self._reach[self._simulator.fleet.index][:, None])
         self._simulator.run(self.launches)
+
+
+def _mark(rows: Tensor, chosen: Tensor | None) -> None:
+    """Writes which rows are chosen, bool ``[N]``. ``None``: all."""
+    if chosen is None:
+        rows.fill_(True)
+    else:
+        rows.copy_(chosen)
 
 
 def _solver(settings: WarpSettings, mass: float) -> Solver:
     """Converts settings to the solver parameters of the kernels, for robots of a mass (kg) at most."""
     solver, share = Solver(), max(1.0, mass / HEAVY)
-    solver.dt = settings.substep
-    solver.substeps = settings.substeps
-    solver.iterations = settings.solver_iterations
+    solver.dt, solver.substeps, solver.iterations = settings.substep, settings.substeps, settings.solver_iterations
     # A wheel has two contacts, each with half of its stiffness k and damping d. Implicit spring-damper with the time
     # step h: ERP = h k / (h k + d), and CFM = 1 / (h k + d) for forces, divided by h for impulses (R. Smith, Open
     # Dynamics Engine user guide, 3.8).
     spring, damper = share * settings.stiffness / 2 * settings.substep, share * settings.damping / 2
     solver.error_reduction = spring / (spring + damper)
     solver.softness = 1 / (settings.substep * (spring + damper))
-    solver.max_correction = settings.max_correction
-    solver.margin = settings.margin
-    solver.ground_friction = settings.ground_friction
-    solver.obstacle_friction = settings.obstacle_friction
+    for name in ("max_correction", "margin", "ground_friction", "obstacle_friction"):
+        setattr(solver, name, getattr(settings, name))
     return solver

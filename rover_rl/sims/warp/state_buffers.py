@@ -20,17 +20,9 @@ class StateBuffers:
     Robots with fewer wheels, motors or steering joints than others leave columns unused.
 
     Attributes:
-        rovers: Warp arrays for the kernels.
+        rovers: Warp arrays for the kernels, which ``types.py`` describes.
+        tensors: the same memory by the names of these arrays.
         poses: planar poses of the base frames for the next placement: x, y (m) and yaw (rad), ``[N, 3]``.
-        scene: index of each rover's world in the array of scenes, int32 ``[N]``.
-        robot: index of each rover's robot in the array of models, int32 ``[N]``.
-        target_speeds: target speed of each motor, ``[N, M]``, rad/s.
-        target_angles: target angle of each steering joint, ``[N, S]``, rad.
-        active: rovers that the next launch simulates, bool ``[N]``.
-        base_state: position (m) and orientation (x, y, z, w) of the base frame, mean speed of the wheels of each motor
-            (rad/s) and angle of each steering joint (rad), ``[N, 7 + M + S]``.
-        contact: whether the rovers touched an obstacle or a mover in the last control step, bool ``[N, 1]``.
-        mover_contact: whether they touched a mover, bool ``[N, 1]``.
         reports: fields that have been asked for.
     """
 
@@ -42,12 +34,8 @@ class StateBuffers:
         wheels = max(len(robot.wheels.hubs) for robot in fleet.robots)
         motors = max(len(robot.drive.motors) for robot in fleet.robots)
         steering = max(len(robot.drive.steering) for robot in fleet.robots)
+        flags = partial(zeros, dtype=torch.bool)
         self.poses = zeros(count, 3)
-        self.scene, self.robot = zeros(count, dtype=torch.int32), fleet.index.int()
-        self.target_speeds, self.target_angles = zeros(count, motors), zeros(count, steering)
-        self.active = torch.ones(count, dtype=torch.bool, device=device)
-        self.base_state = zeros(count, 7 + motors + steering)
-        self.contact, self.mover_contact = zeros(count, 1, dtype=torch.bool), zeros(count, 1, dtype=torch.bool)
         self._parameters = {
             "mass": zeros(count),
             "center": zeros(count, 3),
@@ -56,7 +44,7 @@ class StateBuffers:
             "friction_scale": zeros(count),
             "motor_torque": zeros(count),
         }
-        self._arrays = {
+        self.tensors = {
             "position": zeros(count, 3),
             "orientation": zeros(count, 4),
             "velocity": zeros(count, 3),
@@ -65,15 +53,15 @@ class StateBuffers:
             # Three impulses for each of the two ground contacts of a wheel, and one for its motor.
             "impulses": zeros(count, 7 * wheels),
             **self._parameters,
-            "scene": self.scene,
-            "robot": self.robot,
-            "target_speeds": self.target_speeds,
-            "target_angles": self.target_angles,
+            "scene": zeros(count, dtype=torch.int32),
+            "robot": fleet.index.int(),
+            "target_speeds": zeros(count, motors),
+            "target_angles": zeros(count, steering),
             "angles": zeros(count, steering),
-            "active": self.active,
-            "base_state": self.base_state,
-            "contact": self.contact.view(count),
-            "mover_contact": self.mover_contact.view(count),
+            "active": flags(count),
+            "base_state": zeros(count, 7 + motors + steering),
+            "contact": flags(count),
+            "mover_contact": flags(count),
         }
         self.reports: dict[str, Tensor] = {}
         self.rovers = self.struct()
@@ -83,29 +71,26 @@ class StateBuffers:
     def struct(self, **scan: Tensor) -> RoverArrays:
         """Returns the struct for the kernels, with the arrays of a scan for the lidar's."""
         rovers, types = RoverArrays(), vars(RoverArrays)["vars"]
-        for name, tensor in (self._arrays | scan).items():
+        for name, tensor in (self.tensors | scan).items():
             setattr(rovers, name, wp.from_torch(tensor, dtype=types[name].type.dtype))
         return rovers
 
     def measure(self, fields: Collection[Force]) -> None:
         """Adds arrays for fields that are asked for. They are the kernels' from the next launch that is recorded."""
-        count, wheels = self._arrays["wheel_spins"].shape
+        count, wheels = self.tensors["wheel_spins"].shape
         empty = no_forces(fields, count, wheels)
-        self.reports = {name: torch.from_numpy(values).to(self.scene.device) for name, values in empty.items()}
-        self._arrays |= self.reports
+        self.reports = {name: torch.from_numpy(values).to(self.poses.device) for name, values in empty.items()}
+        self.tensors |= self.reports
         self.rovers = self.struct()
 
     def enter_robots(self, mask: Tensor) -> None:
         """Gives the rovers of ``mask`` the robots of the fleet's index, with their own dynamics."""
         index = self._fleet.index
-        self.robot.copy_(index)
+        self.tensors["robot"].copy_(index)
         self._change(mask, {name: values[index] for name, values in self._nominal.items()})
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the rovers of ``mask``.
-
-        A changed mass moves the center of mass: the stored positions are valid again after the next placement.
-        """
+        """Sets dynamics. A changed mass moves the center of mass: positions are valid after the next placement."""
         self._change(mask, self._parameters_of(self._fleet.index, dynamics))
 
     def _parameters_of(self, index: Tensor, dynamics: Dynamics | None = None) -> dict[str, Tensor]:
@@ -131,10 +116,7 @@ class StateBuffers:
 
 
 def _inverse(matrices: Tensor) -> Tensor:
-    """Inverses of matrices ``[N, 3, 3]``, by cross products of their rows.
-
-    The result of a row does not depend on the other rows, to the last bit.
-    """
+    """Inverses of matrices ``[N, 3, 3]``, by cross products: one does not depend on the others, to the last bit."""
     a, b, c = matrices.unbind(-2)
     columns = torch.stack((torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)), -1)
     return columns / (a * columns[..., 0]).sum(-1)[:, None, None]

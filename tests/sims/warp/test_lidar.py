@@ -66,8 +66,8 @@ def warp_scan(
     fleet = Fleet.of(ROVER, count)
     models = ModelTable(fleet, "cpu")
     buffers = StateBuffers(fleet)
-    buffers.base_state[:, :3] = torch.from_numpy(position)
-    buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
+    buffers.tensors["base_state"][:, :3] = torch.from_numpy(position)
+    buffers.tensors["base_state"][:, 3:7] = torch.from_numpy(rotation.as_quat())
     rows = torch.ones(count, dtype=torch.bool) if scanned is None else scanned
     ranges = torch.zeros(count, beams).masked_fill(rows[:, None], torch.inf)
     visible = torch.full((count, SECTORS), ROVER.lidar_range)

@@ -1,8 +1,7 @@
 """Warp kernels: physics and lidar of one rover per thread, or on a GPU the lidar of one rover by several threads.
 
-Kernels and functions are written in Warp's subset of Python and compiled on first launch. Every thread reads and writes
-only the rows of its own rover, so that a result depends neither on the other rovers of a batch nor on the number of
-threads, to the last bit.
+Every thread reads and writes only the rows of its own rover, so that a result depends neither on the other rovers of a
+batch nor on the number of threads, to the last bit.
 
 Frames, used by all modules:
     world: z up, m.

@@ -1,11 +1,8 @@
 """Collision detection, and the constraint rows of each contact.
 
-Contacts are found between wheels and ground, chassis and ground, and the whole rover and obstacles. A thread stores
-them in one array: first the two ground contacts of every wheel, at fixed indices (one at each edge of the tread), then
-up to ``EXTRA_CONTACTS`` others.
-
-Frames: arms, normals and tangents are in the body frame (axes of the base frame, origin at the center of mass); terrain
-and obstacles are queried in the world frame. Lengths in m.
+A thread stores contacts in one array: first the two of every wheel with the ground, at fixed indices (one at each edge
+of the tread), then up to ``EXTRA_CONTACTS`` others, of the chassis with the ground, and of the rover with obstacles and
+movers. Arms, normals and tangents are in the body frame, terrain and obstacles in the world frame. Lengths in m.
 
 Constraint rows. The generalized velocity is ``u = (v, w, s_1, ..., s_W)``: velocity of the center of mass (m/s) and
 angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e (rad/s),
@@ -97,7 +94,6 @@ class Contact:
 
 @wp.func
 def rolling_direction(axle: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Direction perpendicular to an axle and to another vector, ``e x n``."""
     if is_straight(axle):
         return wp.vec3(normal[2], 0.0, -normal[0])
     return wp.cross(axle, normal)
@@ -168,8 +164,7 @@ def prepare_contacts(
 ):
     """Fills in the constraint rows of the active ones among the first ``count`` contacts.
 
-    All are prepared here, after the search: neighboring threads of a GPU, which find contacts at different times, do
-    this together.
+    All after the search: neighboring threads of a GPU, which find contacts at different times, do this together.
 
     Effective masses: ``m_n = 1 / (1/m + moment . response + a^2 / J + softness)``, and for friction the smaller of the
     two tangents' masses without softness. Target speed along the normal:
@@ -242,12 +237,11 @@ def collide_wheels_with_ground(
     axles: wp.array[wp.vec3],
     friction: float,
 ):
-    """Finds two contacts per wheel: the deepest point of each edge of its tread.
+    """Finds two contacts per wheel: the deepest point of each of the end circles of its cylinder.
 
-    A wheel is a cylinder; each of its two end circles is a candidate contact. Tests the circle's lowest point, the
-    points 40 degrees behind and ahead, which find steps and peaks, and the exact deepest point with respect to the
-    terrain plane of the deepest sample, ``arm = middle - r p / |p|`` with the part p of the normal in the wheel's
-    plane. Keeps the point with the least gap.
+    Tests the lowest point, the points 40 degrees behind and ahead, which find steps and peaks, and the exact deepest
+    point below the terrain plane of the deepest sample, ``arm = middle - r p / |p|`` with the part p of the normal in
+    the wheel's plane.
     """
     to_body = wp.transpose(body.rotation)
     down = to_body * wp.vec3(0.0, 0.0, -1.0)
@@ -307,11 +301,7 @@ def add_contact(
     friction: float,
     surface: wp.vec3,
 ) -> int:
-    """Appends an extra contact and returns the new contact count.
-
-    If the array is full, replaces the shallowest of the extra contacts, or drops the new one if that is shallower
-    still.
-    """
+    """Appends an extra contact, and returns the new count. If the array is full, the shallowest one is left out."""
     first = 2 * model.wheels
     k = count
     if count == first + EXTRA_CONTACTS:
@@ -351,9 +341,8 @@ def collide_peaks_with_chassis(
 ) -> int:
     """Adds a contact for each grid point of the ground inside a chassis box; returns the contact count.
 
-    Complements :func:`collide_chassis_with_ground`: a narrow peak between the sample points of the chassis is a vertex
-    of the terrain. The contact normal is the box face of least penetration, among the sides and the face that looks
-    down.
+    It finds narrow peaks between the sample points of the chassis. The contact normal is the box face of least
+    penetration, among the sides and the face that looks down.
     """
     to_body = wp.transpose(body.rotation)
     columns = scene.heights.shape[1]
@@ -441,9 +430,9 @@ def collide_with_obstacles(
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
 
-    Sets ``touched[rover]`` if there is any. Broad phase: a uniform grid over (x, y) lists the obstacles near the rover,
-    and bounding spheres and face planes reject most pairs. The others are collected in ``pairs`` before they are
-    tested: neighboring threads of a GPU, which find theirs at different times, test them together.
+    Sets ``touched[rover]`` if there is any. A uniform grid over (x, y) lists the obstacles near the rover, and bounding
+    spheres and face planes reject most pairs. The others are collected in ``pairs``: neighboring threads of a GPU,
+    which find theirs at different times, test them together.
     """
     if scene.grid_columns == 0:
         return count
@@ -539,7 +528,7 @@ def collide_with_movers(
 def add_forces(forces: wp.array2d[float], rover: int, contacts: wp.array[Contact], first: int, count: int, rate: float):
     """Adds the normal impulses of obstacles and movers, times a rate (1/s), by the side of the rover that they act on.
 
-    Columns: front, left, back and right for obstacles, then for movers. See :func:`rover_rl.sims.rover_state.by_side`.
+    Columns: front, left, back and right for obstacles, then for movers. See ``sims.rover_state.by_side``.
     """
     for k in range(first, count):
         if contacts[k].key >= OBSTACLE_KEYS:
@@ -557,8 +546,7 @@ def restore_impulses(
 ):
     """Restores the impulses of the extra contacts, from index ``first`` on, by their keys (warm start).
 
-    ``keys`` and ``impulses`` hold those of the last substep; ``keys`` is updated for the next one, with 0 for no
-    contact. Wheel contacts need no matching, as their indices are fixed.
+    ``keys`` and ``impulses`` hold those of the last substep; ``keys`` is updated for the next one, 0 for no contact.
     """
     for k in range(first, count):
         for n in range(EXTRA_CONTACTS):

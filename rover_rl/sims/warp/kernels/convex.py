@@ -1,14 +1,12 @@
 """Narrow phase: penetration of a part of the rover, a box or a wheel, into a convex obstacle.
 
 Method: Minkowski portal refinement (G. Snethen, "XenoCollide: Complex Collision Made Simple", Game Programming Gems 7,
-2008). Part A and obstacle B overlap where the origin lies in the Minkowski difference A - B. The algorithm casts a ray
-from a point ``v0`` inside A - B through the origin, finds a triangle of support points (the portal) that the ray passes
-through, and moves the portal outward until it lies on the surface of A - B. Its normal and distance from the origin are
-the contact normal and the penetration depth.
+2008). Part A and obstacle B overlap where the origin lies in the Minkowski difference A - B. A ray goes from a point
+``v0`` inside A - B through the origin. The triangle of support points (the portal) that it passes through is moved
+outward until it lies on the surface of A - B: its normal and distance are the contact normal and the depth.
 
-The direction found depends on ``v0``. Here, the point of B behind ``v0`` is just inside the obstacle face nearest to
-the part, rather than the obstacle's center. The ray then crosses that face, and the result is close to the direction of
-least penetration even beside long walls.
+The point of B behind ``v0`` is just inside the face nearest to the part. The ray then crosses that face, and the result
+is close to the direction of least penetration even beside long walls.
 
 Frames: obstacles are given in the world frame; the Minkowski difference, normals and arms are in the body frame (axes
 of the base frame, origin at the center of mass). Lengths in m.
@@ -30,10 +28,9 @@ INSET = 0.02
 
 @wp.struct
 class Overlap:
-    """Penetration of a part into an obstacle, in the body frame.
+    """Penetration of a part into an obstacle, in the body frame: its depth (m) is negative without an overlap.
 
-    ``depth`` (m) is negative without an overlap, ``normal`` points from the obstacle to the rover, and ``arm`` (m) is
-    the contact point relative to the center of mass.
+    ``normal`` points from the obstacle to the rover, and ``arm`` is the contact point.
     """
 
     depth: float
@@ -66,10 +63,7 @@ def max_separation_plane(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec4
 
 @wp.func
 def is_near(scene: Scene, obstacle: int, point: wp.vec3, radius: float) -> bool:
-    """Conservative test whether an obstacle is within ``radius`` (m) of a world point.
-
-    Tests the bounding sphere first, which is cheaper, then the face planes.
-    """
+    """Conservative test whether an obstacle is within ``radius`` (m) of a world point: bounding sphere, then planes."""
     sphere = scene.spheres[obstacle]
     reach = sphere[3] + radius
     if wp.length_sq(wp.vec3(sphere[0], sphere[1], sphere[2]) - point) > reach * reach:
@@ -104,9 +98,8 @@ def is_straight(axle: wp.vec3) -> bool:
 def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Support point of a part, the point farthest along ``direction``, in the base frame.
 
-    A box has its support point at a corner. A wheel is a cylinder about its axle, a horizontal unit vector a, and has
-    it on the rim of an end face: ``hub + r p / |p| + sign(d . a) a w / 2`` with radius r, width w and the part
-    ``p = d - (d . a) a`` of the direction d.
+    It is a corner of a box. A wheel, a cylinder of radius r and width w about its axle, a horizontal unit vector a, has
+    it on the rim of an end face: ``hub + r p / |p| + sign(d . a) a w / 2`` with ``p = d - (d . a) a``.
     """
     boxes = model.box_centers.shape[0]
     if part < boxes:
@@ -132,9 +125,8 @@ def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3
 def support(
     scene: Scene, model: RobotModel, body: Body, part: int, axle: wp.vec3, obstacle: int, direction: wp.vec3
 ) -> Support:
-    """Support point of the Minkowski difference part - obstacle along ``direction``, in the body frame.
+    """Support point of the Minkowski difference along ``direction``, in the body frame: ``s_A(d) - s_B(-d)``.
 
-    ``s_(A - B)(d) = s_A(d) - s_B(-d)``: the part's farthest point minus the obstacle's farthest point the other way.
     The obstacle's vertices are compared in the world frame, and only the one chosen is transformed.
     """
     point = Support()

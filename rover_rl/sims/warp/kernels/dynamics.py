@@ -1,9 +1,7 @@
 """Rigid-body dynamics of a rover: constraint solver and time integration.
 
-A rover is one rigid body with spinning wheels. The wheels are fixed to the chassis but for their rotation about the
-axles and the turn of steered ones, which changes the axle e but no inertia, and have their centers of mass there: the
-inertia of the whole does not depend on the wheels' angles, and motors and contacts are all that couples a wheel's spin
-to the body.
+A rover is one rigid body with spinning wheels, whose centers of mass are on their axles: the inertia of the whole does
+not depend on their angles, and motors and contacts are all that couples a wheel's spin to the body.
 
 State (world frame unless stated otherwise): position of the center of mass (m), orientation quaternion (x, y, z, w),
 velocity v (m/s), angular velocity w (rad/s), and the absolute spin rate s of each wheel about its axle (rad/s). The
@@ -50,10 +48,7 @@ __syncthreads();
 #endif
 """)
 def sync_threads():
-    """Lets the threads of a block go on together on a GPU, so that they read the same instructions at the same time.
-
-    The instructions of a substep do not fit into the instruction cache.
-    """
+    """Lets the threads of a block read the same instructions at the same time: they do not fit into a GPU's cache."""
     ...
 
 
@@ -67,10 +62,7 @@ def apply_impulse(
     inverse_mass: float,
     inverse_spin: float,
 ) -> Twist:
-    """Applies an impulse (normal, longitudinal, lateral; N s) at contact ``k``: ``u += M^-1 J^T p``.
-
-    Returns the new twist of the body; the wheel's spin is changed in place.
-    """
+    """Applies an impulse (normal, longitudinal, lateral; N s) at contact ``k``: ``u += M^-1 J^T p``."""
     normal = contacts[k].normal
     longitudinal = contacts[k].longitudinal
     lateral = contacts[k].lateral
@@ -108,9 +100,8 @@ def solve_motors(
     """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
 
     A motor turns its wheels against the chassis. The row of a wheel with the axle e is ``s - e . w = target``, with
-    effective mass ``1 / (1/J + e . I^-1 e)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque
-    limit times dt. ``axles`` are the directions e, ``responses`` ``I^-1 e``, ``masses`` the effective masses, 0 without
-    a motor, and ``targets`` speeds relative to the chassis (rad/s). ``wheel_spins`` and ``motors`` change in place.
+    effective mass ``1 / (1/J + e . I^-1 e)``, 0 without a motor; the accumulated impulse in ``motors`` is clamped to +-
+    ``max_impulse``, the torque limit times dt. ``responses`` are ``I^-1 e``.
     """
     for wheel in range(model.wheels):
         speed = wheel_spins[wheel] - wp.dot(axles[wheel], twist.angular)
@@ -190,10 +181,9 @@ def step_dynamics(
     movers: MoverArrays,
     first: int,
 ):
-    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
+    """One control step; thread ``t`` simulates rover ``first + t``. Inactive rovers keep their state.
 
-    Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
-    next control step; those of the extra contacts start from zero.
+    Impulses of the wheel contacts and motors are stored for the next control step; extra contacts start from zero.
     """
     row = first + wp.tid()
     if not rovers.active[row]:
@@ -350,10 +340,7 @@ def clear_reports(rovers: RoverArrays, row: int):
 
 @wp.func
 def axle_of(model: RobotModel, rovers: RoverArrays, row: int, wheel: int, share: float) -> wp.vec3:
-    """Direction of the axle of a wheel in the body frame, after a share of the control step.
-
-    Steering joints turn evenly from their angle at the start of the step to their target: ``e = (-sin a, cos a, 0)``.
-    """
+    """Direction of the axle of a wheel in the body frame, after a share of the control step."""
     joint = model.steering_of_wheel[wheel]
     if joint < 0:
         return LEFT
@@ -366,8 +353,7 @@ def axle_of(model: RobotModel, rovers: RoverArrays, row: int, wheel: int, share:
 def write_base_state(model: RobotModel, rovers: RoverArrays, row: int):
     """Writes the output of a rover: pose of the base frame, mean wheel speed of each motor, and steering angles.
 
-    The base frame is at ``x - R c``, with the center of mass c in the base frame. Wheel speeds are those that encoders
-    measure, relative to the chassis: ``s - e . w`` for an axle e, with w in the body frame.
+    Wheel speeds are those that encoders measure, relative to the chassis: ``s - e . w`` for an axle e.
     """
     orientation = rovers.orientation[row]
     base = rovers.position[row] - wp.quat_rotate(orientation, rovers.center[row])

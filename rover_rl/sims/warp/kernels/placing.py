@@ -1,8 +1,4 @@
-"""Placement of rovers at rest on the ground: 3D poses from planar ones.
-
-A rover is aligned with the plane fitted to the ground below its wheels, and raised until no wheel is below the ground,
-as :func:`rover_rl.sims.free_space.rest_on_ground` does.
-"""
+"""Placement of rovers at rest on the ground, as :func:`rover_rl.sims.free_space.rest_on_ground` does it."""
 
 from __future__ import annotations
 
@@ -79,10 +75,7 @@ def pose_at_rest(scene: Scene, model: RobotModel, pose: wp.vec3) -> wp.transform
 
 @wp.kernel
 def place(scenes: wp.array[Scene], models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array[wp.vec3]):
-    """Places the active rovers at rest on the ground, with no stored impulses; thread ``t`` places rover ``t``.
-
-    ``poses`` are planar poses of the base frames: x, y (m) and yaw (rad), ``[N]``.
-    """
+    """Places the active rovers at planar poses, x, y (m) and yaw (rad), at rest and with no stored impulses."""
     row = wp.tid()
     if not rovers.active[row]:
         return

@@ -1,7 +1,4 @@
-"""The plane of a lidar scan, and how far the lidar sees in it.
-
-Frames and units are those of :mod:`rover_rl.sims.warp.kernels.lidar`.
-"""
+"""The plane of a lidar scan, and how far the lidar sees in it, in the frames of ``lidar.py``."""
 
 from __future__ import annotations
 
@@ -16,18 +13,20 @@ RANGE_SLACK = 1e-3
 
 
 @wp.struct
-class ScanPlane:
-    """The plane of a scan.
+class Scan:
+    """The scan of a rover, or the share of one of the threads that scan for it, its lanes.
 
     ``origin`` is the lidar in the world frame; ``ahead``, ``left`` and ``normal`` are the axes of the base frame in the
     world frame. Relative to the lidar, the plane is ``z = rise_x x + rise_y y``; its point above (x, y) lies
     ``ahead_from_xy . (x, y)`` ahead of the lidar and ``left_from_xy . (x, y)`` to its left. ``range`` is the maximum
-    range of the lidar.
-
-    ``lanes`` is the number of threads that scan for the rover, its lanes, and ``lane`` the number of this one. A beam
-    that ends nearer than ``tie`` times the distance of a segment is not compared with it.
+    range of the lidar. A beam that ends nearer than ``tie`` times the distance of a segment is not compared with it.
     """
 
+    # Unit directions of the beams (ahead, left), ranges and bounds of how far each sector sees, and the rover's row.
+    beams: wp.array[wp.vec2]
+    ranges: wp.array2d[float]
+    visible: wp.array2d[float]
+    row: int
     origin: wp.vec3
     normal: wp.vec3
     ahead: wp.vec3
@@ -43,37 +42,35 @@ class ScanPlane:
 
 
 @wp.func
-def scan_plane(position: wp.vec3, orientation: wp.quat, lidar_position: wp.vec3, max_range: float) -> ScanPlane:
-    """Scan plane of a lidar mounted at ``lidar_position`` in the base frame.
+def start_scan(position: wp.vec3, orientation: wp.quat, lidar_position: wp.vec3, max_range: float) -> Scan:
+    """Plane of the scan of a lidar mounted at ``lidar_position`` in the base frame.
 
     From ``n . p = 0``: ``rise_x = -n_x / n_z``, ``rise_y = -n_y / n_z``. With the axis a = (a_x, a_y, a_z) of the base
     frame, ``a . (x, y, rise_x x + rise_y y) = (a_x + a_z rise_x) x + (a_y + a_z rise_y) y``.
     """
-    plane = ScanPlane()
+    scan = Scan()
     rotation = wp.quat_to_matrix(orientation)
-    plane.origin = position + rotation * lidar_position
-    plane.ahead = wp.vec3(rotation[0, 0], rotation[1, 0], rotation[2, 0])
-    plane.left = wp.vec3(rotation[0, 1], rotation[1, 1], rotation[2, 1])
-    plane.normal = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
-    up = plane.normal[2]
+    scan.origin = position + rotation * lidar_position
+    scan.ahead = wp.vec3(rotation[0, 0], rotation[1, 0], rotation[2, 0])
+    scan.left = wp.vec3(rotation[0, 1], rotation[1, 1], rotation[2, 1])
+    scan.normal = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
+    up = scan.normal[2]
     # A vertical plane has no slopes: use one that is tilted by a milliradian.
     up = wp.where(wp.abs(up) < 1.0e-3, wp.where(up < 0.0, -1.0e-3, 1.0e-3), up)
-    plane.rise_x = -plane.normal[0] / up
-    plane.rise_y = -plane.normal[1] / up
-    plane.ahead_from_xy = wp.vec2(
-        plane.ahead[0] + plane.ahead[2] * plane.rise_x, plane.ahead[1] + plane.ahead[2] * plane.rise_y
+    scan.rise_x = -scan.normal[0] / up
+    scan.rise_y = -scan.normal[1] / up
+    scan.ahead_from_xy = wp.vec2(
+        scan.ahead[0] + scan.ahead[2] * scan.rise_x, scan.ahead[1] + scan.ahead[2] * scan.rise_y
     )
-    plane.left_from_xy = wp.vec2(
-        plane.left[0] + plane.left[2] * plane.rise_x, plane.left[1] + plane.left[2] * plane.rise_y
-    )
-    plane.range = max_range
-    return plane
+    scan.left_from_xy = wp.vec2(scan.left[0] + scan.left[2] * scan.rise_x, scan.left[1] + scan.left[2] * scan.rise_y)
+    scan.range = max_range
+    return scan
 
 
 @wp.func
-def stretch_of(plane: ScanPlane) -> float:
+def stretch_of(scan: Scan) -> float:
     """Factor that bounds a length in the scan plane by its length seen from above."""
-    return 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
+    return 1.0 / wp.max(wp.abs(scan.normal[2]), 1.0e-3)
 
 
 @wp.func
@@ -100,42 +97,39 @@ def angle_in_turns(x: float, y: float) -> float:
 
 
 @wp.func
-def update_visibility(
-    ranges: wp.array2d[float], visible: wp.array2d[float], row: int, count: int, plane: ScanPlane
-) -> float:
+def update_visibility(scan: Scan) -> float:
     """Bounds how far each sector of the scan sees, and returns the bound of the farthest of all, m.
 
     A lane updates every ``lanes``-th sector. Bounds may be out of date: ranges only shrink, so that an old bound holds.
     """
-    for sector in range(plane.lane, SECTORS, plane.lanes):
+    count = scan.beams.shape[0]
+    for sector in range(scan.lane, SECTORS, scan.lanes):
         sector_range = float(0.0)
         # Beams whose directions are in the sector.
         first = (sector * count + SECTORS - 1) // SECTORS
         last = ((sector + 1) * count + SECTORS - 1) // SECTORS - 1
         # Groups of four shorten the chain of dependent maxima.
         for beam in range(first, last + 1, 4):
-            one = wp.max(ranges[row, beam], ranges[row, wp.min(beam + 1, last)])
-            two = wp.max(ranges[row, wp.min(beam + 2, last)], ranges[row, wp.min(beam + 3, last)])
+            one = wp.max(scan.ranges[scan.row, beam], scan.ranges[scan.row, wp.min(beam + 1, last)])
+            two = wp.max(scan.ranges[scan.row, wp.min(beam + 2, last)], scan.ranges[scan.row, wp.min(beam + 3, last)])
             sector_range = wp.max(sector_range, wp.max(one, two))
-        visible[row, sector] = wp.min(sector_range + RANGE_SLACK, plane.range)
+        scan.visible[scan.row, sector] = wp.min(sector_range + RANGE_SLACK, scan.range)
     farthest = float(0.0)
     for sector in range(SECTORS):
-        farthest = wp.max(farthest, visible[row, sector])
+        farthest = wp.max(farthest, scan.visible[scan.row, sector])
     return farthest
 
 
 @wp.func
-def is_occluded(
-    visible: wp.array2d[float], row: int, plane: ScanPlane, x: float, y: float, radius: float, distance: float
-) -> bool:
-    """Conservative occlusion test of a disk in the scan plane.
+def is_occluded(scan: Scan, x: float, y: float, radius: float, distance: float) -> bool:
+    """Conservative occlusion test of a disk in the scan scan.
 
     The disk is occluded if every sector that it overlaps sees less far than to it. Its half-width in angle is
     ``asin(radius / d) <= (radius / d) (pi / 2)``, or ``0.25 radius / d`` turns. Its center is at x and y relative to
     the lidar, and ``distance`` is a lower bound of that of its points to it, m.
     """
-    ahead = plane.ahead_from_xy[0] * x + plane.ahead_from_xy[1] * y
-    left = plane.left_from_xy[0] * x + plane.left_from_xy[1] * y
+    ahead = scan.ahead_from_xy[0] * x + scan.ahead_from_xy[1] * y
+    left = scan.left_from_xy[0] * x + scan.left_from_xy[1] * y
     middle = angle_in_turns(ahead, left) * float(SECTORS)
     share = radius / wp.sqrt(ahead * ahead + left * left)
     if share >= 1.0:
@@ -144,6 +138,6 @@ def is_occluded(
     width = share * 0.25 * float(SECTORS) + SECTOR_SLACK
     for k in range(int(wp.floor(middle - width)), int(wp.floor(middle + width)) + 1):
         sector = (k + 2 * SECTORS) % SECTORS
-        if visible[row, sector] > distance:
+        if scan.visible[scan.row, sector] > distance:
             return False
     return True

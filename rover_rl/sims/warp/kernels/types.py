@@ -1,7 +1,4 @@
-"""Structs passed to the kernels: the robot model, the movers, the solver parameters and the rover state.
-
-Units are SI: m, s, kg, rad, N m, N s. :mod:`rover_rl.sims.warp.kernels` defines the frames.
-"""
+"""Structs passed to the kernels, in SI units and the frames of :mod:`rover_rl.sims.warp.kernels`."""
 
 from __future__ import annotations
 
@@ -16,8 +13,7 @@ class RobotModel:
     """Geometry and wheel inertia of a robot. Positions in the base frame, m."""
 
     wheels: int
-    # Motor of each wheel, -1 for a wheel without one; the steering joint that carries it, -1 without one; and the
-    # direction of its roller on the ground, a unit vector, or zero for a tire.
+    # Motor and steering joint of each wheel, or -1; direction of its roller on the ground, zero for a tire.
     motors: int
     motor_of_wheel: wp.array[int]
     steering_of_wheel: wp.array[int]
@@ -41,9 +37,8 @@ class RobotModel:
 class Body:
     """Pose, velocity and inertia of a rover in one substep.
 
-    ``center`` is the center of mass in the base frame, ``position`` the same point in the world frame (m), ``rotation``
-    the rotation from the body to the world frame. Velocities (m/s, rad/s) and inertia are in the body frame;
-    ``inverse_spin`` is ``1 / J`` of a wheel.
+    ``center`` is the center of mass in the base frame, ``position`` the same in the world frame, ``rotation`` that to
+    the world frame. Velocities and inertia are in the body frame; ``inverse_spin`` is 1 / J of a wheel.
     """
 
     center: wp.vec3
@@ -77,9 +72,8 @@ class Solver:
     dt: float
     substeps: int
     iterations: int
-    # Contact compliance, as an implicit spring-damper: share of the penetration removed in a substep (ODE's ERP),
-    # approach speed admitted per unit of accumulated impulse, m/s per N s (ODE's CFM / dt), and the maximum speed at
-    # which a penetration is removed, m/s.
+    # Compliance of contacts: share of the penetration removed in a substep (ODE's ERP), approach speed per accumulated
+    # impulse, m/s per N s (ODE's CFM / dt), and the maximum speed at which a penetration is removed, m/s.
     error_reduction: float
     softness: float
     max_correction: float
@@ -101,8 +95,7 @@ class RoverArrays:
     angular_velocity: wp.array[wp.vec3]
     # Absolute spin rate of each wheel about its axle [N, wheels], rad/s: relative to the world, not to the chassis.
     wheel_spins: wp.array2d[float]
-    # Warm start [N, 7 * wheels], N s: normal, longitudinal and lateral impulse of the two ground contacts of each
-    # wheel, then the angular impulse (N m s) of each motor.
+    # Warm start [N, 7 * wheels], N s: three impulses of the two ground contacts of each wheel, then that of each motor.
     impulses: wp.array2d[float]
     # Mass (kg), center of mass in the base frame (m), inertia about it in the body frame without the axle inertia of
     # the wheels (kg m^2), and the inverse of that.
@@ -118,22 +111,18 @@ class RoverArrays:
     motor_torque: wp.array[float]
     # Angle of each steering joint [N, steering], rad.
     angles: wp.array2d[float]
-    # Inputs: target speed of each motor relative to the chassis [N, motors] (rad/s), target angle of each steering
-    # joint [N, steering] (rad), which rovers are simulated, and which of them scan.
+    # Inputs: targets of each motor [N, motors] (rad/s) and steering joint [N, steering] (rad), and who moves and scans.
     target_speeds: wp.array2d[float]
     target_angles: wp.array2d[float]
     active: wp.array[wp.bool]
     scanned: wp.array[wp.bool]
-    # Outputs: base state [N, 7 + motors + steering] (position of the base frame, its orientation, mean speed of the
-    # wheels of each motor relative to the chassis, angles), scan [N, beams], m, and whether the rover touched an
-    # obstacle in the last control step.
+    # Outputs: base state [N, 7 + motors + steering] (pose of the base frame, mean speed of the wheels of each motor,
+    # angles), scan [N, beams], m, and whether the rover touched anything, or a mover, in the last control step.
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
     contact: wp.array[wp.bool]
-    # Whether the rover touched a mover in the last control step.
     mover_contact: wp.array[wp.bool]
-    # Outputs, empty unless asked for: forces on each side, of obstacles and of movers [N, 8], N, and torques of the
-    # wheel motors [N, wheels], N m, means over the control step.
+    # Empty unless asked for: forces on each side [N, 8], N, and torques of the wheel motors [N, wheels], N m.
     contact_force: wp.array2d[float]
     wheel_torque: wp.array2d[float]
     # Working memory of the scan: bounds of how far each sector sees, [N, SECTORS], m.
