@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.live import Live
 
-from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
+from rover_rl import checks
 from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, ResolvedPolicy, read_env, resolve_policy
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
+from rover_rl.names import Name
 from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
@@ -29,12 +29,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.algos.evaluation.evaluate import Policy
 
-GOAL_NOT_REACHED = 1
-"""Exit code if a goal was not reached."""
-UNLIMITED = 10**9
-"""Effectively unlimited episode length, steps: the time limit ends a drive."""
-SENSOR_TIMEOUT = 0.5
-"""Time without a sensor message after which a drive ends, s. Without a scan, the rover stops after half of it."""
+GOAL_NOT_REACHED = 1  # exit code
+SENSOR_TIMEOUT = 0.5  # time without a sensor message after which a drive ends, s; without a scan, it stops before
 HIDDEN = {"model", "reset", "reset_topic", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"}
 """Settings that a drive chooses itself, or that are for resets, of which it has none."""
 
@@ -101,7 +97,7 @@ class Drive:
 
     def __call__(self) -> int:
         self._check()
-        endings = []
+        endings: list[str] = []
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.drive_log import DriveLog, check_log
@@ -115,9 +111,8 @@ class Drive:
             check_log(self.log)
             policy = self._policy()
             assert policy.module is not None
-            goals, settings = self._goals(policy.worlds[0]), self._settings(policy.module)
-            described = self._description(policy, settings)
-            page = None
+            world, module, page = policy.worlds[0], policy.module, None
+            goals, described = self._goals(world), self._description(module, world)
             if self.view:
                 # Before the rover moves.
                 from rover_rl.view.live import LivePage
@@ -129,37 +124,26 @@ class Drive:
             assert isinstance(env.simulator, Ros2Simulator)
             if page is not None:
                 page.on_stop = env.simulator.halt
-            runner = PolicyRunner(policy.module, env=env) if page is None else page.runner(policy.module, env)
-            log = stack.enter_context(
-                DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, name_of_part(described.robot))
-            )
+            runner = PolicyRunner(module, env=env) if page is None else page.runner(module, env)
+            robot = name_of_part(described.robot)
+            log = stack.enter_context(DriveLog(self.log, world, policy.name, self.seconds, robot))
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
-            for number, goal in enumerate(goals, 1):
+            limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "patience", "allow_unseen")}
 
-                def on_step(moment: Moment | None, label: str = f"goal {number} of {len(goals)}") -> None:
-                    raise_if_interrupted()
+            def on_step(moment: Moment | None) -> None:
+                raise_if_interrupted()
+                if page is not None:
+                    page.check()
+                if moment is not None:
+                    show_status(f"goal {len(endings) + 1} of {len(goals)}", moment)
                     if page is not None:
-                        page.check()
-                    if moment is not None:
-                        show_status(label, moment)
-                        if page is not None:
-                            page.show(env, moment)
+                        page.show(env, moment)
 
+            for number, goal in enumerate(goals, 1):
                 on_step(None)
-                ending = drive_to(
-                    env,
-                    runner,
-                    goal,
-                    seconds=self.seconds,
-                    clearance=self.clearance,
-                    patience=self.patience,
-                    allow_unseen=self.allow_unseen,
-                    watch=on_step,
-                    log=log,
-                )
-                print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {ending}", flush=True)
-                endings.append(ending)
-                if ending == RESTARTED:
+                endings.append(drive_to(env, runner, goal, **limits, watch=on_step, log=log))
+                print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {endings[-1]}", flush=True)
+                if endings[-1] == RESTARTED:
                     break  # the pose of a restarted robot is unknown
         print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
@@ -169,21 +153,18 @@ class Drive:
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
         if not (self.goal or self.goals or self.random):
             raise ValueError("say where to drive: --goal X Y, --goals FILE or --random COUNT")
-        check_positive(MAX_SECONDS, seconds=self.seconds)
-        check_at_least(0, MAX_SECONDS, timeout=self.connection.timeout)
-        check_at_least(0, MAX_NUMBER, clearance=self.clearance, patience=self.patience)
-        check_at_least(0, MAX_COUNT, random=self.random)
-        check_seed(self.seed)
+        checks.check_positive(checks.MAX_SECONDS, seconds=self.seconds)
+        checks.check_at_least(0, checks.MAX_SECONDS, timeout=self.connection.timeout)
+        checks.check_at_least(0, checks.MAX_NUMBER, clearance=self.clearance, patience=self.patience)
+        checks.check_at_least(0, checks.MAX_COUNT, random=self.random)
+        checks.check_seed(self.seed)
 
     def _policy(self) -> ResolvedPolicy:
-        from rover_rl.names import Name
-
         robot = None if self.robot is None else with_options(self.robot, self.robot_options)
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), robot)
         if policy.module is None or not policy.worlds:
-            raise ValueError(
-                f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
-            )
+            text = "cannot drive a live rover; say which --world it is in, or name a checkpoint"
+            raise ValueError(f"{self.policy} {text}")
         if policy.config is None or self.allow_other_world:
             return policy
         trained, network = policy.config.env.world_names, policy.config.network
@@ -195,42 +176,42 @@ class Drive:
             )
         return policy
 
-    def _settings(self, policy: Policy) -> Ros2Settings:
-        """Returns the settings of the connection to the rover, with the limits that a policy was trained with."""
-        given = replace(self.settings, reset="none", step_timeout=SENSOR_TIMEOUT)
-        trained: EnvConfig | None = getattr(policy, "made_for", None)
-        if trained is not None and trained.limits.apply:
-            limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
-            chosen = {name for name in limits if name != "min_reversal" and getattr(given, name) is not None}
-            given = replace(given, **{name: value for name, value in limits.items() if name not in chosen})
-        if _knows_coverage(policy):
-            # As in training. The guard of unseen directions holds the rover nevertheless.
-            given = replace(given, unseen_range=math.inf, max_invalid=given.max_invalid + _dead_share(trained))
-        return replace(given, command="none") if self.dry_run else given
-
-    def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
+    def _description(self, policy: Policy, world: str) -> EnvConfig:
+        """Returns the environment of a live rover, with the limits that the policy was trained with."""
         from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.algos.policy.runner import sensors_for
 
-        made_for = environment_for(policy.module, None if self.env is None else read_env(self.env))
+        settings = replace(self.settings, reset="none", step_timeout=SENSOR_TIMEOUT)
+        made_for = environment_for(policy, None if self.env is None else read_env(self.env))
+        trained: EnvConfig | None = getattr(policy, "made_for", None)
+        if trained is not None and trained.limits.apply:
+            limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
+            chosen = {name for name in limits if name != "min_reversal" and getattr(settings, name) is not None}
+            settings = replace(settings, **{name: value for name, value in limits.items() if name not in chosen})
         # Scans are added to maps where they were taken, by their stamps.
-        needed = (SCAN_POSE, LIDAR_MASK) if _knows_coverage(policy.module) else (SCAN_POSE,)
+        needed = [SCAN_POSE]
+        if LIDAR_MASK in getattr(policy, "in_keys", ()) or (trained is not None and trained.randomization.hides_beams):
+            # As in training. The guard of unseen directions holds the rover nevertheless.
+            noise = Randomization() if trained is None else trained.randomization
+            dead = noise.dead_sectors * noise.dead_sector_width[1] / (noise.lidar_view or (2 * math.pi,))[0]
+            settings = replace(settings, unseen_range=math.inf, max_invalid=settings.max_invalid + min(0.8, dead))
+            needed.append(LIDAR_MASK)
         described = replace(
             made_for,
-            world=policy.worlds[0],
+            world=world,
             sensors=(*made_for.sensors, *(name for name in needed if name not in made_for.sensors)),
             robot=self.robot or made_for.robot,
             robot_options=self.robot_options,
-            backend=settings,
+            backend=replace(settings, command="none") if self.dry_run else settings,
             randomization=Randomization(),
             guard=self.guard,
             compensate_delay=self.compensate_delay or made_for.compensate_delay,
             connection=self.connection,
-            length=UNLIMITED,
+            length=10**9,  # the time limit ends a drive
             end_on_goal=True,
             seed=self.seed,
         )
-        return sensors_for(policy.module, environment_for(policy.module, described))
+        return sensors_for(policy, environment_for(policy, described))
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         from rover_rl.algos.evaluation.episodes import draw_episodes
@@ -258,19 +239,6 @@ class Drive:
         return goals
 
 
-def _knows_coverage(policy: Policy | None) -> bool:
-    """Whether a policy was trained with lidars that see in part, or reads where they do."""
-    trained: EnvConfig | None = getattr(policy, "made_for", None)
-    hides_beams = trained is not None and trained.randomization.hides_beams
-    return hides_beams or LIDAR_MASK in getattr(policy, "in_keys", ())
-
-
-def _dead_share(trained: EnvConfig | None) -> float:
-    """Returns the share of the beams that may be in the dead sectors of a policy's training."""
-    noise = Randomization() if trained is None else trained.randomization
-    return min(0.8, noise.dead_sectors * noise.dead_sector_width[1] / (noise.lidar_view or (2 * math.pi,))[0])
-
-
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], None]]:
     """Raises ``KeyboardInterrupt`` on Ctrl-C and SIGTERM, and yields a function that raises it again.
@@ -280,7 +248,7 @@ def _interruptible() -> Iterator[Callable[[], None]]:
     """
     interrupted = False
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
+    def interrupt(*_: object) -> None:
         nonlocal interrupted
         interrupted = True
         raise KeyboardInterrupt
@@ -299,7 +267,7 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
-    told = set()  # goals for which it is told that the drive waits for room
+    waiting = set()  # goals for which it is said that the drive waits for room
     with Live(console=console, refresh_per_second=10, transient=True, auto_refresh=console.is_terminal) as live:
 
         def show_status(label: str, moment: Moment) -> None:
@@ -309,8 +277,8 @@ def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str
                 f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
                 f"{', held: no lidar coverage' if moment.held else ''}"
             )
-            if moment.seconds == 0 and not console.is_terminal and label not in told:
-                told.add(label)
+            if moment.seconds == 0 and not console.is_terminal and label not in waiting:
+                waiting.add(label)
                 print(f"{label}: waits for room, nearest {moment.nearest:.2f} m", flush=True)
             elif each_step:
                 print(status, flush=True)

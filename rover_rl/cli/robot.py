@@ -19,10 +19,8 @@ from rover_rl.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
-MAX_RATE = 1000.0
-"""Largest simulation speed, as a multiple of real time."""
-MAX_BEAMS = 16_383
-"""Largest number of rays that Bullet casts in one call."""
+MAX_RATE = 1000.0  # largest simulation speed, as a multiple of real time
+MAX_BEAMS = 16_383  # largest number of rays that Bullet casts in one call
 
 
 @dataclass(frozen=True)
@@ -81,8 +79,7 @@ class RobotCommand:
         from rover_rl.sims.ros2.transport import make_transport
         from rover_rl.worlds import get_world
 
-        # An unknown world is told before an unknown robot.
-        get_world(described.worlds[0])
+        get_world(described.worlds[0])  # an unknown world is told before an unknown robot
         described = described.fitted()
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -95,11 +92,8 @@ class RobotCommand:
         rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
         try:
             node = RobotNode(rover, transport, robot.lidar_range, self.settings, connection, (x, y, yaw), view)
-            print(
-                f"Rover in {described.world_names[0]} on ROS 2: publishes {connection.scan_topic}, receives "
-                f"{connection.cmd_vel_topic}",
-                flush=True,
-            )
+            place, topics = described.world_names[0], (connection.scan_topic, connection.cmd_vel_topic)
+            print(f"Rover in {place} on ROS 2: publishes {topics[0]}, receives {topics[1]}", flush=True)
             node.run(self.rate, stop)
         finally:
             transport.close()
@@ -113,6 +107,6 @@ class RobotCommand:
         if self.connection != Connection():
             changes["connection"] = self.connection
         there = own_sensors(config.sensors)
-        changes["sensors"] = (*config.sensors, *(name for name in self.sensors if name not in there))
-        described = replace(config, robot_options=self.robot_options, **changes)
+        sensors = (*config.sensors, *(name for name in self.sensors if name not in there))
+        described = replace(config, robot_options=self.robot_options, sensors=sensors, **changes)
         return imperfect(described, "harsh") if self.harsh else described

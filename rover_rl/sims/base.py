@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.rover_state import Dynamics, Force, RoverState
+from rover_rl.sims.sensor_report import ImageKind
 from rover_rl.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
@@ -71,11 +72,8 @@ class LiveRover(Protocol):
         ``None`` if it has fewer readings than segments.
         """
 
-    def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Latest depth image, m: ``inf`` without a return, 0 for what is lost or too near, or before the first."""
-
-    def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Latest color image, 0 to 1, ``[3, rows, columns]``; black before the first."""
+    def image(self, of: ImageKind, topic: str | None, size: tuple[int, int]) -> Tensor:
+        """Latest image, zeros before the first one. Distances are ``inf`` without a return, 0 if lost or too near."""
 
     def point_cloud(self, topic: str | None) -> Tensor | None:
         """Latest points of a 3D lidar in its own frame, ``[P, 3]``, m; ``None`` before the first ones."""

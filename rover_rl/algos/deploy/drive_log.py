@@ -69,9 +69,7 @@ class DriveLog:
     ) -> None:
         """Writes a step: the state of the rover and the raw scan after it, ``[1, beams]``, m, and its ``"outcome"``.
 
-        ``command`` is the forward speed (m/s) and the yaw rate (rad/s) that were sent, ``latency`` the time from the
-        scan to the command, s, and ``held`` whether the speed was set to 0, as no lidar beam covers the direction of
-        travel.
+        ``command``, ``latency`` and ``held`` are those of :class:`~rover_rl.algos.deploy.driving.Moment`.
         """
         self._turns.append(command[1])
         events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}
@@ -86,16 +84,12 @@ class DriveLog:
         self._file.write(json.dumps(entry) + "\n")
 
 
-def _pose(rover: RoverState, scan: Tensor) -> dict[str, list[float] | list[float | None]]:
+def _pose(rover: RoverState, scan: Tensor) -> dict[str, Any]:
     # Readings are kept to the centimeter; no return is null.
     step = -(-scan.shape[1] // BEAMS)
     ranges = [round(value, 2) if math.isfinite(value) else None for value in scan[0, ::step].tolist()]
-    angles = _rounded(quaternion_to_euler(rover.orientation)[0])
-    return {"position": _rounded(rover.position[0]), "angles": angles, "ranges": ranges}
-
-
-def _rounded(values: Tensor) -> list[float]:
-    return [round(value, 5) for value in values.tolist()]
+    poses = {"position": rover.position[0], "angles": quaternion_to_euler(rover.orientation)[0]}
+    return {name: [round(value, 5) for value in values.tolist()] for name, values in poses.items()} | {"ranges": ranges}
 
 
 def check_log(path: Path) -> None:
@@ -110,30 +104,23 @@ def read_drives(path: Path) -> list[Evaluation]:
     """Reads a log as evaluations, one for each policy, world, robot and time limit.
 
     The shortest path of a drive is computed on the map of the world. If the start or the goal is not free on the map,
-    the straight line is used.
-
-    Raises ``ValueError`` if the file is no log of drives, or no drive in it has ended.
+    the straight line is used. Raises ``ValueError`` if the file is no log of drives, or no drive in it has ended.
     """
     groups: dict[tuple[str, str, str, float], list[LoggedDrive]] = {}
     for drive in logged_drives(path):
         groups.setdefault((drive.world, drive.policy, drive.robot, drive.seconds), []).append(drive)
-    return [
-        Evaluation(
-            policy,
-            _episodes(world, robot, drives),
-            1,
-            seconds,
-            [drive.trajectory() for drive in drives],
-            EnvConfig(world=world, robot=robot, backend="ros2", end_on_goal=True),
-        )
-        for (world, policy, robot, seconds), drives in groups.items()
-    ]
+    evaluations = []
+    for (world, policy, robot, seconds), drives in groups.items():
+        made_for = EnvConfig(world=world, robot=robot, backend="ros2", end_on_goal=True)
+        driven, episodes = [drive.trajectory() for drive in drives], _episodes(world, robot, drives)
+        evaluations.append(Evaluation(policy, episodes, 1, seconds, driven, made_for))
+    return evaluations
 
 
 def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:
-    world = get_world(world_name)
-    start = torch.tensor([[*drive.entries[0]["position"][:2], drive.entries[0]["angles"][2]] for drive in drives])
-    goal = torch.tensor([drive.goal for drive in drives])
+    world, first = get_world(world_name), [drive.entries[0] for drive in drives]
+    start = torch.tensor([[*entry["position"][:2], entry["angles"][2]] for entry in first])
+    goal = torch.tensor([entry["goal"] for entry in first])
     straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
     shortest = shortest_paths(world, get_robot(robot), start, goal)
     lengths = torch.where(shortest.isfinite(), shortest, straight)
@@ -189,13 +176,24 @@ class LoggedDrive:
 
 def logged_drives(path: Path) -> list[LoggedDrive]:
     """Reads the drives of a log that have ended."""
-    entries = list(_entries(path))
+    entries = [*_entries(path)]
     if not entries or entries[0].get("format") != FORMAT:
         raise ValueError(f"{path} is no log of drives")
-    drives = list(_drives(entries))
-    if not drives:
+    header, drive, ended = {}, None, []
+    for entry in entries:
+        if entry.get("format") == FORMAT:
+            header, drive = {key: entry[key] for key in ("world", "policy", "robot", "seconds")}, None
+        elif "goal" in entry:
+            drive = LoggedDrive(**header, goal=entry["goal"], entries=[entry])
+        elif drive is not None and "ending" in entry:
+            drive.ending = entry["ending"]
+            ended.append(drive)
+            drive = None
+        elif drive is not None:
+            drive.entries.append(entry)
+    if not ended:
         raise ValueError(f"no drive in {path} has ended")
-    return drives
+    return ended
 
 
 def _entries(path: Path) -> Iterator[dict[str, Any]]:
@@ -206,19 +204,3 @@ def _entries(path: Path) -> Iterator[dict[str, Any]]:
             continue
         if isinstance(entry, dict):
             yield entry
-
-
-def _drives(entries: list[dict[str, Any]]) -> Iterator[LoggedDrive]:
-    header: dict[str, Any] = {}
-    drive: LoggedDrive | None = None
-    for entry in entries:
-        if entry.get("format") == FORMAT:
-            header, drive = {key: entry[key] for key in ("world", "policy", "robot", "seconds")}, None
-        elif "goal" in entry:
-            drive = LoggedDrive(**header, goal=entry["goal"], entries=[entry])
-        elif drive is not None and "ending" in entry:
-            drive.ending = entry["ending"]
-            yield drive
-            drive = None
-        elif drive is not None:
-            drive.entries.append(entry)

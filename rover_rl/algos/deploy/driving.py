@@ -85,10 +85,8 @@ def drive_to(
         goal: x, y, m.
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
-        patience: longest time to wait for the beginning of the drive, s. If something is still too near after it, the
-            drive ends.
-        allow_unseen: whether to accept a lidar with a smaller field of view than in training: than the robot's, or
-            than the least that the training drew.
+        patience: longest time to wait for the beginning of the drive, s; it ends if something is still too near then.
+        allow_unseen: whether to accept a lidar with a smaller field of view than the least that the training drew.
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of
@@ -104,10 +102,10 @@ def drive_to(
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
     drive = Drive(env, policy)
     _require_rover(rover, env, drive.runner, allow_unseen)
-    runner, ending, elapsed = drive.runner, "", 0.0
+    ending, elapsed = "", 0.0
     try:
         with torch.no_grad():
-            PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
+            PolicyRunner(drive.runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
         # The memory of the runner is kept from goal to goal.
         drive.observation = env.reset(goal=torch.tensor([goal]))
         if log is not None:
@@ -119,7 +117,7 @@ def drive_to(
         while not ending:
             before = env.rover_state
             # Maps and tracks have been read at the same times.
-            now = drive.step(drive.decide(env.observer.inputs.due(runner.action_repeat))).observation
+            now = drive.step(drive.decide(env.observer.inputs.due(drive.runner.action_repeat))).observation
             elapsed += env.rover_state.dt.item()
             moment = _moment(rover, now, elapsed)
             watch(moment)
@@ -143,12 +141,11 @@ def drive_to(
 
 def _require_rover(rover: Ros2Simulator, env: RoverEnv, runner: PolicyRunner, allow_unseen: bool) -> None:
     made_for: EnvConfig | None = getattr(runner.policy, "made_for", None)
+    trained_view = env.robot.lidar_view
     if made_for:
         require_match(made_for, env.config)
+        trained_view = min(trained_view, *(made_for.randomization.lidar_view or (trained_view,)))
     rover.require_robot()
-    trained_view = env.robot.lidar_view
-    if made_for and made_for.randomization.lidar_view:
-        trained_view = min(trained_view, made_for.randomization.lidar_view[0])
     if not allow_unseen and rover.field_of_view < trained_view - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(rover.field_of_view):.0f} degrees, and the policy was trained with "

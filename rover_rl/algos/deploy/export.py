@@ -21,17 +21,15 @@ import json
 import logging
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.export import ExportedProgram
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.config_files import config_from, plain
@@ -64,10 +62,9 @@ _CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
 
 
 class PlainPolicy(nn.Module):
-    """A checkpoint's policy as a module from tensors of observations to a tensor of actions.
+    """A checkpoint's policy as a module from tensors of observations, named ``inputs``, to a tensor of actions.
 
-    A policy that reads ``robot`` is told the robot of its settings. ``inputs`` and ``outputs`` are the names of
-    arguments and results, ``state_size`` the number of entries of the state of its memory.
+    A policy that reads ``robot`` is told the robot of its settings. ``state_size`` is that of its memory.
     """
 
     _robot: Tensor
@@ -108,12 +105,9 @@ def _robot_numbers(checkpoint: Checkpoint) -> Tensor:
 
 
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
-    """Exports a policy and compares its actions with those of the original on 1,000 random observations.
+    """Exports a policy, and returns the largest difference of an action on 1,000 random observations.
 
     To a policy with memory, they are the observations of one episode.
-
-    Returns:
-        Largest difference of an action.
 
     Raises:
         ImportError: if a package that the format needs is not installed.
@@ -129,7 +123,10 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
             _write_onnx(program, policy, settings, temporary)
             exported: ExportedFunction = onnx_function(temporary)
         else:
-            _write_program(program, settings, temporary)
+            # Written to memory first: on a full disk, PyTorch's writer aborts the process.
+            written = io.BytesIO()
+            torch.export.save(program, written, extra_files={"rover_rl.json": settings})
+            temporary.write_bytes(written.getvalue())
             module = torch.export.load(temporary).module()
             exported = lambda inputs: module(*(inputs[name] for name in policy.inputs))  # noqa: E731
         difference = _action_difference(checkpoint, exported, policy.state_size)
@@ -163,23 +160,7 @@ def _action_difference(checkpoint: Checkpoint, exported: ExportedFunction, state
     return float(torch.stack(differences).max())
 
 
-def _finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Returns the inputs with the given names. Raises ``ValueError`` for NaN or infinity, which networks accept."""
-    arrays = [np.asarray(inputs[name], np.float32) for name in names]
-    for name, array in zip(names, arrays, strict=True):
-        if not np.isfinite(array).all():
-            raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
-    return arrays
-
-
-def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
-    # Written to memory first: on a full disk, PyTorch's writer aborts the process.
-    written = io.BytesIO()
-    torch.export.save(program, written, extra_files={"rover_rl.json": settings})
-    path.write_bytes(written.getvalue())
-
-
-def _write_onnx(program: ExportedProgram, policy: PlainPolicy, settings: str, path: Path) -> None:
+def _write_onnx(program: torch.export.ExportedProgram, policy: PlainPolicy, settings: str, path: Path) -> None:
     try:
         import onnxscript  # noqa: F401  (torch.onnx needs it)
     except ImportError as error:
@@ -229,8 +210,11 @@ def _session_function(session: InferenceSession) -> ExportedFunction:
     outputs = ["action", STATE_OUT] if STATE_IN in names else ["action"]
 
     def act(inputs: Mapping[str, Any]) -> Tensor | tuple[Tensor, ...]:
-        results = session.run(outputs, dict(zip(names, _finite_arrays(inputs, names), strict=True)))
-        action, *state = map(torch.from_numpy, results)
+        arrays = {name: np.asarray(inputs[name], np.float32) for name in names}
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():  # which networks accept
+                raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
+        action, *state = map(torch.from_numpy, session.run(outputs, arrays))
         return (action, *state) if state else action
 
     return act
@@ -244,18 +228,12 @@ def onnx_function(path: Path) -> ExportedFunction:
 class OnnxPolicy:
     """Policy from an ONNX file that :func:`export` wrote, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
-    Each row takes a call of its own.
-
-    Attributes:
-        config: settings that the policy was trained with.
-        made_for: environment that the policy was made for.
-        trained_action_repeat: number of steps that each action was held for in training.
+    Each row takes a call of its own. ``config`` has the settings that the policy was trained with.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no exported policy, or damaged. Calling the policy raises it for NaN or infinity in
-            an observation.
+        ValueError: if the file is no exported policy, or damaged; in a call, for NaN or infinity in an observation.
     """
 
     row_by_row = True
@@ -291,8 +269,7 @@ class OnnxPolicy:
         rows = now.select(*self._entries).split(1)
         if self._state_size is None:
             return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))
-        state = now.get(_STATE, torch.zeros(len(now), self._state_size))
-        state = torch.where(now["is_init"], 0.0, state)
+        state = torch.where(now["is_init"], 0.0, now.get(_STATE, torch.zeros(len(now), self._state_size)))
         results = [self._act({**row, STATE_IN: part}) for row, part in zip(rows, state.split(1), strict=True)]
         actions, states = (torch.cat(parts) for parts in zip(*results, strict=True))
         return now.set("action", actions).set(("next", _STATE), states)

@@ -50,7 +50,7 @@ class ColorCamera(Pinhole):
         return Bounds((0.0,) * count, (1.0,) * count)
 
     def received(self, live: LiveRover) -> Tensor:
-        return live.color_image(self.topic, self.size)
+        return live.image("colors", self.topic, self.size)
 
     def read(self, inputs: SensorInput) -> Tensor:
         if (live := inputs.surroundings.live) is not None:

@@ -237,7 +237,7 @@ class DepthCamera(Camera):
     topic: str | None = None
 
     def received(self, live: LiveRover) -> Tensor:
-        return live.depth_image(self.topic, self.size)
+        return live.image("depth", self.topic, self.size)
 
     def spread(self, distance: Tensor) -> Tensor:
         """Returns ``noise`` times the square of the depth."""

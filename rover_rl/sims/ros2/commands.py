@@ -66,10 +66,7 @@ class Commands:
 
     A watchdog process stops the rover if this process dies or hangs. Once another driver is heard, whether it sends
     from a joystick or is a second program, the commands of both would mix: :meth:`other` names it. With
-    ``settings.give_way``, nothing is sent while it sends.
-
-    Attributes:
-        last: forward speed (m/s) and yaw rate (rad/s) of the command in force.
+    ``settings.give_way``, nothing is sent while it sends. ``last`` is the command in force.
     """
 
     def __init__(self, transport: Transport, topic: str, settings: Ros2Settings) -> None:
@@ -77,8 +74,8 @@ class Commands:
         self._transport, self._topic, self._gives_way = transport, topic, settings.give_way
         self._message = TwistStamped if settings.command == "twist_stamped" else Twist
         self._send = command_sender(transport, topic, settings)
-        self._watchdog: Watchdog | None = None
         self._heard: _Heard | None = None
+        self._watchdog: Watchdog | None = None
         if settings.command != "none":
             self._watchdog = Watchdog(topic, settings, listeners=1)
             transport.overhear(topic, self._message, self._hear)
@@ -91,13 +88,12 @@ class Commands:
     def send(self, speed: float, yaw_rate: float) -> None:
         """Sends a forward speed (m/s) and a yaw rate (rad/s), unless it gives way to another driver."""
         other = self._other() if self._gives_way else None
-        moves = other is None and (speed, yaw_rate) != STOP
-        if moves and self._watchdog is not None:
-            self._watchdog.alive()
-        if other is None:
-            self._send(speed, yaw_rate)
         self.last = (speed, yaw_rate) if other is None else other.command
-        if not moves:
+        if other is None:
+            if self.last != STOP:
+                self.keep_alive()
+            self._send(speed, yaw_rate)
+        if other is not None or self.last == STOP:
             self._rest()
 
     def stop(self) -> None:
@@ -168,11 +164,10 @@ class Watchdog:
     def __init__(self, topic: str, settings: Ros2Settings, timeout: float = TIMEOUT, listeners: int = 0) -> None:
         arguments = pickle.dumps((topic, settings, timeout, listeners))
         program = f"import pickle, sys; sys.path[:] = {sys.path!r}; from {__name__} import watch; "
-        program += f"watch(*pickle.loads({arguments!r}))"
+        started = [sys.executable, "-c", program + f"watch(*pickle.loads({arguments!r}))"]
         # A new session, so that Ctrl-C does not end the watchdog before the driving process.
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-        )
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(started, stdin=pipe, stdout=pipe, start_new_session=True)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._input, self._output = self._process.stdin, self._process.stdout
@@ -258,8 +253,7 @@ def watch(topic: str, settings: Ros2Settings, timeout: float, listeners: int) ->
     patience: float | None = None  # before the first heartbeat there is nothing to stop
     halted, stops = False, 0
     while True:
-        ready, _, _ = select.select([sys.stdin], [], [], patience)
-        if not ready:
+        if not select.select([sys.stdin], [], [], patience)[0]:
             stop()
             stops += 1
             patience = STOP_INTERVAL if halted or stops * STOP_INTERVAL < STOP_DURATION else None

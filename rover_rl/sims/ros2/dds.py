@@ -19,12 +19,13 @@ from weakref import WeakValueDictionary
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 try:
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-    from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+    from cyclonedds import builtin, core, idl
     from cyclonedds.domain import Domain, DomainParticipant
-    from cyclonedds.idl import IdlStruct, make_idl_struct, types
     from cyclonedds.pub import DataWriter
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.sub import DataReader
@@ -32,10 +33,6 @@ try:
     from cyclonedds.util import duration
 except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 over DDS requires the package cyclonedds: pip install "rover_rl[ros2]"') from error
-
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
 from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, ThrottledLogger
@@ -77,7 +74,7 @@ class DdsTransport:
         # Late subscribers receive the last announcement.
         self._announcer = DataWriter(self._participant, self._nodes, _qos(True, 1, Policy.Durability.TransientLocal))
         self._announce()
-        self._stop, self._wait_set = GuardCondition(self._participant), WaitSet(self._participant)
+        self._stop, self._wait_set = core.GuardCondition(self._participant), core.WaitSet(self._participant)
         self._wait_set.attach(self._stop)
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._read, name=f"{node} DDS reader", daemon=True)
@@ -122,10 +119,10 @@ class DdsTransport:
             return [reader for reader in self._readers if reader.topic == topic]
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
-        builtin = BuiltinTopicDcpsSubscription if receivers else BuiltinTopicDcpsPublication
-        reader = BuiltinDataReader(self._require_open(), builtin)
-        found = (sample for sample in reader.read(MAX_ENDPOINTS) if sample.topic_name == _dds_name(topic))
-        return {sample.type_name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for sample in found}
+        endpoints = builtin.BuiltinTopicDcpsSubscription if receivers else builtin.BuiltinTopicDcpsPublication
+        reader = builtin.BuiltinDataReader(self._require_open(), endpoints)
+        names = {found.type_name for found in reader.read(MAX_ENDPOINTS) if found.topic_name == _dds_name(topic)}
+        return {name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for name in names}
 
     def name_of(self, sender: str, topic: str) -> str:
         qos = _qos(True, 1, Policy.Durability.TransientLocal) + Qos(Policy.History.KeepAll)
@@ -211,7 +208,7 @@ class _Reader:
 
     def __init__(self, topic: str, reader: DataReader[Any], receive: Callable[[Any, str], object]) -> None:
         self.topic, self.reader, self._receive = topic, reader, receive
-        self.condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        self.condition = core.ReadCondition(reader, core.ViewState.Any | core.SampleState.Any | core.InstanceState.Any)
         self.senders = ActiveSenders()
         self._throttled_log = ThrottledLogger(_log)
         self._identifiers: dict[int, str] = {}
@@ -277,33 +274,28 @@ def domain_settings(environment: Mapping[str, str]) -> str:
     """Returns Cyclone DDS's settings: XML fragments and file URIs, of which later ones take precedence."""
     # Fast DDS peers that offer type objects do not match without it.
     own = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-    own += _discovery_settings(*_discovery(environment))
+    own += _discovery(environment)
     return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
 
 
-def _discovery(environment: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Returns the range of the automatic discovery, one of ``DISCOVERY_RANGES``, and addresses of other machines."""
-    if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
-        return "LOCALHOST", []
+def _discovery(environment: Mapping[str, str]) -> str:
+    """Returns the settings of the automatic discovery, as in rmw_cyclonedds."""
     given = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip()
-    found = given.upper() or DISCOVERY_RANGES[0]
-    if found not in DISCOVERY_RANGES:
+    addresses = (address.strip() for address in environment.get("ROS_STATIC_PEERS", "").split(";"))
+    found, peers = given.upper() or DISCOVERY_RANGES[0], [address for address in addresses if address]
+    if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
+        found, peers = "LOCALHOST", []
+    elif found not in DISCOVERY_RANGES:
         known = ", ".join(DISCOVERY_RANGES)
         _log.warning("ROS_AUTOMATIC_DISCOVERY_RANGE=%s is none of %s: assuming LOCALHOST", given, known)
         found = "LOCALHOST"
-    peers = [peer.strip() for peer in environment.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
-    return found, peers if found in ("SUBNET", "LOCALHOST") else []
-
-
-def _discovery_settings(discovery_range: str, peers: list[str]) -> str:
-    # As in rmw_cyclonedds.
-    if discovery_range == "OFF":  # the tag separates the process from all others
+    if found == "OFF":  # the tag separates the process from all others
         return (
             "<General><AllowMulticast>false</AllowMulticast></General><Discovery>"
             f"<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag></Discovery>"
         )
     general = ""
-    if discovery_range == "LOCALHOST":
+    if found == "LOCALHOST":
         # Fast DDS peers that start second are not discovered without multicast and a short interval.
         others = '<NetworkInterface autodetermine="true" multicast="false"/>' if peers else ""
         general = (
@@ -311,7 +303,7 @@ def _discovery_settings(discovery_range: str, peers: list[str]) -> str:
             "<AllowMulticast>spdp</AllowMulticast></General>"
         )
         peers = ["localhost", *peers]
-    if not peers:
+    if not peers or found == "SYSTEM_DEFAULT":
         return ""
     listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in peers)
     return (
@@ -330,14 +322,13 @@ def _qos(reliable: bool, depth: int, durability: Any = Policy.Durability.Volatil
     )
 
 
-class _SerializedSample(IdlStruct):
+class _SerializedSample(idl.IdlStruct):
     """Base of DDS types whose samples are serialized by :mod:`~rover_rl.sims.ros2.messages`.
 
     Cyclone's own serialization takes ten times as long, and produces objects of its own classes.
     """
 
-    # Not annotated, as annotations declare fields of the DDS type, and named as no field of a ROS message can be, whose
-    # default they would become. Subclasses set the class, samples their data.
+    # Neither annotated, which would declare fields of the DDS type, nor named as fields of ROS messages can be.
     _kind = Message
     _data = b""
 
@@ -362,10 +353,10 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
 
 
 # Indexing these classes creates types, which type checkers do not support.
-_SEQUENCE: Any = types.sequence
-_ARRAY: Any = types.array
-_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": types.uint8} | {
-    name: getattr(types, name) for name in ("int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
+_SEQUENCE: Any = idl.types.sequence
+_ARRAY: Any = idl.types.array
+_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": idl.types.uint8} | {
+    name: getattr(idl.types, name) for name in ("int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
 }
 
 
@@ -377,10 +368,10 @@ def _sample_type(kind: type[Message]) -> type[_SerializedSample]:
     return sample_type
 
 
-def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[IdlStruct]:
+def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[idl.IdlStruct]:
     package, folder, name = ros_type.split("/")
     fields = {field: _idl(layout, definitions) for field, layout in definitions.fielddefs[ros_type][1]}
-    return make_idl_struct(name, f"{package}.{folder}.dds_.{name}_", fields, bases=bases)
+    return idl.make_idl_struct(name, f"{package}.{folder}.dds_.{name}_", fields, bases=bases)
 
 
 def _idl(layout: Any, definitions: Typestore) -> Any:

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,14 +36,6 @@ ITERATIONS = 4
 POLL = 0.02  # time between two looks for the publisher of a topic, s
 
 
-class _Framed(NamedTuple):
-    """What was read from a message, and the frame and time (s) of the message."""
-
-    value: Any
-    frame: str
-    stamp: float
-
-
 class LivePoints:
     """Elevation maps and point clouds of a live rover. Topics are subscribed to when they are first asked for.
 
@@ -59,7 +51,7 @@ class LivePoints:
 
     def cloud(self, topic: str | None) -> Tensor | None:
         found = self._latest(topic or self._connection.points_topic, "lidar3d", ros.PointCloud2, self._read_own)
-        return None if found is None else found.value
+        return None if found is None else found[0]
 
     def ground_at(
         self, grid: Tensor, yaw: Tensor, cell: float, topic: str | None, layer: str, mount: tuple[float, float, float]
@@ -82,11 +74,9 @@ class LivePoints:
             return sample(value, position, orientation, grid)
         return lowest_quarter(position + rotate(orientation, value), grid, yaw, cell)
 
-    def _latest(self, topic: str, what: str, kind: Any, read: Callable[[Any], Any]) -> _Framed | None:
-        latest: _Framed | None = self._sensors.latest_on(
-            topic, what, kind, lambda msg: _Framed(read(msg), read_frame(msg), read_stamp(msg))
-        )
-        return latest
+    def _latest(self, topic: str, what: str, kind: Any, read: Callable[[Any], Any]) -> Any:
+        """What was read from the latest message, and its frame and stamp (s); ``None`` before the first one."""
+        return self._sensors.latest_on(topic, what, kind, lambda msg: (read(msg), read_frame(msg), read_stamp(msg)))
 
     def _kind_of(self, topic: str) -> Any:
         """Returns the class of the messages on a topic: elevation maps, if no publisher appears in time."""

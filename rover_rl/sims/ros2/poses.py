@@ -25,7 +25,7 @@ from rover_rl.sims.ros2.transport import Transport
 
 IDENTITY_ORIENTATION = torch.tensor([0.0, 0.0, 0.0, 1.0])
 YAW_TOLERANCE = 0.3  # maximum yaw error of a rover that has reached its target pose, rad
-GAZEBO_MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}
+GAZEBO_MESSAGES: dict[PoseReset, str] = {"ign": "ignition.msgs", "gz": "gz.msgs"}
 """Gazebo's commands, of Fortress and Harmonic, with the message package of each."""
 FAILURES = ("ERROR", "Unable", "timed out", "failed")  # in the output of a failed service call, whose exit code is 0
 SUBSCRIBER_TIMEOUT = 5.0  # time to wait for a subscriber of the reset topic, s
@@ -36,10 +36,7 @@ _log = logging.getLogger(__name__)
 
 
 class MeasuredPose(NamedTuple):
-    """A position ``[3]`` (m) and an orientation ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
-
-    ``imu_yaw_offset`` is the yaw of the IMU's frame in the frame of the pose, rad.
-    """
+    """Position ``[3]`` (m), orientation ``[4]``, and the yaw of the IMU's frame in the frame of the pose, rad."""
 
     position: Tensor
     orientation: Tensor | None
@@ -130,13 +127,13 @@ class PoseEstimator:
         self._imu_yaw_offset = 0.0
 
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
-        """Adds the yaw offset of the IMU to a localizer's pose that has just arrived; returns other poses unchanged."""
+        """Adds the yaw offset of the IMU to a localizer's pose that has just arrived."""
         if self._source not in ("pose_array", "wheels"):
             return pose._replace(imu_yaw_offset=yaw_of(pose.orientation) - yaw_of(imu_orientation))
         return pose
 
     def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world for a pose from :meth:`align_imu`."""
+        """Returns position ``[3]`` and orientation ``[4]`` in the world of an aligned pose."""
         (position, orientation), turn = self.frame, torch.tensor(heading(pose.imu_yaw_offset + self._imu_yaw_offset))
         in_world = position + rotations.rotate(orientation, pose.position)
         return in_world, rotations.quaternion_product(turn, imu_orientation)
@@ -144,10 +141,9 @@ class PoseEstimator:
     def start_episode(
         self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float
     ) -> None:
-        """Aligns the frame of the wheel odometry with the world.
+        """Aligns the frame of the wheel odometry with the world, unless the rover was not moved to a target.
 
-        The rover is at ``target``, where the ground is at height ``ground`` (m). If it was not moved, ``target`` is
-        ``None``, and the odometry's frame is the world's.
+        ``ground`` is the height of the ground there, m.
         """
         if self._source != "wheels":
             return
@@ -172,11 +168,8 @@ class PoseEstimator:
 class Placer:
     """Moves the rover to the start of an episode in the way that the settings select.
 
-    With ``reset="auto"``, the first reset selects the way: the reset topic if a node subscribes to it, Gazebo's command
-    if it is installed, none. ``world`` is the name of the world in Gazebo.
-
-    Raises:
-        FileNotFoundError: if Gazebo's command is selected and not installed.
+    ``world`` is the name of the world in Gazebo. Raises ``FileNotFoundError`` if Gazebo's command is selected, and is
+    not installed.
     """
 
     def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
@@ -213,10 +206,9 @@ class Placer:
     def _select(self) -> PoseReset:
         if self._has_subscriber(DISCOVERY_TIMEOUT):
             return "topic"
-        if shutil.which("ign"):
-            return "ign"
-        if shutil.which("gz"):
-            return "gz"
+        for command in GAZEBO_MESSAGES:
+            if shutil.which(command):
+                return command
         _log.warning(
             "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
             "choose another way to move it with Ros2Settings(reset=...)",
@@ -231,25 +223,19 @@ class Placer:
         return bool(found)
 
 
-def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) -> None:
+def place_in_gazebo(command: PoseReset, world: str, model: str, target: TargetPose) -> None:
     """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through the command ``"ign"`` or ``"gz"``.
 
-    The exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure.
-
-    Raises:
-        PoseResetError: if the pose is not finite, or the call fails.
+    Its exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure. Raises
+    ``PoseResetError`` if it fails, or the pose is not finite.
     """
     if not all(map(math.isfinite, target)):
         raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
-    _, _, z, w = heading(target.yaw)
-    request = (
-        f'name: "{model}", position: {{x: {target.x!r}, y: {target.y!r}, z: {target.z!r}}}, '
-        f"orientation: {{x: 0.0, y: 0.0, z: {z!r}, w: {w!r}}}"
-    )
-    package = GAZEBO_MESSAGES[command]
-    arguments = [command, "service", "-s", f"/world/{world}/set_pose"]
-    arguments += ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
-    arguments += ["--timeout", str(SERVICE_TIMEOUT_MS), "--req", request]
+    (_, _, z, w), package = heading(target.yaw), GAZEBO_MESSAGES[command]
+    request = f'name: "{model}", position: {{x: {target.x!r}, y: {target.y!r}, z: {target.z!r}}}, '
+    request += f"orientation: {{x: 0.0, y: 0.0, z: {z!r}, w: {w!r}}}"
+    arguments = [command, "service", "-s", f"/world/{world}/set_pose", "--reqtype", f"{package}.Pose", "--reptype"]
+    arguments += [f"{package}.Boolean", "--timeout", str(SERVICE_TIMEOUT_MS), "--req", request]
     limit = 2 * SERVICE_TIMEOUT_MS / 1000
     try:
         answer = subprocess.run(arguments, capture_output=True, text=True, errors="replace", timeout=limit, check=False)

@@ -38,10 +38,7 @@ _sent: defaultdict[tuple[str, str], deque[tuple[int, Any]]] = defaultdict(lambda
 
 
 class RclpyTransport:
-    """:class:`Transport` through an rclpy node, which spins in a thread of its own.
-
-    Received messages are instances of ROS's own classes.
-    """
+    """:class:`Transport` through an rclpy node, which spins in a thread; it passes on messages of ROS's own classes."""
 
     def __init__(self, node: str) -> None:
         self._context = Context()

@@ -41,25 +41,14 @@ class Scan(NamedTuple):
         return min(TURN, len(self.ranges) * self.angle_increment)
 
     def mounted(self, yaw: float, inverted: bool = False) -> Scan:
-        """Returns the scan counter-clockwise from straight ahead of a robot on which the lidar is mounted.
+        """Returns the scan of a lidar that is turned by ``yaw`` (rad) on a robot, from straight ahead of the robot.
 
-        Its zero angle has the direction ``yaw`` (rad). If ``inverted``, it hangs upside down, by a roll of pi before
-        the turn by ``yaw``.
+        If ``inverted``, it hangs upside down, by a roll of pi before the turn.
         """
         if not inverted:
             return self._replace(angle_min=yaw + self.angle_min)
         last = self.angle_min + self.angle_increment * (len(self.ranges) - 1)
         return self._replace(ranges=self.ranges.flip(0), valid=self.valid.flip(0), angle_min=yaw - last)
-
-
-class AlignedScan(NamedTuple):
-    """A scan in the environment's layout: ranges ``[beams]`` (m), counter-clockwise from straight ahead.
-
-    ``seen``, bool ``[beams]``, says whether a valid reading covers each beam. Where none does, the range is ``inf``.
-    """
-
-    ranges: Tensor
-    seen: Tensor
 
 
 def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
@@ -98,12 +87,15 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     return Scan(ranges, valid, angle_min, increment, seconds_of(msg.header.stamp))
 
 
-def aligned(scan: Scan, beams: int) -> AlignedScan:
+def aligned(scan: Scan, beams: int) -> tuple[Tensor, Tensor]:
     """Converts a mounted scan to a full turn of beams, counter-clockwise from straight ahead.
 
     Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
     without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
     increment away. Otherwise the beam is unseen, never free.
+
+    Returns:
+        Ranges ``[beams]``, m, and which beams are seen, bool ``[beams]``. Unseen ones have the range ``inf``.
     """
     beam_of_reading, nearest = _beams_and_readings(beams, len(scan.ranges), scan.angle_min, scan.angle_increment)
     ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
@@ -113,15 +105,12 @@ def aligned(scan: Scan, beams: int) -> AlignedScan:
     # The padded entry stands for beams without a reading nearby.
     near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
     near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
-    return AlignedScan(torch.where(covered, closest, near), covered | near_is_valid)
+    return torch.where(covered, closest, near), covered | near_is_valid
 
 
 @lru_cache(maxsize=1)  # the layout of a lidar's scans seldom changes
 def _beams_and_readings(beam_count: int, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
-    """Returns the beam whose sector contains each reading, and the reading nearest to each beam.
-
-    The first reading is in direction ``first`` (rad). Where none is near enough, the nearest reading is ``count``.
-    """
+    """Returns the beam whose sector contains each reading, and the reading nearest to each beam, else ``count``."""
     angles = first + increment * torch.arange(count, dtype=torch.float64)
     beams = TURN / beam_count * torch.arange(beam_count, dtype=torch.float64)
     beam_of_reading = (angles * beam_count / TURN).round().long() % beam_count

@@ -35,11 +35,10 @@ _log = logging.getLogger(__name__)
 
 
 class ReceivedMessage(NamedTuple):
-    """A value that was read from a message, the ``number``-th of its kind, from 1 on.
+    """A value of the ``number``-th message of its kind, which arrived at ``time`` by :func:`time.monotonic`, s.
 
-    ``time`` is its arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time. ``company``
-    has the values of the other kinds that belong to a scan: those that were latest when it arrived, or whose stamps are
-    not newer than its own.
+    ``company`` has the values of the other kinds that belong to a scan: those that were latest when it arrived, or
+    whose stamps are not newer than its own.
     """
 
     value: Any
@@ -49,7 +48,6 @@ class ReceivedMessage(NamedTuple):
 
     @property
     def age(self) -> float:
-        """Time since arrival, s."""
         return time.monotonic() - self.time
 
 
@@ -84,7 +82,7 @@ class LatestMessages:
 
 
 class Source(NamedTuple):
-    """A topic, the class of its messages, and the functions that read values from them, by the kinds of the values."""
+    """A topic, the class of its messages, and functions that read values from them, by the kinds of the values."""
 
     topic: str
     message: Any
@@ -94,15 +92,9 @@ class Source(NamedTuple):
 class Sensors:
     """Subscribes to scan, IMU, odometry and pose, and stores the latest valid values.
 
-    Messages arrive in the transport's thread. A malformed message is ignored with a warning; the last valid value
-    remains. ``pose_estimator`` aligns poses with the IMU.
-
-    Attributes:
-        sources: where each kind of message is from: ``"scan"``, ``"imu"``, ``"odometry"``, ``"pose"`` unless the pose
-            comes from wheel odometry, and what is subscribed to later.
-        messages: latest valid value of each kind.
-        rejected_scans: number of scans that were ignored.
-        pose_frame: name of the frame that poses are in; empty if it is not known.
+    Messages arrive in the transport's thread. The kinds of ``sources`` are ``"scan"``, ``"imu"``, ``"odometry"``,
+    ``"pose"`` unless the pose comes from wheel odometry, and what is subscribed to later. ``pose_frame`` is the name of
+    the frame that poses are in; empty if it is not known.
     """
 
     def __init__(
@@ -110,7 +102,7 @@ class Sensors:
     ) -> None:
         self.transport, self.pose_estimator, self._connection = transport, pose_estimator, connection
         self.messages, self.rejected_scans, self.pose_frame = LatestMessages(), 0, ""
-        self._step_timeout, self._control_dt = settings.step_timeout, settings.control_dt
+        self._control_dt = settings.control_dt
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         # Stamp, position and orientation. Written by the transport's thread.
         self._poses: deque[tuple[float, Tensor, Tensor]] = deque(maxlen=POSES)
@@ -132,24 +124,16 @@ class Sensors:
             transport.subscribe(source.topic, source.message, partial(self.receive, kind))
 
     @property
-    def has_recent_scan(self) -> bool:
-        """Whether the latest usable scan is younger than the step timeout."""
-        scan = self.messages.latest("scan")
-        return scan is not None and scan.age < self._step_timeout
-
-    @property
     def pose(self) -> poses.MeasuredPose:
-        """Latest pose; the origin before the first one."""
         return self.messages.value("pose", poses.ORIGIN_POSE)
 
     @property
     def imu_orientation(self) -> Tensor:
-        """Latest orientation of the IMU, ``[4]``; the identity before the first one."""
         return self.messages.value("imu", poses.IDENTITY_ORIENTATION)
 
     @property
     def wheel_velocity(self) -> Tensor:
-        """Latest forward speed (m/s) and yaw rate (rad/s) by wheel odometry, ``[2]``; zeros before the first one."""
+        """Forward speed (m/s) and yaw rate (rad/s), ``[2]``; zeros before the first message."""
         return self.messages.value("odometry", torch.zeros(2))
 
     @property
@@ -158,10 +142,7 @@ class Sensors:
         return self.pose_estimator.estimate(self.pose, self.imu_orientation)
 
     def image(self, of: ImageKind, topic: str | None, size: tuple[int, int]) -> Tensor:
-        """Returns the nearest pixels of the latest image on a topic, or on that of the connection, in another size.
-
-        Zeros before the first image.
-        """
+        """Returns the nearest pixels of the latest image on a topic in another size; zeros before the first image."""
         topic = topic or self._connection.image_topics[of]
         message, read, _ = image_format(of, topic)
         image = self.latest_on(topic, of, message, read)
@@ -216,18 +197,15 @@ class Sensors:
                 self.messages.wait(kind, self.messages.count(kind), left)
 
     def _is_due(self, kind: str, stamp: float) -> bool:
-        """Returns whether the next message of a kind is from the time of a stamp, by those of the last two of the kind.
-
-        Not if the kind has ceased, or has another clock.
-        """
+        """Whether the next message of a kind is from the time of a stamp, unless it has ceased or has another clock."""
         before, last = self._stamps.get(kind, (0.0, 0.0))
         period, missing = last - before, stamp + STAMP_TOLERANCE - last
         return 0.0 < period <= missing < 2 * period + STAMP_TOLERANCE
 
     def pose_at(self, stamp: float) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world at the time of a stamp, s, as ROS's tf does.
+        """Returns position ``[3]`` and orientation ``[4]`` in the world at the time of a stamp, s.
 
-        It is the latest of those that are not newer, or the latest one if all are, as with clocks that differ.
+        They are the latest that are not newer, as of ROS's tf, or the latest if all are, as with clocks that differ.
         """
         known = (each[1:] for each in reversed([*self._poses]) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self.world_pose
@@ -267,10 +245,8 @@ class Sensors:
         self._scan_times.append((stamp, time.monotonic()))
         if len(self._scan_times) <= RATE_WINDOW:
             return
-        by_stamp, by_arrival = (
-            last - first for first, last in zip(self._scan_times[0], self._scan_times[-1], strict=True)
-        )
-        span = by_stamp if by_stamp > 0 else by_arrival
+        (first, arrived), (last, now) = self._scan_times[0], self._scan_times[-1]
+        span = last - first if last > first else now - arrived
         low, high = (share / self._control_dt for share in SUPPORTED_RATES)
         if span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
@@ -278,13 +254,11 @@ class Sensors:
 
 
 def read_stamp(msg: Any) -> float:
-    """Returns the stamp of a message, s; 0 if it has none."""
     stamp = getattr(getattr(msg, "header", None), "stamp", None)
     return 0.0 if stamp is None else seconds_of(stamp)
 
 
 def read_frame(msg: Any) -> str:
-    """Reads the name of the frame of a message; empty if it has none."""
     return str(getattr(getattr(msg, "header", None), "frame_id", "")).strip("/")
 
 

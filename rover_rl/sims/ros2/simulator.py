@@ -7,7 +7,6 @@ import math
 import time
 import weakref
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,14 +29,13 @@ from rover_rl.worlds import World
 _log = logging.getLogger(__name__)
 
 CLOCK_TOPIC = "/clock"  # topic of the time of a simulation
-MIN_STEP = 0.75  # minimum time between the scans of two steps, in control steps; scans of faster lidars are skipped
-MAX_DT = 1.0  # maximum time between two stamps, s; a longer time means that the clock has jumped
-BRAKE_TIMEOUT = 0.25
-"""Time without a usable scan after which the rover is stopped, s. The step continues to wait for a scan."""
+MIN_STEP = 0.75  # shortest time between the scans of two steps, in control steps; scans of faster lidars are skipped
+MAX_DT = 1.0  # longest time between two stamps, s; a longer time means that the clock has jumped
+BRAKE_TIMEOUT = 0.25  # time without a usable scan after which the rover is stopped, s; the step still waits for a scan
 BRAKE_PERIODS = 1.5  # the same time in periods of the last two scans; the longer of both applies
-GUARD_BEAMS = 128  # number of beams of a simulator without a scanner: the guard looks at them
+GUARD_BEAMS = 128  # beams of a simulator without a scanner: the guard looks at them
 HEARTBEAT_INTERVAL = 0.1  # longest time between two heartbeats of the watchdog during a step, s
-MAX_UNUSABLE_SCANS = 20  # consecutive unusable scans after which waiting for the first usable one ends
+MAX_UNUSABLE_SCANS = 20  # unusable scans in a row after which waiting for the first usable one ends
 PUBLISHER_CHECK_INTERVAL = 1.0  # time between two checks of the number of publishers, s
 REST_VELOCITY = (0.05, 0.1)  # forward speed (m/s) and yaw rate (rad/s) below which the wheels are at rest
 FROZEN_DISTANCE = 0.25  # distance (m) or angle (rad) that the wheels may go while the scan stays the same
@@ -65,9 +63,7 @@ class Ros2Simulator(Simulator):
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
 
-    Raises:
-        ValueError: if there is not exactly one world.
-        ImportError: if a package that the transport requires is not installed.
+    Raises ``ValueError`` if there is not exactly one world, and ``ImportError`` without a package of the transport.
     """
 
     # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
@@ -85,14 +81,12 @@ class Ros2Simulator(Simulator):
         self.settings = settings = settings or Ros2Settings()
         self._connection = connection = connection or Connection()
         self.num_envs, self.control_dt, self.device = 1, settings.control_dt, torch.device("cpu")
-        self._world = worlds[0]
+        self._world, self._dt = worlds[0], self.control_dt
         self._limits = torch.tensor([CommandLimits.of(robot, settings)], dtype=torch.float64)
-        self._limiter = CommandLimiter(settings.min_reversal)
+        self._limiter, self._throttled_log = CommandLimiter(settings.min_reversal), ThrottledLogger(_log)
         self._publishers_checked = -math.inf
-        self._throttled_log = ThrottledLogger(_log)
         self._scan: ReceivedMessage | None = None
         self._set_beams(GUARD_BEAMS)
-        self._dt = self.control_dt
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency, self.held = 0.0, False
         self._transport = make_transport(settings.transport, settings.node)
@@ -104,7 +98,7 @@ class Ros2Simulator(Simulator):
         self._sensors = Sensors(self._transport, settings, connection, PoseEstimator(settings.pose))
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
-        self.stop, self.halt = self._commands.stop, self._commands.halt
+        self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
         self.wait_for_robot(connection.timeout)
 
     @property
@@ -122,7 +116,9 @@ class Ros2Simulator(Simulator):
 
     @property
     def robot_connected(self) -> bool:
-        return self._sensors.has_recent_scan
+        """Whether the latest usable scan is younger than the step timeout."""
+        scan = self._sensors.messages.latest("scan")
+        return scan is not None and scan.age < self.settings.step_timeout
 
     def wait_for_robot(self, timeout: float) -> bool:
         """Waits at most ``timeout`` (s) for a usable scan, and warns if there is none. Returns whether there is one."""
@@ -138,46 +134,37 @@ class Ros2Simulator(Simulator):
     def require_robot(self) -> None:
         """Checks that exactly one robot sends usable scans, and that nothing else drives it.
 
-        Raises:
-            RobotLostError: if there is no robot, there are several, or another node commands it.
-            ValueError: if it receives commands of another type.
+        Raises ``RobotLostError`` if there is no robot, there are several, or another node commands it, and
+        ``ValueError`` if it receives commands of another type.
         """
         self._require_only_driver()
         if not self.robot_connected:
             raise self._lost("scan")
         self._require_one_robot()
 
-    def receive(self, kind: str, msg: Any) -> bool:
-        """Processes a message as if it had arrived on its topic, and returns whether it is usable.
-
-        Its kind is ``"scan"``, ``"imu"``, ``"odometry"`` or, except with ``pose="wheels"``, ``"pose"``.
-        """
-        return self._sensors.receive(kind, msg)
-
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Stops the rover, moves it to ``poses``, and waits until it is at rest. Without a robot, warns.
 
-        Raises:
-            PoseResetError: if the rover does not come to rest at the pose in time.
-            RobotLostError: if its messages cease, or another node commands it.
+        Raises ``PoseResetError`` if the rover does not come to rest at the pose in time, and ``RobotLostError`` if its
+        messages cease, or another node commands it.
         """
         if not mask.any():
             return self.state()
         self._require_only_driver()
-        if not self._sensors.messages.count("scan"):
+        sensors, messages = self._sensors, self._sensors.messages
+        if not messages.count("scan"):
             _log.warning("no robot has appeared on %s yet: observations are empty", self._connection.scan_topic)
             return self.state()
         self._require_one_robot()
         self.stop()
         x, y, yaw = poses[0].tolist()
         target = TargetPose(x, y, self._world.drop_height(poses[0, :2]).item(), yaw)
-        poses_before = self._sensors.messages.count("pose")
+        poses_before = messages.count("pose")
         self._placer.place(target)
         self._wait_until_at_rest(target, poses_before)
-        self._take_next_scan(after=self._sensors.messages.count("scan"))
-        ground = self._world.height_at(poses[0, :2]).item()
+        self._take_next_scan(after=messages.count("scan"))
         self._limiter.reset()
-        sensors, moved_to = self._sensors, target if self._placer.moves else None
+        moved_to, ground = target if self._placer.moves else None, self._world.height_at(poses[0, :2]).item()
         sensors.pose_estimator.start_episode(sensors.pose, sensors.imu_orientation, moved_to, ground)
         sensors.forget_poses()
         self._dt = self.control_dt
@@ -191,19 +178,19 @@ class Ros2Simulator(Simulator):
         self._beams = beams
         # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
         # blocks all motion.
-        nothing = scans.AlignedScan(torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool))
-        self._aligned_scan = scans.aligned(self._mounted(self._scan), beams) if self._scan else nothing
+        self._ranges, self._seen = torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool)
+        if self._scan:
+            self._ranges, self._seen = scans.aligned(self._mounted(self._scan), beams)
 
     def _mounted(self, scan: ReceivedMessage) -> scans.Scan:
         mounted: scans.Scan = scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted)
         return mounted
 
     def ranges(self) -> Tensor:
-        scan = self._aligned_scan
-        return scan.ranges.masked_fill(~scan.seen & (self._scan is not None), self.settings.unseen_range)[None]
+        return self._ranges.masked_fill(~self._seen & (self._scan is not None), self.settings.unseen_range)[None]
 
     def covered(self) -> Tensor:
-        return self._aligned_scan.seen[None]
+        return self._seen[None]
 
     def segments(self, points: int) -> Tensor | None:
         found = None if self._scan is None else scans.cut(self._mounted(self._scan), points)
@@ -225,7 +212,7 @@ class Ros2Simulator(Simulator):
             self._require_one_robot()
         scans_before = self._sensors.messages.count("scan")
         speed, yaw_rate = self._limited(commands)
-        self.held = scans.is_blocked(speed, self._aligned_scan.seen)
+        self.held = scans.is_blocked(speed, self._seen)
         if self.held:
             direction = "forward" if speed > 0 else "backward"
             self._throttled_log.warning("held", "%s motion canceled: no beam covers all of that direction", direction)
@@ -240,8 +227,7 @@ class Ros2Simulator(Simulator):
     def _limited(self, commands: Tensor) -> tuple[float, float]:
         if not torch.isfinite(commands).all():
             raise ValueError(f"a command must be finite, got {commands[0, 0]} m/s and {commands[0, 1]} rad/s")
-        last = torch.tensor([self._commands.last], dtype=torch.float64)
-        dt = torch.full((1, 1), self._dt, dtype=torch.float64)
+        last, dt = (torch.tensor([each], dtype=torch.float64) for each in (self._commands.last, (self._dt,)))
         speed, yaw_rate = self._limiter(last, commands.double(), dt, self._limits)[0].tolist()
         return speed, yaw_rate
 
@@ -268,20 +254,11 @@ class Ros2Simulator(Simulator):
         position, orientation = self._sensors.pose_at(self._scan.value.stamp if self._scan else 0.0)
         return position[None], orientation[None]
 
-    def depth_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        return self._sensors.image("depth", topic, size)
-
-    def color_image(self, topic: str | None, size: tuple[int, int]) -> Tensor:
-        return self._sensors.image("colors", topic, size)
-
     def follow_clock(self) -> None:
         self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
 
     def state_age(self) -> Tensor:
-        """Returns how old the latest pose or IMU orientation is, ``[1, 1]``, s: see :meth:`Sensors.state_age`.
-
-        0 if it is not known, with a warning.
-        """
+        """Returns how old the latest pose or IMU orientation is, ``[1, 1]``, s; 0 with a warning if it is not known."""
         age = self._sensors.state_age()
         if age is None and self._scan is not None:
             text = "late sensors are not compensated: their stamps are neither of %s nor of the clock of this machine"
@@ -289,7 +266,7 @@ class Ros2Simulator(Simulator):
         return torch.full((1, 1), age or 0.0)
 
     def _take_next_scan(self, after: int) -> None:
-        """Waits for the scan of the next step, with a sequence number above ``after``, and updates the time step."""
+        """Waits for the scan of the next step, with a number above ``after``, and updates the time step."""
         while True:
             scan = self._wait_for_scan(after)
             dt = scan.value.stamp - self._scan.value.stamp if self._scan else 0.0
@@ -300,10 +277,11 @@ class Ros2Simulator(Simulator):
         self._sensors.wait_for_company(scan)
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
         self._require_changes(scan)
-        self._scan, self._aligned_scan = scan, scans.aligned(self._mounted(scan), self._beams)
+        self._scan = scan
+        self._ranges, self._seen = scans.aligned(self._mounted(scan), self._beams)
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
-        """Waits for a scan with a sequence number above ``after``. Stops the rover well before it counts as lost."""
+        """Waits for a scan with a number above ``after``. Stops the rover well before it counts as lost."""
         timeout, messages = self.settings.step_timeout, self._sensors.messages
         brake_timeout = min(timeout, max(BRAKE_TIMEOUT, BRAKE_PERIODS * self._dt))
         scan, left = None, brake_timeout
@@ -336,8 +314,7 @@ class Ros2Simulator(Simulator):
         self._commands.require_receiver()
         sources = self._sensors.sources
         for topic in (sources["scan"].topic, sources.get("pose", sources["odometry"]).topic):
-            count = self._transport.publishers(topic)
-            if count > 1:
+            if (count := self._transport.publishers(topic)) > 1:
                 self.stop()
                 text = "there may be several robots in this ROS_DOMAIN_ID; a stop command was sent"
                 raise RobotLostError(f"{count} publishers send on {topic}: {text}")
@@ -374,8 +351,8 @@ class Ros2Simulator(Simulator):
         return RobotLostError(f"lost the robot: {topic} ({kind}): {silence}; a stop command was sent")
 
     def _wait_until_at_rest(self, target: TargetPose, poses_before: int) -> None:
-        # ``poses_before`` is the number of pose messages before the reset.
-        settings, sensors = self.settings, self._sensors
+        """Waits for the rest, after more than ``poses_before`` messages of the pose."""
+        settings, sensors, messages = self.settings, self._sensors, self._sensors.messages
         rest_start = began = time.monotonic()
         deadline, rest_position = began + settings.reset_timeout, sensors.world_pose[0]
         while time.monotonic() - rest_start < settings.settle:
@@ -385,7 +362,7 @@ class Ros2Simulator(Simulator):
                 deadline = time.monotonic() + settings.reset_timeout
             position = sensors.world_pose[0]
             arrived = not self._placer.moves or (
-                sensors.messages.count("pose") > poses_before
+                messages.count("pose") > poses_before
                 and sensors.pose_estimator.matches_target(sensors.pose, target, settings.pose_tolerance)
             )
             # The wheels also stand still while the rover falls or is carried.
@@ -398,7 +375,7 @@ class Ros2Simulator(Simulator):
                     f"the rover did not come to rest{place}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, "
                     f"y {y:.2f} m, z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
                 )
-            sensors.messages.wait("odometry", sensors.messages.count("odometry"), timeout=settings.settle / 4)
+            messages.wait("odometry", messages.count("odometry"), timeout=settings.settle / 4)
 
     def _wheels_at_rest(self) -> bool:
         speed, yaw_rate = self._sensors.wheel_velocity.abs().tolist()
@@ -409,8 +386,7 @@ class Ros2Scanner:
     """Lidar of a live rover. It scans when the rover's does."""
 
     def __init__(self, simulator: Ros2Simulator, beams: int) -> None:
-        self.angles = beam_angles(beams).float()
-        self._simulator = simulator
+        self.angles, self._simulator = beam_angles(beams).float(), simulator
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
         return self._simulator.ranges()

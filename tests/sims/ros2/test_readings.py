@@ -31,7 +31,7 @@ def test_ranges_are_unchanged_copies():
     assert read.stamp == 3.5
     read.ranges[0] = 7
     assert message.ranges[0] == 1
-    assert aligned(read_scan(scan([-math.inf, 1.0])), 2).ranges.tolist() == [-math.inf, 1.0]
+    assert aligned(read_scan(scan([-math.inf, 1.0])), 2)[0].tolist() == [-math.inf, 1.0]
 
 
 def test_readings_outside_of_the_range_limits_are_invalid():
@@ -96,10 +96,10 @@ def reference_alignment(message: LaserScan, beams: int, yaw: float) -> list[floa
 def test_alignment_matches_a_reference_implementation(readings, beams, yaw, share):
     # Offset, so that no reading lies on the border between two sectors.
     message = scan(readings, first=-math.pi + 0.00371, increment=share * 2 * math.pi / len(readings))
-    full = aligned(read_scan(message, max_invalid=1.0).mounted(yaw), beams)
+    ranges, seen = aligned(read_scan(message, max_invalid=1.0).mounted(yaw), beams)
     expected = reference_alignment(message, beams, yaw)
-    assert full.seen.tolist() == [reading is not None for reading in expected]
-    assert full.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
+    assert seen.tolist() == [reading is not None for reading in expected]
+    assert ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
 
 
 @pytest.mark.parametrize("count", [640, 1081, 37])
@@ -126,7 +126,7 @@ def test_a_lidar_that_hangs_upside_down_is_rolled_before_it_is_turned(yaw, clock
     direction = Rotation.from_euler("xz", [math.pi, yaw]).apply([math.cos(at), math.sin(at), 0.0])
     beam = round(math.atan2(direction[1], direction[0]) / (2 * math.pi / 360)) % 360
     read = read_scan(message)
-    assert aligned(read.mounted(yaw, inverted=True), 360).ranges.argmin() == beam
+    assert aligned(read.mounted(yaw, inverted=True), 360)[0].argmin() == beam
     assert cut(read.mounted(yaw, inverted=True), 360)[[beam - 1, beam, (beam + 1) % 360]].min() == 1.0
 
 

@@ -151,8 +151,9 @@ def test_gymnasium_callbacks_process_messages(wire):
 
 def test_the_environment_of_a_live_rover_matches_its_specs_and_fulfills_the_contract(wire):
     robot = SimulatedRobot(wire, get_world("maze"), (0.0, 0.0, 0.0))
-    env = make_env_of_contract(world_n="maze", backend=Ros2Settings(reset="topic"), seed=0, length=20)
-    check_env_specs(env, break_when_any_done="both")
+    settings = {"world_n": "maze", "backend": Ros2Settings(reset="topic"), "seed": 0, "length": 20}
+    check_env_specs(make_env_of_contract(**settings), break_when_any_done="both")
+    env = make_env_of_contract(**settings)
     rng = np.random.default_rng(0)
 
     def wander(td, bare, k):

@@ -8,12 +8,13 @@ import threading
 from rover_rl.sims.ros2.transport import make_transport
 from tests.sims.ros2.processes import drive_a_curve, until
 
-print('"up"', flush=True)
-error = drive_a_curve("rclpy", reset="topic")
-threads = [thread.name for thread in threading.enumerate() if "spins rclpy" in thread.name]
-transport = make_transport("rclpy", "listener")
-until(lambda: transport.types("/scan"))
-types = [sorted(transport.types("/cmd_vel", receivers=True)), sorted(transport.types("/nothing"))]
-transport.close()
-transport.close()
-print(json.dumps({"error": error, "threads": threads, "types": types}), flush=True)
+if __name__ == "__main__":
+    print('"up"', flush=True)
+    error = drive_a_curve("rclpy", reset="topic")
+    threads = [thread.name for thread in threading.enumerate() if "spins rclpy" in thread.name]
+    transport = make_transport("rclpy", "listener")
+    until(lambda: transport.types("/scan"))
+    types = [sorted(transport.types("/cmd_vel", receivers=True)), sorted(transport.types("/nothing"))]
+    transport.close()
+    transport.close()
+    print(json.dumps({"error": error, "threads": threads, "types": types}), flush=True)
