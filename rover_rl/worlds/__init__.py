@@ -76,19 +76,15 @@ def get_world(world: str | World) -> World:
         name = name.replace(seed=name.settings.get("seed", 0))
     if name.settings.get("scale") == 1:
         name = name.replace(scale=None)
-    path = Path(name.part)
-    if not is_world_file(name.part) or not path.exists():
-        return _make(name, None)
-    # A file is read again after it has changed.
-    return _make(Name(str(path.resolve()), name.settings), (path.stat().st_mtime_ns, path.stat().st_size))
+    path, version = Path(name.part), None
+    if is_world_file(name.part) and path.exists():
+        # A file is read again after it has changed.
+        name, version = Name(str(path.resolve()), name.settings), (path.stat().st_mtime_ns, path.stat().st_size)
+    return _make(name, version)
 
 
 def takes_scale(world: str) -> bool:
-    """Returns whether a name is that of a world, or of a range, that can have a scale, and states none.
-
-    Raises:
-        ValueError: if it is no name of a world.
-    """
+    """Whether a name is that of a world, or of a range, that can have a scale, and states none."""
     name = Name.parse(world)
     if "scale" in name.settings or is_world_file(name.part):
         return False
@@ -120,8 +116,6 @@ def _make(name: Name, version: tuple[int, int] | None) -> World:
     if callable(made):
         seed = [settings.pop("seed", 0)] if takes_seed else []
         made = _REGISTRY.call(name.part, made, *seed, **settings)
-    if not isinstance(made, World):
-        raise ValueError(
-            f"world {name.part!r} must be a World or a function that returns one, got {type(made).__name__}"
-        )
-    return made
+    if isinstance(made, World):
+        return made
+    raise ValueError(f"world {name.part!r} must be a World or a function that returns one, got {type(made).__name__}")

@@ -19,7 +19,7 @@ FOLDERS = 256
 
 
 def content_key(*parts: bytes | str) -> str:
-    """Returns a key of content: the SHA-256 hash of its parts."""
+    """SHA-256 hash of content in parts."""
     digest = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part

@@ -53,7 +53,7 @@ class WorldPool:
         if not entries:
             raise ValueError("a pool needs at least one world, got none")
         self.entries = entries
-        names = [Name.parse(entry) if isinstance(entry, str) else None for entry in entries]
+        names = (Name.parse(entry) if isinstance(entry, str) else None for entry in entries)
         self._ranges = [name if name and name.is_range else None for name in names]
         self.sizes = tuple(1 if seeds is None else len(seeds) for seeds in self._ranges)
         self._starts = (0, *accumulate(self.sizes))
@@ -97,10 +97,7 @@ class WorldPool:
         return self.entries[part] if seeds is None else str(seeds[index - self._starts[part]])
 
     def __getitem__(self, index: int) -> World:
-        with self._lock:
-            world = self._kept.get(index)
-        if world is None:
-            world = get_world(self.source(index))
+        world = self._kept.get(index) or get_world(self.source(index))
         with self._lock:
             self._kept[index] = world
             self._kept.move_to_end(index)
@@ -118,11 +115,10 @@ def draws_worlds(worlds: WorldSource) -> bool:
 
 
 class WorldsAhead:
-    """Prepares worlds of a pool in a thread.
+    """Generates and prepares worlds of a pool in a thread, unless the caller needs them before it has begun.
 
-    A world is generated and prepared once: by the caller if it is needed before the thread has begun with it. The
-    thread and its caller share Python's interpreter lock: :meth:`pause` the thread except while the caller waits for
-    what does not hold the lock, such as kernels.
+    The thread and its caller share Python's interpreter lock: :meth:`pause` the thread except while the caller waits
+    for what does not hold the lock, such as kernels.
 
     Args:
         pool: worlds.

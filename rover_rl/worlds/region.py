@@ -53,8 +53,7 @@ class Region:
         row, column = int(rows[0]), int(columns[0])
         mask = mask[row : int(rows[-1]) + 1, column : int(columns[-1]) + 1].clone()
         origin = (self.origin[0] + column * self.cell, self.origin[1] + row * self.cell)
-        for name, value in (("mask", mask), ("cell", float(self.cell)), ("origin", origin)):
-            object.__setattr__(self, name, value)
+        vars(self).update(mask=mask, cell=float(self.cell), origin=origin)
 
     @classmethod
     def polygon(cls, corners: Sequence[Sequence[float]]) -> Region:

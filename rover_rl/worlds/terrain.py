@@ -54,8 +54,7 @@ class Terrain:
             raise ValueError(f"cell must be a positive length in meters, got {self.cell}")
         rows, columns = heights.shape
         origin = self.origin or (-(columns - 1) * self.cell / 2, -(rows - 1) * self.cell / 2)
-        object.__setattr__(self, "heights", heights)
-        object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
+        vars(self).update(heights=heights, origin=(float(origin[0]), float(origin[1])))
 
     @classmethod
     def flat(cls, size: tuple[float, float] = (20.0, 20.0), height: float = 0.0) -> Terrain:

@@ -81,10 +81,7 @@ class World:
     movers: Sequence[Mover] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "obstacles", Solids.of(self.obstacles))
-        object.__setattr__(self, "movers", tuple(self.movers))
-        object.__setattr__(self, "bounds", self.bounds or self.terrain.extent)
-        self._complete_areas()
+        self._complete()
         for field in ("bounds", "spawn_range", "goal_range"):
             area = getattr(self, field)
             message = f"{field} of world {self.name!r} must"
@@ -94,35 +91,31 @@ class World:
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
         self._check_movers()
 
+    def _complete(self) -> None:
+        extent, spawn, goal = self.terrain.extent, self.spawn_region, self.goal_region
+        if goal is None and self.goal_range is None:
+            goal = spawn
+        bounds = self.bounds or extent
+        spawn_range = self.spawn_range or (spawn and overlap(spawn.bounds, bounds)) or expanded(extent, -1)
+        goal_range = self.goal_range or (goal and overlap(goal.bounds, bounds)) or spawn_range
+        areas = {"bounds": bounds, "spawn_range": spawn_range, "goal_range": goal_range, "goal_region": goal}
+        vars(self).update(areas, obstacles=Solids.of(self.obstacles), movers=tuple(self.movers))
+
     def _check_movers(self) -> None:
         if len(self.movers) > MAX_MOVERS:
             raise ValueError(f"world {self.name!r} may have at most {MAX_MOVERS} movers, got {len(self.movers)}")
-        through = []
+        inside = []
         for mover in self.movers:
-            if (start := mover.motion.first_point()) is None:
-                continue
-            point = torch.tensor(start, dtype=torch.float64)
-            if not Solids.of(self.obstacles).contains(torch.cat((point, self.height_at(point)[None] + 0.1))):
-                continue
-            if not isinstance(mover.motion, Waypoints):
-                raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
-            through.append(mover.name)
-        if through:
+            if (start := mover.motion.first_point()) is not None:
+                point = torch.tensor(start, dtype=torch.float64)
+                if Solids.of(self.obstacles).contains(torch.cat((point, self.height_at(point)[None] + 0.1))):
+                    inside.append(mover.name)
+                    if not isinstance(mover.motion, Waypoints):
+                        raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
+        if inside:
             # The worlds of others have such paths, and movers of any path pass through obstacles.
-            warnings.warn(
-                f"{self.name}: movers start inside an obstacle, and pass through it: {', '.join(through)}", stacklevel=4
-            )
-
-    def _complete_areas(self) -> None:
-        spawn, goal = self.spawn_region, self.goal_region
-        if goal is None and self.goal_range is None:
-            goal = spawn
-        spawn_range = (
-            self.spawn_range or (spawn and overlap(spawn.bounds, self.bounds)) or expanded(self.terrain.extent, -1)
-        )
-        goal_range = self.goal_range or (goal and overlap(goal.bounds, self.bounds)) or spawn_range
-        for name, value in (("goal_region", goal), ("spawn_range", spawn_range), ("goal_range", goal_range)):
-            object.__setattr__(self, name, value)
+            names = ", ".join(inside)
+            warnings.warn(f"{self.name}: movers start inside an obstacle, and pass through it: {names}", stacklevel=4)
 
     @classmethod
     def from_file(cls, path: str | Path, **options: Any) -> World:
@@ -190,8 +183,7 @@ class World:
     def scaled(self, scale: float) -> World:
         """Returns a world without movers whose layout is ``scale`` times as large, about the middle of its start area.
 
-        Passages, obstacles and areas grow along x and y. On level ground, heights stay; else, they grow as well, so
-        that slopes stay.
+        Lengths along x and y grow. On level ground, heights stay; else, they grow as well, so that slopes stay.
 
         Raises:
             ValueError: if something moves in the world, which knows its ways.
@@ -213,19 +205,15 @@ class World:
         normals = solids.planes[:, :3] / factors
         offsets = solids.planes[:, 3:] + (solids.planes[:, :3] - normals) @ middle[:, None]
         planes = torch.cat((normals, offsets), -1) / normals.norm(dim=-1, keepdim=True)
-        spawn_region, goal_region = (
-            region and Region(region.mask, region.cell * scale, moved(region.origin))
-            for region in (self.spawn_region, self.goal_region)
-        )
+        changed: dict[str, Any] = {name: grown(getattr(self, name)) for name in ("spawn_range", "goal_range", "bounds")}
+        for name in ("spawn_region", "goal_region"):
+            region = getattr(self, name)
+            changed[name] = region and Region(region.mask, region.cell * scale, moved(region.origin))
         return replace(
             self,
             terrain=Terrain(self.terrain.heights * upward, self.terrain.cell * scale, moved(self.terrain.origin)),
             obstacles=Solids(middle + (solids.vertices - middle) * factors, planes, solids.shapes),
-            spawn_range=grown(self.spawn_range),
-            goal_range=grown(self.goal_range),
-            bounds=grown(self.bounds),
+            **changed,
             spawn_height=self.spawn_height * upward,
             spawn_height_areas=tuple((grown(area), height * upward) for area, height in self.spawn_height_areas),
-            spawn_region=spawn_region,
-            goal_region=goal_region,
         )

@@ -24,10 +24,8 @@ def test_arrays_are_loaded_as_they_were_stored(folder: Path) -> None:
     store_arrays("test", "aa", stored)
     loaded = load_arrays("test", "aa")
     assert loaded is not None
-    assert list(loaded) == list(stored)
-    for name, array in stored.items():
-        assert (loaded[name].dtype, loaded[name].shape) == (array.dtype, array.shape)
-        assert np.array_equal(loaded[name], array)
+    for name, array in loaded.items():
+        assert (array.dtype, array.tolist()) == (stored[name].dtype, stored[name].tolist())
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: data[:60] + b"?" + data[61:]])

@@ -22,19 +22,16 @@ from rover_rl.worlds.movers.parts import Parts, outlines
 from rover_rl.worlds.region import Area
 from rover_rl.worlds.table import WorldTable
 
-SECONDS = 2.0
-"""Duration of the way that is drawn of each mover, s."""
+SECONDS, HEAD = 2.0, 0.22
+"""Duration of the way that is drawn of each mover, s, and length of the head of its arrow, m."""
 AWAY = 1e4
 """Distance of the rover, to which movers may react, m."""
 TINT, WAY = "#7c3aed", "#3b0764"
 """Color of the areas in which movers start and end, and of their ways."""
 HATCHED: dict[str, Any] = {"hatch": "////", "linewidth": 0, "alpha": 0.35}
 DOTTED: dict[str, Any] = {"linestyle": ":", "linewidth": 1.4, "alpha": 0.9}
-"""Styles of these areas."""
 EDGES: dict[str, Any] = {"edgecolors": "#14061f", "linewidths": 0.6}
-"""Style of the outlines of movers."""
-HEAD = 0.22
-"""Length of the head of an arrow, m."""
+"""Styles of these areas, and of the outlines of movers."""
 
 
 def draw_movers(ax: Axes, world: World, seed: int = 0) -> None:
@@ -61,17 +58,14 @@ def draw_movers(ax: Axes, world: World, seed: int = 0) -> None:
 def seen_from_above(
     kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor, looks: Sequence[Look]
 ) -> dict[str, Any]:
-    """Returns the outlines and the colors of parts as arguments of a ``PolyCollection``, the lowest first.
-
-    Shapes are those of :func:`~rover_rl.worlds.movers.parts.corners`, with a look for each part.
-    """
+    """Returns the outlines and the colors of parts as arguments of a ``PolyCollection``, the lowest first."""
     order = position[:, 2].argsort(stable=True)
     shapes = (values[order] for values in (kind, half, position, orientation))
     return {"verts": outlines(*shapes), "facecolors": [looks[part].color for part in order.tolist()]}
 
 
 def parts_from_above(movers: Parts, world: World) -> dict[str, Any]:
-    """Returns the outlines and the colors of the parts of one row: see :func:`seen_from_above`."""
+    """Returns what :func:`seen_from_above` does of the parts of one row."""
     shapes = (movers.kind[0], movers.half[0], movers.position[0], movers.orientation[0])
     return seen_from_above(*shapes, looks_of(world, len(movers.kind[0])))
 

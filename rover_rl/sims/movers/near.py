@@ -14,10 +14,7 @@ MAX_ROVER_SPEED = 2.0
 
 
 def fastest_point(robot: Robot) -> float:
-    """Returns the speed above which a point of a robot may reach something unnoticed within a control step, m/s.
-
-    It is twice the robot's own, as a corner of a robot that turns is faster than its middle.
-    """
+    """Twice the robot's own speed, as a corner of a robot that turns is faster than its middle, m/s."""
     return max(MAX_ROVER_SPEED, 2 * robot.drive.max_speed)
 
 

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from rover_rl.robots import Robot
 from rover_rl.rotations import angle_of, matrix_to_quaternion, quaternion_product, rotate, wrap_angle
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds.movers.mover import Part
+from rover_rl.worlds.movers.mover import Kind, Part
 from rover_rl.worlds.movers.parts import MAX_SPEED
 
 
@@ -26,19 +26,11 @@ class RoverSolids(NamedTuple):
 
 
 class OtherRovers:
-    """The other rovers of each row's group, as solids that move.
+    """The other rovers of each row's group, ``agents`` consecutive rows, as solids that move.
 
-    Groups are ``agents`` consecutive rows. In a step, each rover sees another one move on at the mean of their
-    velocities in the last step. So they share their momentum, as in an inelastic collision of equal masses. (If each
-    moved on at its own velocity, they would bounce off as elastic balls do.) After the step, each is where it really
-    is.
-
-    Args:
-        robot: robot of all rows.
-        agents: number of rovers of a group.
-        rows: number of rows N.
-        dt: duration of a step, s.
-        device: device of the tensors.
+    In a step of ``dt`` (s), each rover sees another one move on at the mean of their velocities in the last step, as if
+    both were one body. So they share their momentum, as in an inelastic collision of equal masses. (If each moved on at
+    its own velocity, they would bounce off as elastic balls do.) After the step, each is where it really is.
 
     Attributes:
         agents: number of rovers of a group.
@@ -66,10 +58,8 @@ class OtherRovers:
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers where they are.
 
-        Args:
-            rover: state of all rovers.
-            moved: rovers that have moved, bool ``[N, 1]``; ``None``: all. The others keep their velocities.
-            begins: rovers that begin an episode, at rest, bool ``[N, 1]``.
+        Rovers that have not ``moved`` (bool ``[N, 1]``; ``None``: all have) keep their velocities, and those that begin
+        an episode are at rest.
         """
         position, attitude, last = rover.position.to(self._yaw), rover.orientation.to(self._yaw), self._now
         x, y, z, w = attitude.unbind(-1)
@@ -97,11 +87,9 @@ class OtherRovers:
     def advance(self, active: Tensor | None) -> RoverSolids:
         """Returns the solids of the others of each row after a step in which rovers move on, ``[N, count]``.
 
-        Rovers do not move if ``active`` (bool ``[N, 1]``; ``None``: all) is false. The velocity of another rover is the
-        mean of its own and that of the row's rover, as if both were one body: when two equal masses meet and stay
-        together, each has this velocity.
+        Rovers do not move if ``active`` (bool ``[N, 1]``; ``None``: all) is false.
         """
-        position, orientation, velocity, turn = self._of_others_solids(self._now)
+        position, orientation, velocity, turn = self.seen()
         offset = position - self._position[:, None]
         spin = self._now.turn[:, :1]
         across = torch.stack((-offset[..., 1], offset[..., 0], torch.zeros_like(offset[..., 0])), -1)
@@ -116,10 +104,7 @@ class OtherRovers:
 
     def seen(self) -> RoverSolids:
         """Returns the solids of the others of each row where they are, ``[N, count]``."""
-        return self._of_others_solids(self._now)
-
-    def _of_others_solids(self, solids: RoverSolids) -> RoverSolids:
-        return RoverSolids(*(self._of_others(values).flatten(1, 2) for values in solids))
+        return RoverSolids(*(self._of_others(values).flatten(1, 2) for values in self._now))
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest other rover, and its speed."""
@@ -153,8 +138,6 @@ def solids_of(robot: Robot) -> tuple[Part, ...]:
     turn = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))) if width else np.eye(3)
     x, y, z, w = matrix_to_quaternion(torch.from_numpy(turn)).tolist()
     size = (2 * radius, 2 * radius, width or 2 * radius)
-    wheels = [
-        Part("cylinder" if width else "capsule", size, center=hub, orientation=(x, y, z, w))
-        for hub in robot.wheels.hubs
-    ]
-    return (*wheels, *(Part("box", box.size, center=box.center) for box in robot.boxes))
+    kind: Kind = "cylinder" if width else "capsule"
+    wheels = (Part(kind, size, hub, (x, y, z, w)) for hub in robot.wheels.hubs)
+    return (*wheels, *(Part("box", box.size, box.center) for box in robot.boxes))

@@ -12,14 +12,7 @@ from rover_rl.sims.movers.field import MoverField
 
 
 class MoverScanner:
-    """Lidar that sees movers, besides what another scanner sees.
-
-    Args:
-        scanner: scanner of what does not move.
-        movers: movers of the rows.
-        simulator: simulator of the rovers.
-        robot: robot that carries the lidar, or the robots of the rows.
-    """
+    """Lidar that sees movers, besides what another scanner sees, of the robot or the robots of the rows."""
 
     def __init__(self, scanner: Scanner, movers: MoverField, simulator: Simulator, robot: Robot | Fleet) -> None:
         self.angles = scanner.angles
@@ -33,7 +26,6 @@ class MoverScanner:
         self._ranges: Tensor | None = None
 
     def scan(self, rows: Tensor | None = None) -> Tensor:
-        """Scans: see :meth:`~rover_rl.sims.base.Scanner.scan`."""
         ranges = self._scanner.scan(rows)
         if self._movers.parts is None:
             return ranges

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 import torch
 from scipy.optimize import linprog
@@ -18,13 +16,9 @@ from rover_rl.worlds.solids import Solids
 
 
 def check_standing(world: World, robot: Robot, pose: tuple[float, float, float], movers: Parts | None = None) -> None:
-    """Raises ``ValueError`` if a robot cannot stand at a pose: if it is off the terrain or overlaps with something.
+    """Raises ``ValueError`` if a robot at x, y (m) and yaw (rad) is off the terrain or overlaps with something.
 
-    Args:
-        world: world with the terrain and the obstacles.
-        robot: robot, whose collision shapes count.
-        pose: x, y (m) and yaw (rad).
-        movers: parts of movers, of one row.
+    ``movers`` are the parts of movers of one row.
     """
     position, rotation = (each[0].numpy() for each in rest_on_ground(world, robot, torch.tensor([pose]).double()))
     body = [
@@ -37,25 +31,17 @@ def check_standing(world: World, robot: Robot, pose: tuple[float, float, float],
     extent = world.terrain.extent
     if any(low[axis] < start or high[axis] > end for axis, (start, end) in enumerate(extent)):
         (left, right), (bottom, top) = extent
-        raise ValueError(
-            f"at {where}, the rover is not on the terrain, which is x {left:g} to {right:g} m and y {bottom:g} to "
-            f"{top:g} m"
-        )
-    for solid in _obstacles(world, low, high):
-        if any(_overlap(part, solid) for part in body):
-            raise ValueError(f"at {where}, the rover is in an obstacle")
+        terrain = f"x {left:g} to {right:g} m and y {bottom:g} to {top:g} m"
+        raise ValueError(f"at {where}, the rover is not on the terrain, which is {terrain}")
+    solids = Solids.of(world.obstacles)
+    lows, highs = solids.bounding_boxes
+    near = np.flatnonzero(((lows <= high) & (highs >= low)).all(-1)).tolist()
+    if any(_overlap(part, solids[index].vertices.numpy()) for index in near for part in body):
+        raise ValueError(f"at {where}, the rover is in an obstacle")
     if movers is not None:
         shapes = (movers.kind[0], movers.half[0], movers.position[0], movers.orientation[0])
         if any(_overlap(part, solid) for part in body for solid in corners(*shapes)):
             raise ValueError(f"at {where}, the rover is in something that moves")
-
-
-def _obstacles(world: World, low: np.ndarray, high: np.ndarray) -> Iterable[np.ndarray]:
-    """Returns the vertices ``[V, 3]`` of the obstacles whose bounding boxes overlap with a box by its corners."""
-    solids = Solids.of(world.obstacles)
-    lows, highs = solids.bounding_boxes
-    for index in np.flatnonzero(((lows <= high) & (highs >= low)).all(-1)).tolist():
-        yield solids[index].vertices.numpy()
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> bool:

@@ -65,8 +65,11 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
         >>> len(with_walkers(get_world("maze")).movers), len(get_world("maze+walkers").movers)
         (3, 3)
     """
-    rng = np.random.default_rng((seed, 1))
-    area, ground = union(world.spawn_range, world.goal_range), ground_of_episodes(world)
+    rng, area, ground = (
+        np.random.default_rng((seed, 1)),
+        union(world.spawn_range, world.goal_range),
+        ground_of_episodes(world),
+    )
     count = min(max(round(ground * scaled(difficulty, *WALKERS)), 1), MOST_WALKERS)
     if 2 * WALKERS[-1] * ground < count == 1:
         warnings.warn(f"{world.name}+walkers: a person on {ground:.1f} m^2 of ground leaves no way past", stacklevel=2)
@@ -77,10 +80,9 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
 def ground_of_episodes(world: World) -> float:
     """Returns the size of the ground on which episodes start and end, m^2: that of the regions, else of the areas."""
     (left, right), (bottom, top) = union(world.spawn_range, world.goal_range)
-    regions = [region for region in (world.spawn_region, world.goal_region) if region is not None]
     # Both may be the same, or not.
-    areas = {(region.origin, region.area): region.area for region in regions}
-    return sum(areas.values()) or (right - left) * (top - bottom)
+    regions = {(region.origin, region.area) for region in (world.spawn_region, world.goal_region) if region}
+    return sum(area for _, area in regions) or (right - left) * (top - bottom)
 
 
 def plaza(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
@@ -194,7 +196,7 @@ def yard(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> Worl
 
 
 def _round_trip(corners: np.ndarray, speed: float) -> list[tuple[float, float, float, float]]:
-    """Returns the keyframes of a closed path through corners ``[n, 2]`` (m) at a speed (m/s)."""
+    """Keyframes of a closed path through corners ``[n, 2]`` (m) at a speed (m/s)."""
     path = np.vstack((corners, corners[:1]))
     steps = np.diff(path, axis=0)
     times = np.concatenate(([0.0], np.cumsum(np.linalg.norm(steps, axis=1) / speed)))

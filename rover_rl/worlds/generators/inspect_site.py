@@ -1,7 +1,4 @@
-"""Inspection site: hilly ground and rows of solar panels.
-
-The module is not named ``inspect``, to differ from the module of Python's standard library.
-"""
+"""Inspection site: hilly ground and rows of solar panels. ``inspect`` is a module of Python's standard library."""
 
 from __future__ import annotations
 
@@ -49,22 +46,12 @@ def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     panels = [part for y in PANEL_ROWS for x in PANEL_COLUMNS for part in _panel_on_stand(terrain, x, y)]
     walls = [_block(terrain, x, y, *WALL_SIZE) for x, y in WALLS]
     crates = [_block(terrain, *crate) for crate in _crates(rng, round(scaled(difficulty, *CRATES)))]
-    return World(
-        "inspect",
-        terrain,
-        (*panels, *walls, *crates),
-        spawn_range=TASK_AREA,
-        bounds=BOUNDS,
-        spawn_height=5.5,
-        spawn_height_areas=((CORNER, 6.5),),
-    )
+    solids, heights = (*panels, *walls, *crates), ((CORNER, 6.5),)
+    return World("inspect", terrain, solids, TASK_AREA, bounds=BOUNDS, spawn_height=5.5, spawn_height_areas=heights)
 
 
 def _ground(rng: np.random.Generator, height: float) -> Terrain:
-    """Creates ground with humps of up to ``height`` (m).
-
-    With 0.25 m, it is 4.1 to 6.3 m high within the bounds with a median slope of 9 degrees, as on the original site.
-    """
+    """Ground with humps of up to ``height``, m. With 0.25, its median slope is 9 degrees, as on the original site."""
     columns, rows = (round(side / CELL) + 1 for side in SIZE)
     y, x = np.meshgrid(np.linspace(-50, 50, rows), np.linspace(-32, 32, columns), indexing="ij")
     knoll = 1.63 * smoothstep((-20.36 - x) / 7.03) * (1 - 0.63 * smoothstep((y + 27) / 10))
@@ -80,16 +67,13 @@ def _ground(rng: np.random.Generator, height: float) -> Terrain:
 def _crates(rng: np.random.Generator, count: int) -> list[tuple[float, float, float, float]]:
     """Samples the center and side lengths along x and y of crates that keep the minimum gap, m."""
     crates: list[tuple[float, float, float, float]] = []
-    for _ in range(MAX_ATTEMPTS):
+    for _ in range(MAX_ATTEMPTS if count else 0):
+        (x, y), (length, depth) = rng.uniform(*np.array(TASK_AREA).T).tolist(), rng.uniform(*CRATE_SIDE, 2).tolist()
+        gaps = (max(abs(x - u) - (length + a) / 2, abs(y - v) - (depth + b) / 2) for u, v, a, b in crates)
+        if min(gaps, default=math.inf) >= CRATE_GAP:
+            crates.append((x, y, length, depth))
         if len(crates) == count:
             break
-        (x, y), (length, depth) = (rng.uniform(*np.array(TASK_AREA).T), rng.uniform(*CRATE_SIDE, 2))
-        apart = (
-            max(abs(x - u) - (length + other) / 2, abs(y - v) - (depth + another) / 2) >= CRATE_GAP
-            for u, v, other, another in crates
-        )
-        if all(apart):
-            crates.append((float(x), float(y), float(length), float(depth)))
     return crates
 
 
@@ -112,8 +96,8 @@ def _block(terrain: Terrain, x: float, y: float, length: float, depth: float) ->
 
 
 def _ground_below(terrain: Terrain, x: float, y: float, length: float, depth: float) -> tuple[float, float]:
-    """Returns the minimum and maximum height (m) of the ground below a rectangle around ``(x, y)``."""
-    u = torch.linspace(x - length / 2, x + length / 2, 21, dtype=torch.float64)
-    v = torch.linspace(y - depth / 2, y + depth / 2, 21, dtype=torch.float64)
-    heights = terrain.height_at(torch.cartesian_prod(u, v))
+    """Minimum and maximum height (m) of the ground below a rectangle around ``(x, y)``."""
+    ends = ((x - length / 2, x + length / 2), (y - depth / 2, y + depth / 2))
+    axes = (torch.linspace(low, high, 21, dtype=torch.float64) for low, high in ends)
+    heights = terrain.height_at(torch.cartesian_prod(*axes))
     return float(heights.min()), float(heights.max())

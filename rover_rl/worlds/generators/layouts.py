@@ -41,17 +41,12 @@ def relief(
     shape: tuple[int, int],
     cell: float,
     wavelengths: tuple[float, float],
-    steepness: float = 2.0,
+    steepness: float = 2,
 ) -> np.ndarray:
     """Samples random heights with mean 0 and standard deviation 1 from a power-law spectrum: ``[rows, columns]``.
 
-    Args:
-        rng: random number generator.
-        shape: number of rows and columns.
-        cell: spacing of the grid, m.
-        wavelengths: shortest and longest wavelength, m. The spectrum is cut off smoothly at the shortest.
-        steepness: exponent of the spectrum: amplitudes are proportional to ``wavelength ** steepness``. 2 gives
-            rolling hills, 1.5 rough ground.
+    The spectrum is cut off smoothly at the shortest of two ``wavelengths``, m. Amplitudes are proportional to
+    ``wavelength ** steepness``: 2 gives rolling hills, 1.5 rough ground.
     """
     shortest, longest = wavelengths
     spectrum = np.fft.rfft2(rng.standard_normal(shape))

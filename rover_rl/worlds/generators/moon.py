@@ -106,12 +106,11 @@ def _boulders(rng: np.random.Generator, terrain: Terrain, half: float, difficult
     for margin, count in ((NEAR, scaled(difficulty, *NEAR_BOULDERS)), (FAR, FAR_BOULDERS)):
         full = len(placed) + _count(count, half, margin)
         reach, attempts = half + margin, max(MAX_ATTEMPTS, _count(MAX_ATTEMPTS, half, margin))
-        for x, y, radius in np.column_stack(
-            (rng.uniform(-reach, reach, (attempts, 2)), rng.uniform(*RADIUS, attempts))
-        ):
+        sampled = np.column_stack((rng.uniform(-reach, reach, (attempts, 2)), rng.uniform(*RADIUS, attempts)))
+        for x, y, radius in sampled.tolist():
             apart = all(math.hypot(x - u, y - v) >= radius + other + gap for u, v, other in placed)
             if apart and len(placed) < full:
-                placed.append((float(x), float(y), float(radius)))
+                placed.append((x, y, radius))
     ground = terrain.height_at(torch.tensor(placed, dtype=torch.float64)[:, :2])
     # The center is a quarter of the radius above the ground: partly buried, yet high enough for the lidar.
     return [boulder((x, y, z + r / 4), r, rng) for (x, y, r), z in zip(placed, ground.tolist(), strict=True)]

@@ -78,13 +78,9 @@ class Rect(NamedTuple):
         return self.right - self.left, self.top - self.bottom
 
     def overlaps(self, other: Rect, gap: int = 0) -> bool:
-        """Returns whether the rectangles overlap, or are closer than ``gap`` along both axes."""
-        return (
-            self.left < other.right + gap
-            and other.left < self.right + gap
-            and self.bottom < other.top + gap
-            and other.bottom < self.top + gap
-        )
+        """Whether the rectangles overlap, or are closer than ``gap`` along both axes."""
+        x = self.left < other.right + gap and other.left < self.right + gap
+        return x and self.bottom < other.top + gap and other.bottom < self.top + gap
 
     def transposed(self) -> Rect:
         return Rect(self.bottom, self.left, self.top, self.right)
@@ -177,10 +173,8 @@ def _without_doors(wall: Rect, doors: list[Rect]) -> list[Rect]:
     if width < depth:
         turned = [door.transposed() for door in doors]
         return [part.transposed() for part in _without_doors(wall.transposed(), turned)]
-    on_wall = sorted(
-        door for door in doors if door.overlaps(wall) and (door.bottom, door.top) == (wall.bottom, wall.top)
-    )
-    ends = [wall.left, *(end for door in on_wall for end in (door.left, door.right)), wall.right]
+    in_wall = sorted(door for door in doors if door.overlaps(wall) and door[1::2] == wall[1::2])
+    ends = [wall.left, *(end for door in in_wall for end in (door.left, door.right)), wall.right]
     return [wall._replace(left=left, right=right) for left, right in zip(ends[::2], ends[1::2], strict=True)]
 
 
@@ -249,11 +243,8 @@ def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
 def _solids(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> Solids:
     parts = [(*wall, 0.0, WALL_HEIGHT) for wall in plan.walls]
     for piece, height in furniture:
-        if height > 0:
-            parts.append((*piece, 0.0, height))
-        else:
-            parts += [(*leg, 0.0, TABLE_TOP[0]) for leg in _legs(piece)]
-            parts.append((*piece, *TABLE_TOP))
+        parts += [] if height else [(*leg, 0.0, TABLE_TOP[0]) for leg in _legs(piece)]
+        parts.append((*piece, 0.0, height) if height else (*piece, *TABLE_TOP))
     ends = np.array(parts)
     low, high = ends[:, [0, 1, 4]] / (10, 10, 1), ends[:, [2, 3, 5]] / (10, 10, 1)
     return boxes((low + high) / 2, high - low)

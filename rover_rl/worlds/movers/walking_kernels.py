@@ -12,40 +12,23 @@ from rover_rl.native.warp import wp
 from rover_rl.worlds.movers.motion import MotionInput, MoverState
 
 # Settings of a mover, by index: see `Walk.tensors`.
-SPEED = wp.constant(0)
-START = wp.constant(1)
-GOAL = wp.constant(6)
-PAUSE = wp.constant(11)
-PATIENCE = wp.constant(12)
-OWN = wp.constant(13)
-"""Index of the first setting that not all motions have."""
+# From OWN on, there are those that not all motions have.
+SPEED, START, GOAL, PAUSE, PATIENCE, OWN = map(wp.constant, (0, 1, 6, 11, 12, 13))
 
-CANDIDATES = wp.constant(64)
-"""Number of points that are tried for a start or a goal."""
-ARRIVED = wp.constant(0.2)
-"""Distance at which a goal is reached, m."""
-TURN_RATE = wp.constant(3.1415927)
-"""Largest rate at which a mover turns to where it walks, rad/s."""
-FREE_OF_ROVER = wp.constant(1.5)
-"""Least distance between the surfaces of mover and rover at the start, m."""
-BAND = wp.constant(0.4)
-"""Distance from a wall within which a mover walks along it rather than toward it, m."""
-SLACK = wp.constant(0.005)
-"""Depth by which a mover may be too close to a wall, m."""
-TWO_PI = wp.constant(6.2831853)
-FAR = wp.constant(1.0e9)
+# Number of points that are tried for a start or a goal; distance at which a goal is reached, m; largest rate at which a
+# mover turns to where it walks, rad/s; least distance between the surfaces of mover and rover at the start, m.
+CANDIDATES, ARRIVED, TURN_RATE, FREE_OF_ROVER = map(wp.constant, (64, 0.2, 3.1415927, 1.5))
+# Distance from a wall within which a mover walks along it rather than toward it, and depth by which it may be too close
+# to a wall, m.
+BAND, SLACK = map(wp.constant, (0.4, 0.005))
+TWO_PI, FAR = map(wp.constant, (6.2831853, 1.0e9))
 LAWS = ("cross", "social_force", "orca", "wander")
 _CROSS, SOCIAL_FORCE, ORCA, WANDER = (wp.constant(k) for k in range(len(LAWS)))
-DRAWS = wp.constant(wp.uint64(33))
-STEPS = wp.constant(wp.uint64(34))
-"""Streams of random numbers: of draws, and of what is drawn in each step."""
-
-_GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
-_MIX_1 = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
-_MIX_2 = wp.constant(wp.uint64(0x94D049BB133111EB))
-_STREAM = wp.constant(wp.uint64(0xDA942042E4DD58B5))
-_DRAW = wp.constant(wp.uint64(0xAEF17502108EF2D9))
-_MASK = wp.constant(wp.uint64(0xFFFFFF))
+# Streams of random numbers: of draws, and of what is drawn in each step. Constants are those of rover_rl.rng.
+DRAWS, STEPS = wp.constant(wp.uint64(33)), wp.constant(wp.uint64(34))
+_GOLDEN, _MIX_1 = wp.constant(wp.uint64(0x9E3779B97F4A7C15)), wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
+_MIX_2, _STREAM = wp.constant(wp.uint64(0x94D049BB133111EB)), wp.constant(wp.uint64(0xDA942042E4DD58B5))
+_DRAW, _MASK = wp.constant(wp.uint64(0xAEF17502108EF2D9)), wp.constant(wp.uint64(0xFFFFFF))
 _UNIT = wp.constant(5.9604645e-8)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeAlias, get_args
 
@@ -75,13 +75,9 @@ class Waypoints(Motion):
         yaw: float | None = None,
         random_start: bool = False,
     ) -> Waypoints:
-        """Slides back and forth between two points, as a gate or a cart does, and never turns.
+        """Slides back and forth between two points (m), as a gate or a cart does, and never turns.
 
-        Args:
-            start, to: ends of the way, m.
-            speed: speed, m/s.
-            pause: rest at each end, s.
-            yaw: heading, rad. ``None`` is the direction from ``start`` to ``to``.
+        It rests at each end for ``pause`` (s). Its heading is ``yaw`` (rad), or the direction from ``start`` to ``to``.
         """
         check_positive(MAX_SPEED, speed=speed)
         check_at_least(0.0, MAX_TIME, pause=pause)
@@ -129,21 +125,20 @@ class Waypoints(Motion):
         return None if self.random_start else self.keys[0][1:3]
 
     def tensors(self) -> dict[str, Tensor]:
-        """Returns the legs that begin at the keyframes ``[K, 8]``, and what else the position depends on.
+        """Returns the legs from the keyframes on, ``[K, 8]``, and what else the position depends on.
 
         A leg has the time, x, y and yaw of its keyframe, its duration, and the rates of x, y and yaw.
         """
         keys = torch.tensor(self.keys, dtype=torch.float64)
-        change = torch.cat((keys[1:] - keys[:-1], torch.zeros(1, 4, dtype=torch.float64)))
+        change = keys.diff(dim=0, append=keys[-1:])
         change[:, 3] = wrap_angle(change[:, 3])
         span = change[:, :1]
+        numbers = {"period": self.keys[-1][0], "repeat": get_args(Repeat).index(self.repeat), "delay": self.delay}
+        numbers["random_start"] = self.random_start
         return {
             "keys": torch.cat((keys, span, change[:, 1:] / span.clamp(min=1e-9)), 1),
             "count": torch.tensor(len(keys)),
-            "period": keys[-1, 0].clone(),
-            "repeat": torch.tensor(float(get_args(Repeat).index(self.repeat)), dtype=torch.float64),
-            "delay": torch.tensor(self.delay, dtype=torch.float64),
-            "random_start": torch.tensor(float(self.random_start), dtype=torch.float64),
+            **{name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()},
         }
 
     @classmethod
@@ -152,7 +147,8 @@ class Waypoints(Motion):
         settings = inputs.settings
         cycle = torch.where(settings["repeat"] == 2, 2 * settings["period"], settings["period"])
         offset = settings["random_start"] * cycle * to_unit(inputs.bits(1)[..., 0])
-        return cls._at(inputs, offset.to(inputs.state.clock.dtype))
+        # In the precision in which the clock is stored.
+        return cls._at(inputs, offset.float())
 
     @classmethod
     def advance(cls, inputs: MotionInput) -> MoverState:
@@ -161,9 +157,8 @@ class Waypoints(Motion):
     @classmethod
     def _at(cls, inputs: MotionInput, offset: Tensor) -> MoverState:
         settings, state = inputs.settings, inputs.state
-        keys, period = settings["keys"], settings["period"]
+        keys, whole = settings["keys"], settings["period"].clamp(min=1e-6)
         time = (inputs.time + offset - settings["delay"]).clamp(min=0)
-        whole = period.clamp(min=1e-6)
         folded = torch.remainder(time, 2 * whole)
         looped = torch.where(folded < whole, folded, folded - whole)
         back_and_forth = torch.minimum(folded, 2 * whole - folded)
@@ -183,11 +178,4 @@ class Waypoints(Motion):
         returns = (settings["repeat"] == 2) & (folded > whole)
         heading = torch.where(returns, -1.0, 1.0)[..., None] * ((passed_time > 0) & (passed_time < span))[..., None]
         yaw = leg[..., 3] + passed_time * leg[..., 7]
-        return MoverState(
-            position=position.to(state.position.dtype),
-            yaw=yaw.to(state.yaw.dtype),
-            velocity=(way * heading).to(state.velocity.dtype),
-            goal=state.goal,
-            clock=offset,
-            draws=state.draws,
-        )
+        return replace(state, position=position, yaw=yaw, velocity=way * heading, clock=offset)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.movers.field import MoverField
-from rover_rl.worlds import Solids, Terrain, World, box
+from rover_rl.worlds import Solids, Terrain, World
 from rover_rl.worlds.movers import Mover, Rovers
 from rover_rl.worlds.table import WorldTable
 
@@ -20,11 +20,6 @@ ROVER_RADIUS = 0.3
 def yard(movers: Sequence[Mover], side: float = 20.0, obstacles: Sequence[Solids] = ()) -> World:
     """Creates a flat square world with movers."""
     return World("yard", Terrain.flat((side, side)), obstacles, movers=movers)
-
-
-def pillars() -> list[Solids]:
-    """Creates four boxes with corners and narrow ways between them."""
-    return [box((x, y, 0.5), (2.0, 1.0, 1.0)) for x in (-3.0, 3.0) for y in (-2.5, 2.5)]
 
 
 def rovers_at(points: Tensor, velocities: Tensor | None = None) -> Rovers:

@@ -36,7 +36,7 @@ def test_eight_on_a_circle_reach_the_other_side_without_contact() -> None:
     angles = [2 * math.pi * k / 8 for k in range(8)]
     starts = [(5 * math.cos(angle), 5 * math.sin(angle)) for angle in angles]
     movers = [Mover(Orca(start=(x, y), goal=(-x, -y)), Cylinder(RADIUS)) for x, y in starts]
-    points = walk(begun([yard(movers)], 1, AWAY), 500, lambda _: rovers_at(AWAY))[:, 0]
+    points = walk(begun([yard(movers)], 1, AWAY), 300, lambda _: rovers_at(AWAY))[:, 0]
     assert pairwise_gap(points) > 0.0
     assert (points + torch.tensor(starts)).norm(dim=-1).min(0).values.max() < 0.21
 
@@ -85,8 +85,8 @@ def test_lanes_form_in_a_corridor_with_two_directions() -> None:
     ]
     movers = [Mover(motion, Cylinder(0.23)) for motion in motions for _ in range(count // 2)]
     corridor = World("corridor", Terrain.flat((length + 20, width)), movers=movers, spawn_range=start)
-    away = torch.full((4, 2), 1000.0)
-    field = begun([corridor] * 4, rovers=away)
+    away = torch.full((2, 2), 1000.0)
+    field = begun([corridor] * 2, rovers=away)
     directions = torch.tensor([1.0, -1.0]).repeat_interleave(count // 2)
     before = lane_order(field.state.position, directions, length)
     slow = float(0)

@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from rover_rl.worlds import box
 from rover_rl.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, SocialForce, Wander, Waypoints
-from tests.worlds.movers.crowds import begun, pillars, rovers_at, walk, yard
+from tests.worlds.movers.crowds import begun, rovers_at, walk, yard
 
 MOTIONS = [
     Wander(turn_time=1.0),
@@ -16,6 +17,7 @@ MOTIONS = [
     Orca(patience=1.0, pause=0.3),
     Waypoints.there_and_back((0.0, 0.0), (4.0, 3.0), random_start=True),
 ]
+PILLARS = [box((x, y, 0.5), (2.0, 1.0, 1.0)) for x in (-3.0, 3.0) for y in (-2.5, 2.5)]
 
 
 def circling(rows: int, seed: int, step: int) -> Tensor:
@@ -29,17 +31,16 @@ def circling(rows: int, seed: int, step: int) -> Tensor:
 def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion) -> None:
     # Some rows fill the processor's vectors, and the last one is left over.
     rows = 33
-    world = yard([Mover(motion, Cylinder(0.3))] * 5, 12.0, pillars())
+    world = yard([Mover(motion, Cylinder(0.3))] * 5, 12.0, PILLARS)
     # Other rows have more movers, of other motions, too.
     crowded = yard([Mover(Waypoints([(0.0, 1.0, 1.0, 0.0)])), *[Mover(motion, Cylinder(0.2))] * 7], 14.0)
     row = rows - 3
     alone = begun([world], seed=row, rovers=circling(1, row, 0))
     batch = begun([crowded if k != row and k % 3 else world for k in range(rows)], rovers=circling(rows, 0, 0))
-    again = torch.zeros(rows, 1, dtype=torch.bool)
-    again[::2] = True
+    again = (torch.arange(rows) % 2 == 0)[:, None]
     again[row] = False
-    for step in range(150):
-        if step == 70:
+    for step in range(80):
+        if step == 40:
             batch.reset(again, torch.arange(rows)[:, None], circling(rows, 0, step))
         alone.advance(None, rovers_at(circling(1, row, step)))
         batch.advance(None, rovers_at(circling(rows, 0, step)))
