@@ -36,15 +36,8 @@ _MARKS = {
     ".pdf": (0, b"%" + _MARK + b"\n"),
 }
 """Number of bytes at the end of a file that the mark comes before, and the mark, by the suffix of the format."""
-_WITHOUT_COMMENTS = {
-    # In the first line, the first name alone is quoted.
-    ".csv": re.compile(rb'"[^",\n]*"(,[^"\n]*)?\r?\n'),
-    # The name of the application.
-    ".rrd": re.compile(rb"RRF2.{0,200}\n\x08rover_rl", re.DOTALL),
-    # The tables of Optuna.
-    ".db": re.compile(rb"SQLite format 3\0.*CREATE TABLE studies", re.DOTALL),
-}
-"""How files of formats without comments begin if this package made them."""
+_CSV = re.compile(rb'"[^",\n]*"(,[^"\n]*)?\r?\n')
+"""How a CSV file begins if this package made it: in the first line, the first name alone is quoted."""
 
 
 def cache_folder() -> Path:
@@ -122,8 +115,7 @@ def _is_marked(path: Path) -> bool:
     if not path.is_file():
         return False
     content = path.read_bytes()
-    beginning = _WITHOUT_COMMENTS.get(path.suffix.lower())
-    return _MARK in content or (beginning is not None and beginning.match(content) is not None)
+    return _MARK in content or (path.suffix.lower() == ".csv" and _CSV.match(content) is not None)
 
 
 @contextmanager

@@ -139,10 +139,9 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         return row_of(observation, 0), {}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes one step: 0.05 s, or ``action_repeat`` times as long.
+        """Takes one step: 0.05 s, or ``action_repeat`` times as long. The action is clipped to the action space.
 
-        The action, forward speed (m/s) and heading offset (rad), is clipped to the action space. Raises ``ValueError``
-        if its shape is wrong, or it is not finite.
+        Raises ``ValueError`` if the shape of the action is wrong, or it is not finite.
         """
         action = np.asarray(action, np.float32)
         if action.shape != self.action_space.shape:

@@ -84,8 +84,7 @@ class Placement:
     ) -> Tensor:
         """Draws goals ``[N, 2]`` (m), uniformly from the free goal cells that are far enough from the position.
 
-        ``number`` are the goals set in the episode so far, ``[N, 1]``. The others are as in :meth:`draw_start`, where
-        ``taken`` are goals.
+        ``number`` are the goals set in the episode so far, ``[N, 1]``, and ``taken`` goals. See :meth:`draw_start`.
         """
         rows = chosen_rows(mask)
         candidates, far = self._goals(keys[rows], number[rows], position[rows], self._worlds.slots[rows], _CANDIDATES)

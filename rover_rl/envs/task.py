@@ -1,15 +1,11 @@
 """Point-navigation task: target, events and ``outcome`` of a step, as functions of batched tensors.
 
 Tensors have the shape ``[N, 1]`` or ``[N, k]`` and may be on any device. The ``outcome`` of a step is computed once,
-from unclipped state. Rewards, metrics and ``info`` dictionaries are computed from it. Its entries are:
-
-- a bool for each event in :data:`EVENTS`;
-- ``phase``: the :class:`StepEvent` that decides the step;
-- ``progress``: decrease of the distance to the goal in this step, m;
-- ``alignment``: heading alignment, see :func:`heading_alignment`;
-- ``linear_velocity`` (m/s) and ``angular_velocity`` (rad/s) from wheel odometry;
-- ``steps`` of the episode, and ``total_steps`` of the row;
-- ``world``: index of the row's world in ``RoverEnv.pool``, if the pool has several worlds.
+from unclipped state, and rewards, metrics and ``info`` dictionaries from it. Its entries are a bool for each event in
+:data:`EVENTS`; ``phase``, the :class:`StepEvent` that decides the step; ``progress``, the decrease of the distance to
+the goal in this step, m; ``alignment``, see :func:`heading_alignment`; ``linear_velocity`` (m/s) and
+``angular_velocity`` (rad/s) from wheel odometry; ``steps`` of the episode, and ``total_steps`` of the row; and
+``world``, the index of the row's world in ``RoverEnv.pool``, if the pool has several worlds.
 """
 
 from __future__ import annotations
@@ -192,8 +188,10 @@ class Navigation:
         state.target, state.collision_steps = target, collision_steps
         outcome = _outcome(state, events, phase, last[:, :1] - target[:, :1], heading_alignment(target[:, 1:]))
         if active is not None:
-            outcome = outcome.where(active.squeeze(-1), state.outcome)
-            phase = phase.masked_fill(~active, StepEvent.NONE)
+            outcome, phase = (
+                outcome.where(active.squeeze(-1), state.outcome),
+                phase.masked_fill(~active, StepEvent.NONE),
+            )
             outcome.set("phase", phase)
         state.outcome = outcome
         if not self._end_on_goal:

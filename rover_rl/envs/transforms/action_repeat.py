@@ -17,15 +17,12 @@ _GOALS = ("outcome", "goals")
 class ActionRepeat(Transform):
     """Repeats each action ``repeat`` times, so that the policy runs at 20 Hz divided by ``repeat``.
 
-    A row whose episode ends during the repeat takes no further steps. Its reward and its reward components are sums
-    over the steps that it took. (TorchRL's ``FrameSkipTransform`` continues to step ended rows, and returns only the
-    ``done`` of the last step.)
+    A row whose episode ends during the repeat takes no further steps. (TorchRL's ``FrameSkipTransform`` continues to
+    step ended rows, and returns only the ``done`` of the last step.) Rewards and their components are sums.
 
-    ``outcome`` covers all steps of the repeat: the events of any step, the ``phase`` with the highest priority in the
-    order of :class:`~rover_rl.envs.task.StepEvent`, and the sum of ``progress``. Its other entries are those of the
-    last step. The transform adds ``("outcome", "goals")``, the number of goals reached, int64 ``[N, 1]``.
-
-    Append transforms that count actions or sum rewards over an episode after this one.
+    ``outcome`` covers all steps of the repeat: the events of any step, the ``phase`` with the highest priority, and the
+    sum of ``progress``. Its other entries are those of the last step. The transform adds ``("outcome", "goals")``, the
+    number of goals reached, int64 ``[N, 1]``. Append transforms that count actions or sum rewards after this one.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))

@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec
 from torchrl.envs import EnvBase
 
@@ -22,13 +21,12 @@ class GroupedRovers(EnvBase):
     The batch size is ``[G]``, the number of groups. What belongs to rovers is under ``"rovers"``, ``[G, agents, ...]``:
     the entries of the observation, ``action``, ``reward``, ``outcome``, the ends of its episode, and ``mask``: whether
     it drives in the step to come. A rover whose episode has ended stays where it is, with a reward of 0, until the
-    group's has ended. ``done``, ``terminated`` and ``truncated`` of a group ``[G, 1]`` are true once all of its rovers
-    are done, all terminated, or some truncated, or with ``done_on_any``, once one is. Then, the group begins an episode
-    together. ``group_map`` are the names of the agents of each of TorchRL's groups: ``{"rovers": ["rover_0", ...]}``.
+    group's has ended, and the group begins one together. ``done``, ``terminated`` and ``truncated`` of a group
+    ``[G, 1]`` are true once all of its rovers are done, all terminated, or some truncated, or with ``done_on_any``,
+    once one is. ``group_map`` is that of TorchRL: ``{"rovers": ["rover_0", ...]}``.
 
-    ``reset(start=..., goal=...)`` sets start poses ``[G, agents, 3]`` and goals ``[G, agents, 2]``.
-
-    ``env`` is a ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one (:attr:`base_env`).
+    ``env`` is a ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one (:attr:`base_env`). ``reset(start=...,
+    goal=...)`` sets start poses ``[G, agents, 3]`` and goals ``[G, agents, 2]``.
 
     Example:
         >>> import rover_rl
@@ -73,18 +71,10 @@ class GroupedRovers(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.env.set_seed(seed)
 
-    def _reset(
-        self,
-        tensordict: TensorDictBase | None = None,
-        *,
-        start: Tensor | None = None,
-        goal: Tensor | None = None,
-        **_: Any,
-    ) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **places: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         begins = torch.ones_like(self._ended[:, :1]) if mask is None else mask.reshape(-1, 1)
-        places = {"start": start, "goal": goal}
-        given = {key: value.reshape(-1, value.shape[-1]) for key, value in places.items() if value is not None}
+        given = {key: places[key].flatten(0, 1) for key in ("start", "goal") if places.get(key) is not None}
         root = None if self._root is None else self._root.set("_reset", begins.expand_as(self._ended).reshape(-1, 1))
         self._root = self.env.reset(root, **given)
         self._ended = self._ended & ~begins
