@@ -36,14 +36,11 @@ Part = Literal["rollouts", "simulators", "law", "parity", "peers", "training", "
 
 @dataclass(frozen=True)
 class Bench(Options):
-    """Options of the benchmarks."""
-
     parts: Annotated[tuple[Part, ...], tyro.conf.Positional] = get_args(Part)
     """Benchmarks to run."""
 
 
 def main(options: Bench) -> dict[str, Any]:
-    """Runs the benchmarks. Prints a table and writes all results so far after each."""
     torch.set_num_threads(1)
     console = Console(width=max(120, Console().width))
     options.out.mkdir(parents=True, exist_ok=True)

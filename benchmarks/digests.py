@@ -70,7 +70,6 @@ class Options:
     """Simulators of the rollouts."""
 
     def __call__(self) -> None:
-        """Prints one line per rollout, evaluation and training."""
         torch.set_num_threads(1)
         if "rollouts" in self.parts:
             for world, backend, noise in product(self.worlds, self.backends, (None, RANDOMIZED)):
@@ -104,14 +103,12 @@ def rollout_digest(world: str, backend: str, randomization: Randomization | None
 
 
 def policy_digest(name: str, count: int) -> tuple[str, float]:
-    """Digest of the evaluation of a pretrained policy, and its success rate."""
     checkpoint = load_pretrained(name)
     world, *_ = stored_worlds(checkpoint.env)
     return evaluation_digest(evaluate(checkpoint.make_actor(), stored_episodes(world).first(count), name=name))
 
 
 def baseline_digest(name: str) -> tuple[str, float]:
-    """Digest of the evaluation of a baseline in unseen mazes, and its success rate."""
     env = EnvConfig(backend="warp", lidar=LidarConfig(points=128))
     return evaluation_digest(evaluate(make_baseline(name), draw_episodes("maze:50000-50015", 1), name=name, env=env))
 
@@ -133,7 +130,6 @@ def training_digest(algo: str, backend: str) -> str:
 
 
 def digest(tensors: dict[str, Tensor]) -> str:
-    """Hash of the names and bytes of tensors."""
     result = hashlib.sha256()
     for name in sorted(tensors):
         result.update(name.encode() + tensors[name].detach().contiguous().numpy().tobytes())

@@ -33,8 +33,6 @@ WORLDS = ("inspect", "moon", "maze", "new")  # built-in worlds, and "new" for a 
 
 @dataclass
 class Options:
-    """Options of the measurement."""
-
     cycles: int = 30
     """Number of environments opened and closed in each world."""
     warmup: int = 5
@@ -99,7 +97,6 @@ def _memory() -> float:
 
 
 def main(options: Options) -> None:
-    """Measures all backends and prints a table."""
     table = Table("backend", *WORLDS, title=f"Growth in MB over {options.cycles} environments")
     for backend in options.backends:
         grown = in_fresh_process(backend, options.cycles, options.warmup)

@@ -36,8 +36,6 @@ class TimeIsUp(BaseException):
 
 @dataclass(frozen=True)
 class Options:
-    """Program to run."""
-
     program: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help="Program and its arguments, in quotes.")]
     seconds: float = 180.0
     """Duration of the training, seconds of the processor. It begins with the first step."""
@@ -81,7 +79,6 @@ class Meter:
                 raise TimeIsUp
 
     def report(self, seconds: float) -> None:
-        """Prints the speed from the beginning, and the success since the last report."""
         share = f"{100 * self.successes / self.attempts:.0f} %" if self.attempts else "none"
         print(
             f"{seconds:.0f} s: {self.steps / 1e6:.2f} M steps, {self.steps / seconds:,.0f} steps/s, "

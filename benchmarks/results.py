@@ -173,7 +173,6 @@ def _format(value: float) -> str:
 
 
 def main(options: Options) -> int:
-    """Trains and evaluates all policies, writes the results and prints the table."""
     folders = []
     for seed in options.seeds:
         for name in options.policies:

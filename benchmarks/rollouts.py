@@ -71,7 +71,6 @@ class Row:
 
     @property
     def share(self) -> float:
-        """Fraction of a step outside Bullet."""
         return self.rest / (self.rest + self.num_envs * (self.physics + self.rays))
 
 
@@ -88,7 +87,6 @@ class Stopwatch:
         return result
 
     def take(self) -> float:
-        """Returns the accumulated time and resets it to 0, s."""
         seconds, self.seconds = self.seconds, 0.0
         return seconds
 

@@ -2,16 +2,15 @@
 
 Runs three trainings of each algorithm one after another, each on the whole machine:
 
-- rover_rl: :func:`rover_rl.algos.train.train`, as in ``rover-rl train``, with a worker process for each core;
-- SB3 with the batched environment: all rovers as one ``VecEnv`` in the learning process (:mod:`rover_rl.envs.sb3`);
+- rover_rl, as in ``rover-rl train``, with a worker process for each core;
+- SB3 with the batched environment: all rovers as one ``VecEnv`` in the learning process;
 - SB3 with ``SubprocVecEnv``: a process with a ``GymWrapper`` for each rover, the common way to use SB3.
 
-All three have the same environment in Bullet (reward, action repeat, time limits as truncation), number of rovers,
-hidden layers and activation, input scaling, reward scale and hyperparameters. SB3's actions are scaled to [-1, 1], as
-its documentation recommends. SB3's time starts when its processes have started; that of rover_rl includes their start.
-SB3 keeps its own initial weights, optimizers, normalization of advantages and random actions before SAC's learning
-starts. The standard deviation of its PPO actions does not depend on the observation. It does not augment by mirroring.
-The processes of 64 rovers need about 14 GB of memory on the moon, and half of that in the maze.
+All three have the same environment in Bullet, number of rovers, hidden layers and activation, input scaling, reward
+scale and hyperparameters. SB3's actions are scaled to [-1, 1], as its documentation recommends. SB3's time starts when
+its processes have started; that of rover_rl includes their start. SB3 keeps its own initial weights, optimizers,
+normalization of advantages and random actions before SAC's learning starts. The standard deviation of its PPO actions
+does not depend on the observation, and it does not augment by mirroring. The processes of 64 rovers need about 14 GB.
 """
 
 from __future__ import annotations
@@ -48,19 +47,17 @@ from rover_rl.envs.sb3 import SB3VecEnv
 
 
 def train_ours(config: TrainingConfig) -> float:
-    """Trains with rover_rl. Returns steps per second, of all rovers together."""
+    """Steps per second, of all rovers together, as for the others."""
     summary = train(config)
     progress = read_progress(summary.folder / "progress.csv")
     return progress["steps"][-1] / (60 * progress["minutes"][-1])
 
 
 def train_sb3_on_our_batch(config: TrainingConfig) -> float:
-    """Trains with SB3, with all rovers as one VecEnv. Returns steps per second."""
     return train_sb3(config, SB3VecEnv(rovers_for_sb3(with_settings(config, workers=1))))
 
 
 def train_sb3_on_processes(config: TrainingConfig) -> float:
-    """Trains with SB3, with a process for each rover. Returns steps per second."""
     # Imported once and shared by all processes. Otherwise each takes seconds and hundreds of megabytes.
     multiprocessing.set_forkserver_preload(["rover_rl.algos.train.ppo", "stable_baselines3", "tyro"])
     return train_sb3(config, SubprocVecEnv([partial(single_rover, config, row) for row in range(config.num_envs)]))
@@ -90,7 +87,6 @@ def single_rover(config: TrainingConfig, row: int) -> GymWrapper:
 
 @single_threaded()
 def train_sb3(config: TrainingConfig, envs: VecEnv) -> float:
-    """Trains with SB3 until the time limit. Returns steps per second."""
     torch.manual_seed(config.seed)
     clock = WallClock(60 * config.run.max_minutes)
     make_sb3(config, envs).learn(UNLIMITED_STEPS, callback=clock)
@@ -99,7 +95,6 @@ def train_sb3(config: TrainingConfig, envs: VecEnv) -> float:
 
 
 def make_sb3(config: TrainingConfig, envs: VecEnv) -> BaseAlgorithm:
-    """Creates SB3's algorithm with the settings of rover_rl."""
     algorithm, network = config.algorithm, config.network
     shared = {
         "policy": "MultiInputPolicy",

@@ -21,7 +21,6 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import torch
@@ -31,8 +30,7 @@ from benchmarks.options import Options
 from benchmarks.ratios import told
 from rover_rl.files import write_json
 
-SECTIONS = ("machine", "speed", "steps", "kernels", "training")
-"""Sections in the order in which they run: what matters most comes first."""
+SECTIONS = ("machine", "speed", "steps", "kernels", "training")  # what matters most comes first
 
 
 def measure(options: Options) -> dict[str, Any] | None:
@@ -44,7 +42,8 @@ def measure(options: Options) -> dict[str, Any] | None:
     # Warp needs its number: "cuda" alone has none.
     place = torch.empty(0, device=device).device
     for name in SECTIONS:
-        results[name] = told(name, partial(_attempt, _module(name).measure, options, place, results))
+        section = import_module(f"{__name__}.{name}")
+        results[name] = told(name, partial(_attempt, section.measure, options, place, results))
         write_json(options.out / "gpu.json", results)
     return results
 
@@ -57,10 +56,6 @@ def _attempt(section: Callable[..., Any], *args: Any) -> Any:
         return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}
 
 
-def _module(name: str) -> ModuleType:
-    return import_module(f"{__name__}.{name}")
-
-
 def table(results: dict[str, Any] | None) -> Group:
     if results is None:
         return Group("GPU: skipped, torch finds no CUDA device (--device cpu rehearses the measurement)")
@@ -68,5 +63,6 @@ def table(results: dict[str, Any] | None) -> Group:
     for name in SECTIONS:
         found = results[name]
         failed = isinstance(found, dict) and "error" in found
-        parts.append(f"{name} failed:\n{found['traceback']}" if failed else _module(name).table(found))
+        section = import_module(f"{__name__}.{name}")
+        parts.append(f"{name} failed:\n{found['traceback']}" if failed else section.table(found))
     return Group(*parts)

@@ -26,7 +26,6 @@ _FLOPS = {
     "smsp__sass_thread_inst_executed_op_fadd_pred_on.sum": 1,
     "smsp__sass_thread_inst_executed_op_fmul_pred_on.sum": 1,
 }
-"""Operations of each instruction."""
 _PERCENT = {
     "issue_share": "smsp__issue_active.avg.pct_of_peak_sustained_active",
     "occupancy": "sm__warps_active.avg.pct_of_peak_sustained_active",

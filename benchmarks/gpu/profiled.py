@@ -20,16 +20,10 @@ MAPS = 8192  # number of rovers with a map, at most: Nsight Compute stores what 
 
 @dataclass
 class Options:
-    """Options of the profiled program."""
-
     world: str = "maze"
-    """Name of the world."""
     rovers: int = 65_536
-    """Number of rovers."""
     beams: int = 128
-    """Number of lidar beams per rover."""
     device: str = "cuda"
-    """Device."""
 
 
 def map_work(drive: Drive, device: torch.device, most: int | None = None) -> Callable[[], object]:

@@ -75,7 +75,6 @@ class Drive:
 
     @property
     def observation(self) -> TensorDictBase:
-        """Observation after the last step."""
         return self._now
 
     def step(self) -> None:

@@ -38,7 +38,6 @@ def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[d
 
 
 def _parts(drive: Drive) -> dict[str, Callable[[], object]]:
-    """The two calls of a step of training."""
     env, now = drive.env, drive.observation
     given = with_new_episodes(env, now).set("action", env.action_spec.zero())
     return {"reset": lambda: with_new_episodes(env, now), "step": lambda: env.step_mdp(env.step(given))}

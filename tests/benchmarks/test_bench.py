@@ -20,12 +20,17 @@ from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired, told
+from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl import RoverEnv
+from rover_rl.algos.config import with_settings
+from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
+from rover_rl.algos.pretrained import pretrained_names
+from rover_rl.envs.config import EnvConfig
 from tests.fork_server import quick_workers
 
 Bench = Callable[..., dict[str, Any]]
 SMALL = [
-    *("--num-envs", "1", "2", "--beams", "32", "--rovers", "2", "--workers", "2", "--processes", "2"),
+    *("--num-envs", "1", "2", "--beams", "32", "--rovers", "2", "--processes", "1"),
     *("--warp-rovers", "16", "--warp-envs", "16"),
     *("--seconds", "0.05", "--rounds", "1", "--minutes", "0.005", "--world", "maze"),
 ]
@@ -33,49 +38,49 @@ SMALL = [
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    """Runs parts of ``python -m benchmarks`` in this process, and returns what they have written."""
+    """Runs a part of ``python -m benchmarks`` in this process, and returns what it has written."""
     threads = torch.get_num_threads()
 
-    def run(*parts: str) -> dict[str, Any]:
-        monkeypatch.setattr(sys, "argv", ["benchmarks", *parts, *SMALL, "--out", str(tmp_path)])
+    def run(part: str, *options: str, workers: int = 1) -> Any:
+        given = [part, *SMALL, "--workers", str(workers), *options, "--out", str(tmp_path)]
+        monkeypatch.setattr(sys, "argv", ["benchmarks", *given])
         runpy.run_module("benchmarks", run_name="__main__", alter_sys=True)
-        return json.loads((tmp_path / "bench.json").read_text())
+        return json.loads((tmp_path / "bench.json").read_text())[part]
 
     with quick_workers():
         yield run
     torch.set_num_threads(threads)
 
 
-@pytest.mark.slow
 def test_rollouts(bench: Bench) -> None:
-    rows = bench("rollouts")["rollouts"]
+    rows = bench("rollouts")
     assert [row["num_envs"] for row in rows] == [1, 2]
     assert all(row["physics"] > 0 and row["rays"] > 0 and row["rest"] > 0 for row in rows)
-    assert [row["all_workers"] is None for row in rows] == [True, False]
 
 
-@pytest.mark.slow
 def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Bullet takes a second to prepare the ground of inspect and moon.
-    monkeypatch.setattr(simulators, "WORLDS", ("maze", "maze:1", "maze:2"))
-    results = bench("simulators", "--engines", "warp")
-    ratios = results["simulators"]["ratios"]
-    assert len(ratios) == 3 * 2 + 3 + 1
+    monkeypatch.setattr(simulators, "WORLDS", ("maze",))
+    ratios = bench("simulators", "--engines", "warp")["ratios"]
+    assert len(ratios) == 2 + 1 + 1
     assert all(row["median"] > 0 for row in ratios)
 
 
-@pytest.mark.slow
 def test_simulators_are_compared_with_the_law(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Of each kind the first: tests/sims/test_law.py has all slopes, commands and grounds.
-    kinds = {quantity.measure.__qualname__: quantity for quantity in reversed(quantities())}
-    monkeypatch.setattr(law, "quantities", lambda: [*kinds.values()])
-    rows = bench("law", "--engines", "warp")["law"]
-    assert len(rows) >= 9
-    assert {row["ground"] for row in rows} == {"plane", "slope"}
-    assert all(row["engines"]["warp"]["passes"] for row in rows)
-    for row in rows:
-        found = row["engines"]["warp"]
+    # Of each ground the first: tests/sims/test_law.py has all slopes, commands and grounds.
+    kinds = {quantity.ground: quantity for quantity in reversed(quantities())}
+    monkeypatch.setattr(law, "quantities", lambda: [kinds["plane"], kinds["slope"]])
+    rows = bench("law", "--engines", "warp")
+    assert [row["ground"] for row in rows] == ["plane", "slope"]
+    for found in (row["engines"]["warp"] for row in rows):
+        assert found["passes"]
         assert found["least"] <= found["mean"] <= found["greatest"]
+
+
+@pytest.mark.slow
+def test_peers_beside_two_workers(bench: Bench) -> None:
+    rows = bench("peers", workers=2)
+    assert len({row["peer"] for row in rows}) == 3
+    assert all(row["rate"] > 0 and row["other"] > 0 for row in rows)
 
 
 def test_lines_tell_what_is_measured_and_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,38 +92,25 @@ def test_lines_tell_what_is_measured_and_what_was_found(capsys: pytest.CaptureFi
     assert capsys.readouterr().out.startswith("64 rovers: rovers 64, rate 1,235, took ")
     told("maze", lambda: paired(lambda: 1, lambda: 1, 0.001, 1))
     assert "\nmaze: rate " in capsys.readouterr().out
-    told("part", lambda: [1, 2])
-    assert "\npart: took " in capsys.readouterr().out
 
 
 def test_a_wrong_engine_fails_the_law() -> None:
     quantity = next(quantity for quantity in quantities() if quantity.unit == "rad/s")
-    wrong = replace(quantity, measure=lambda _: torch.full((16,), 1.06 * quantity.law))
-    assert wrong.compare("any")["worst_error"] == pytest.approx(0.06, abs=1e-6)
-    assert not wrong.compare("any")["passes"]
+    wrong = replace(quantity, measure=lambda _: torch.full((16,), 1.06 * quantity.law)).compare("any")
+    assert wrong["worst_error"] == pytest.approx(0.06, abs=1e-6)
+    assert not wrong["passes"]
     lone = torch.full((16,), quantity.law)
     lone[7] *= 0.94
     assert not replace(quantity, measure=lambda _: lone).compare("any")["passes"]
-    degrees = replace(quantity, unit="deg", law=26.6, measure=lambda _: torch.full((16,), 25.7))
-    assert degrees.compare("any")["passes"]
-    assert degrees.compare("any")["worst_error"] == pytest.approx(-0.9, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_peers(bench: Bench) -> None:
-    rows = bench("peers")["peers"]
-    assert len({row["peer"] for row in rows}) == 3
-    assert all(row["rate"] > 0 and row["other"] > 0 for row in rows)
-
-
-def test_the_plain_rover_is_a_gymnasium_environment() -> None:
-    env = PlainRover("maze")
-    check_env(env, skip_render_check=True)
-    env.close()
+    degrees = replace(quantity, unit="deg", law=26.6, measure=lambda _: torch.full((16,), 25.7)).compare("any")
+    assert degrees["passes"]
+    assert degrees["worst_error"] == pytest.approx(-0.9, abs=1e-4)
 
 
 def test_the_plain_rover_drives_as_ours_does() -> None:
     plain, ours = PlainRover("maze"), RoverEnv(world_n="maze", seed=0)
+    check_env(plain, skip_render_check=True)
+    plain = PlainRover("maze")
     plain.reset(seed=0)
     start = torch.tensor([[-3.0, 0.0, 0.5]])
     td = ours.reset(start=start, goal=torch.tensor([[-3.0, 3.0]]))
@@ -138,3 +130,51 @@ def test_the_plain_rover_drives_as_ours_does() -> None:
 def test_settings_out_of_range_are_refused(setting: str, value: object) -> None:
     with pytest.raises(ValueError, match=setting):
         Options(**{"workers": 2, setting: value})
+
+
+def test_policies_belong_to_stored_worlds() -> None:
+    assert stored_worlds(EnvConfig(world=("maze:0-99@0.2-0.8", "rooms:0-99", "moon", "maze:*"))) == ["maze", "moon"]
+    # A world with a seed is another one than the stored one.
+    assert stored_worlds(EnvConfig(world="maze:7")) == []
+    assert {*pretrained_names()} - {*stored_policies()} == {"hills-heights"}
+
+
+# --- SB3 is given networks, inputs and settings of ours, so that the speeds of training compare
+
+
+def test_sb3_gets_networks_and_inputs_of_ours(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from benchmarks import training
+    from rover_rl.envs.sb3 import SB3VecEnv
+
+    def count(*modules: torch.nn.Module) -> int:
+        return sum(parameter.numel() for module in modules for parameter in module.parameters())
+
+    models, hidden = {}, (24, 16)
+    for algo in ("ppo", "sac"):
+        config = training.make_config(Options(rovers=2, workers=2, world="maze"), algo, tmp_path)
+        config = with_settings(config, workers=1, hidden=hidden, minibatch=32)
+        models[algo] = training.make_sb3(config, SB3VecEnv(training.rovers_for_sb3(config)))
+    sac, ppo = models["sac"], models["ppo"]
+    actor, encoder = count(make_actor(hidden=hidden)), ObservationEncoder()
+    assert count(sac.actor) == actor
+    assert count(sac.critic) == 2 * count(make_action_critic(encoder, hidden))
+    value = count(make_critic(hidden=hidden))
+    assert count(ppo.policy.mlp_extractor.value_net, ppo.policy.value_net) == value
+    # PPO's standard deviation is one number for each action instead of an output of the network.
+    assert count(ppo.policy.mlp_extractor.policy_net, ppo.policy.action_net) == actor - (16 * 2 + 2)
+    observation = {key: torch.as_tensor(value) for key, value in ppo.env.reset().items()}
+    expected = encoder(*(observation[key] for key in encoder.keys))
+    for owner in (sac.actor, sac.critic, ppo.policy):
+        assert torch.equal(owner.extract_features(observation, owner.features_extractor), expected)
+
+
+@pytest.mark.slow
+def test_ppo_trains_in_all_three(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from benchmarks import training
+
+    options = Options(rovers=1, workers=1, world="maze", minutes=0.001)
+    with quick_workers():
+        for name, contender in training.CONTENDERS.items():
+            assert contender(training.make_config(options, "ppo", tmp_path / name)) > 0

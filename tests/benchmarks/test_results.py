@@ -12,18 +12,6 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.pretrained import load_pretrained
 
 
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes trainings and evaluations in endless mode short, and runs them in this process."""
-    pretrained = load_pretrained("moon-ppo")
-    config = with_settings(pretrained.config, world="maze", backend="warp", num_envs=4, rollout_length=4, hidden=(8,))
-    for module in ("rover_rl.algos.workers", "rover_rl.algos.evaluation.cores"):
-        monkeypatch.setattr(f"{module}.usable_cores", lambda: 1)
-    monkeypatch.setattr(results, "OTHER_MAZES", ("maze:10001",))
-    monkeypatch.setattr(results, "load_pretrained", lambda name: replace(pretrained, config=config))
-    monkeypatch.setattr(results, "ENDLESS", 1.0)
-
-
 def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
     told = results.table(
         {
@@ -41,22 +29,24 @@ def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("small")
 def test_it_trains_measures_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    options = results.Options(
-        policies=["moon-ppo"], seeds=[3, 4], minutes=1e-6, count=2, seconds=0.5, endless=1, runs=tmp_path
-    )
+    pretrained = load_pretrained("moon-ppo")
+    config = with_settings(pretrained.config, world="maze", backend="warp", num_envs=4, rollout_length=4, hidden=(8,))
+    for module in ("rover_rl.algos.workers", "rover_rl.algos.evaluation.cores"):
+        monkeypatch.setattr(f"{module}.usable_cores", lambda: 1)
+    monkeypatch.setattr(results, "OTHER_MAZES", ("maze:10001",))
+    monkeypatch.setattr(results, "load_pretrained", lambda name: replace(pretrained, config=config))
+    common = {"policies": ["moon-ppo"], "seeds": [3], "minutes": 1e-6, "runs": tmp_path}
+    options = results.Options(**common, count=2, seconds=0.5, endless=1)
     assert results.main(options) == 0
-    told = json.loads((tmp_path / "results.json").read_text())
-    assert list(told) == ["moon-ppo-3", "moon-ppo-4"]
-    for seed in (3, 4):
-        checkpoint = Checkpoint.load(tmp_path / f"moon-ppo-{seed}")
-        assert checkpoint.config.seed == seed
-        assert told[f"moon-ppo-{seed}"]["steps"] == checkpoint.steps > 0
-        assert told[f"moon-ppo-{seed}"]["steps to 90%"] is None
+    found, checkpoint = json.loads((tmp_path / "results.json").read_text()), Checkpoint.load(tmp_path / "moon-ppo-3")
+    assert list(found) == ["moon-ppo-3"]
+    assert checkpoint.config.seed == 3
+    assert found["moon-ppo-3"]["steps"] == checkpoint.steps > 0
+    assert found["moon-ppo-3"]["steps to 90%"] is None
     assert {"results.md", "learning_curves.png"} <= {file.name for file in tmp_path.iterdir()}
+    # There is nothing left to train or to measure.
     before = (tmp_path / "moon-ppo-3" / "checkpoint.pt").read_bytes()
-    # There is nothing left to measure, for a process per run.
-    monkeypatch.setattr("rover_rl.algos.evaluation.cores.usable_cores", lambda: 2)
+    monkeypatch.setattr(results, "_measure", None)
     assert results.main(options) == 0
     assert (tmp_path / "moon-ppo-3" / "checkpoint.pt").read_bytes() == before

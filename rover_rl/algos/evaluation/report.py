@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -22,6 +23,7 @@ from rover_rl.registry import perhaps
 
 NAME_WIDTH = 30  # width up to which names of policies stay in one line if there is room, characters
 LEAST_NAME_WIDTH = 12  # width of the names in a narrow terminal, characters
+HEADING_WIDTH = 16  # largest width of a heading, characters
 ALL_COLUMNS = "all"  # in place of the names of columns: all metrics
 LISTED = 20  # largest number of printed episodes on which backends disagree
 _Row: TypeAlias = tuple[str, dict[str, str]]
@@ -198,36 +200,55 @@ def print_tables(
 ) -> None:
     """Prints a title, and tables that together have all columns, none of them wider than the console.
 
-    Long names continue in the next line. Nothing else is broken or cut.
+    Long names continue in the next line, after a separator such as ``-``. Nothing else is broken or cut.
     """
     console.print(Text(title, "bold"))
-    rest = [*columns]
+    longest, rest = max(len(heading), *(len(line) for name in names for line in name.splitlines())), [*columns]
     while True:
-        counts = range(len(rest), 0, -1)
-        # The names take the room that is left: rich folds them.
-        bare, unlimited = [""] * len(names), console.options.update(width=100_000)
-        widths = {n: console.measure(_table(bare, rest[:n]), options=unlimited).maximum for n in counts}
-        count = next((n for n, width in widths.items() if width <= console.width), 1)
-        console.print(_table(names, rest[:count], heading))
+        rooms = {count: _room(len(names), rest[:count], console) for count in range(len(rest), 0, -1)}
+        count = next((count for count, room in rooms.items() if room >= min(longest, LEAST_NAME_WIDTH)), 1)
+        width = min(longest, NAME_WIDTH, rooms.get(count, NAME_WIDTH))
+        console.print(_table(names, rest[:count], max(width, LEAST_NAME_WIDTH), heading))
         rest = rest[count:]
         if not rest:
             return
 
 
-def _table(names: Sequence[str], columns: Sequence[Column], heading: str = "") -> Table:
+def _room(rows: int, columns: Sequence[Column], console: Console) -> int:
+    """Width that columns leave to the names, characters."""
+    without, unlimited = _table([""] * rows, columns, 0, "policy"), console.options.update(width=100_000)
+    return console.width - console.measure(without, options=unlimited).maximum + len("policy")
+
+
+def _table(names: Sequence[str], columns: Sequence[Column], name_width: int, heading: str) -> Table:
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column(heading, min_width=LEAST_NAME_WIDTH, max_width=NAME_WIDTH, overflow="fold")
+    table.add_column(heading, no_wrap=True)
     for title, unit, _ in columns:
-        lines = "\n".join((*title.split(), unit))
-        table.add_column(escape(lines), justify="right", no_wrap=True, vertical="top")
+        lines = [line for word in title.split() for line in _folded(word, HEADING_WIDTH)]
+        table.add_column("\n".join((escape("\n".join(lines)), unit)), justify="right", no_wrap=True, vertical="top")
     for name, *cells in zip(names, *(column.cells for column in columns), strict=True):
-        table.add_row(_dimmed(escape(name)), *map(_dimmed, cells))
+        first, *others = name.splitlines() or [""]
+        label = [escape(part) for part in _folded(first, name_width)]
+        label += [f"[dim]{escape(part)}[/dim]" for line in others for part in _folded(line, name_width)]
+        table.add_row("\n".join(label), *map(_dimmed, cells))
     return table
 
 
 def _dimmed(cell: str) -> str:
-    value, *below = cell.splitlines() or [""]
+    value, *below = cell.splitlines()
     return "\n".join([value, *(f"[dim]{line}[/dim]" for line in below)])
+
+
+def _folded(name: str, width: int) -> list[str]:
+    """Divides a name into lines of at most ``width`` characters, after separators; a part that is longer is divided."""
+    lines = [""]
+    for part in re.findall(r"[^-_:/.,@ ]*[-_:/.,@ ]+|[^-_:/.,@ ]+$", name):
+        if lines[-1] and len(lines[-1]) + len(part.rstrip()) > width:
+            lines.append("")
+        lines[-1] += part
+        while width > 0 and len(lines[-1].rstrip()) > width:
+            lines[-1:] = [lines[-1][:width], lines[-1][width:]]
+    return [line.rstrip() for line in lines]
 
 
 def cell(estimate: Estimate, unit: str, digits: int = 2) -> str:

@@ -34,6 +34,7 @@ def courses(repository: Path) -> list[Course]:
 
 
 def test_the_worlds_of_the_repository(repository: Path, courses: list[Course]) -> None:
+    assert (len(TEST_WORLDS), TEST_WORLDS[:3], TEST_WORLDS[-1]) == (50, (0, 6, 12), 294)
     assert [course.number for course in courses] == [1, 7]
     for course in courses:
         assert (course.start, course.goal) == ((-2.25, 3.0, math.pi / 2), (-2.25, 13.0))
@@ -54,32 +55,18 @@ def test_arrays_give_the_same_worlds(courses: list[Course], tmp_path: Path) -> N
     path = write_barn_file(tmp_path / "barn.npz", [course.length for course in courses])
     for ours, theirs in zip(read_barn(path, [7, 1]), courses[::-1], strict=True):
         assert (ours.number, ours.length) == (theirs.number, theirs.length)
-        for one, other in zip(ours.world.obstacles, theirs.world.obstacles, strict=True):
-            assert torch.equal(one.vertices, other.vertices)
+        solids = zip(ours.world.obstacles, theirs.world.obstacles, strict=True)
+        assert all(torch.equal(one.vertices, other.vertices) for one, other in solids)
 
 
-def test_the_test_worlds() -> None:
-    assert (len(TEST_WORLDS), TEST_WORLDS[:3], TEST_WORLDS[-1]) == (50, (0, 6, 12), 294)
-
-
-@pytest.mark.parametrize(
-    ("ending", "seconds", "expected"),
-    [
-        ("goal", 5.0, 0.5),  # faster than 2 OT
-        ("goal", 12.0, 0.5),
-        ("goal", 24.0, 0.25),
-        ("goal", 48.0, 0.125),
-        ("goal", 90.0, 0.125),  # slower than 8 OT
-        ("contact", 24.0, 0.0),
-        ("time limit", 100.0, 0.0),
-    ],
-)
-def test_the_score_of_a_run(courses: list[Course], ending: str, seconds: float, expected: float) -> None:
+def test_the_score_of_a_run(courses: list[Course]) -> None:
     course = Course(1, courses[0].world, courses[0].start, courses[0].goal, length=12.0)  # OT = 6 s
-    assert Barn([course]).score(course, line(ending, steps=round(seconds / 0.05))) == pytest.approx(expected)
+    # Faster than 2 OT, between, and slower than 8 OT.
+    for seconds, expected in ((5.0, 0.5), (12.0, 0.5), (24.0, 0.25), (48.0, 0.125), (90.0, 0.125)):
+        for ending, score in (("goal", expected), ("contact", 0.0), ("time limit", 0.0)):
+            assert Barn([course]).score(course, line(ending, steps=round(seconds / 0.05))) == pytest.approx(score)
 
 
-@pytest.mark.slow
 def test_a_contact_ends_a_run_as_a_failure(courses: list[Course]) -> None:
     suite = Barn(courses)
     suite.seconds = 12.0  # A rover that has touched drives on until then.
@@ -113,8 +100,7 @@ def test_starts_are_jittered_after_the_first_run(courses: list[Course]) -> None:
     assert not torch.equal(Barn(courses, runs=4, seed=4).episodes(robot).start.reshape(2, 4, 3), starts)
 
 
-XML, PATH = "world_7.world", "path_files/path_7.npy"
-"""A world and its reference path, in the folder of the worlds."""
+XML, PATH = "world_7.world", "path_files/path_7.npy"  # a world and its reference path, in the folder of the worlds
 
 
 def replaced(old: str, new: str) -> Callable[[Path], object]:

@@ -27,17 +27,18 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.worlds import Terrain, box
 
 SMALL = {"width": 64, "height": 48, "fps": 2}
-SECONDS = 4.2
+EXACT = replace(environment_for(None, None), backend="warp")
+RANDOMIZED = replace(EXACT, randomization=Randomization(range_noise=0.05))
 
 
 @lru_cache
-def driven(env: EnvConfig | None) -> Evaluation:
+def driven(env: EnvConfig) -> Evaluation:
     """Drives nine episodes in the maze. The goal of number 5 is near."""
     episodes = stored_episodes("maze").first(9)
-    return evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=SECONDS, rows=8, env=env)
+    return evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=4.2, rows=8, env=env)
 
 
-def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
+def evaluated(folder: Path, env: EnvConfig = EXACT) -> Evaluation:
     """Writes their results to a folder."""
     write_evaluation(folder / "evaluation.json", [driven(env)])
     return driven(env)
@@ -45,8 +46,7 @@ def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
 
 @pytest.mark.slow
 def test_an_episode_is_driven_as_in_the_evaluation(tmp_path: Path) -> None:
-    env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05), backend="warp")
-    before = evaluated(tmp_path, env)
+    before = evaluated(tmp_path, RANDOMIZED)
     stored = read_evaluation(tmp_path, "scripted")
     assert stored.endings == before.endings
     assert {"goal", "time limit"} <= set(stored.endings)
@@ -89,7 +89,7 @@ def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsy
     assert f"Not filmed: {failed[2]} ({before.endings[failed[2]]})" in told
     assert len(failed) < 9
     # An episode that was not evaluated is one of its world.
-    assert Film("scripted", out=out, episode=81, world="maze", seconds=0.5, **SMALL)() == 0
+    assert Film("scripted", out=out, episode=81, world="maze", seconds=0.5, backend="warp", **SMALL)() == 0
     assert f"Film: {out}: episode 81 of the episodes for maze in maze, " in capsys.readouterr().out
 
 
@@ -136,7 +136,7 @@ def log(tmp_path: Path) -> Path:
     """Log of two drives past a wall, in a world that cannot be loaded."""
     world = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
     path = tmp_path / "drive.jsonl"
-    env = RoverEnv(world_n=world, seed=0)
+    env = RoverEnv(world_n=world, seed=0, backend="warp")
     with DriveLog(path, "my_lab", "scripted", 60.0) as written:
         for goal in ((1.0, 3.0), (-1.0, 3.0)):
             td = env.reset(start=torch.tensor([[0.0, 0.0, 0.5]]), goal=torch.tensor([goal]))

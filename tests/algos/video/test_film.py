@@ -13,15 +13,20 @@ import torch
 from PIL import Image
 
 from rover_rl import RoverEnv, World, make_env
+from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.video.film import Style, film
-from rover_rl.algos.video.views import lidar_hits
+from rover_rl.algos.video.recording import record_endless, record_episodes
+from rover_rl.algos.video.views import hides, lidar_hits
 from rover_rl.cli.film import Film
+from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.worlds import Terrain, box
+from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import straight
 
-FIELD = World("field", Terrain.flat((12.0, 12.0)))
-WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
+WARP = EnvConfig(backend="warp")
+GROUND = Terrain.flat((12.0, 12.0))
+FIELD, WALL = World("field", GROUND), World("wall", GROUND, [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
 
 
 def chase(env: RoverEnv) -> Camera:
@@ -53,20 +58,16 @@ def test_lines_are_drawn_over_what_the_simulator_renders() -> None:
     torch.testing.assert_close(ends, pixels[:, 1], atol=3, rtol=0)
 
 
-def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
-    with closing(RoverEnv(world_n=WALL, seed=0)) as env:
+def test_the_camera_sees_neither_behind_itself_nor_a_wall_where_lidar_beams_end() -> None:
+    with closing(RoverEnv(world_n=WALL, seed=0, backend="warp")) as env:
         env.reset(start=torch.zeros(1, 3))
         camera = chase(env)
+        env.reset(start=torch.tensor([[0.0, 0.5, 1.0]]))
+        start, hits = lidar_hits(env.rover_state, env.scan, env.robot, env.scanner.angles)
     points = torch.tensor([[1.7, 0.0, 0.5], [1.8, 0.0, 0.5], [3.0, 0.0, 0.2], [3.0, 0.0, 1.5], [-5.0, 0.0, 0.5]])
     pixels, seen = camera.see(points, 320, 240)
     assert seen.tolist() == [True, True, False, True, False]
     assert pixels.isnan().any(-1).tolist() == [False] * 4 + [True]
-
-
-def test_lidar_beams_end_where_they_meet_something() -> None:
-    with closing(RoverEnv(world_n=WALL, seed=0)) as env:
-        env.reset(start=torch.tensor([[0.0, 0.5, 1.0]]))
-        start, hits = lidar_hits(env.rover_state, env.scan, env.robot, env.scanner.angles)
     assert len(hits) > 10
     torch.testing.assert_close(hits[:, 0], torch.full((len(hits),), 1.8), atol=0.01, rtol=0)
     assert hits[:, 1].abs().max() < 2.01
@@ -83,7 +84,7 @@ def test_a_gif_has_the_size_and_the_time_asked_for(
 ) -> None:
     path, before = tmp_path / "new" / "film.gif", b""
     for _ in range(2):
-        film(straight, path, Style(width=99, height=64, **style), world=FIELD, seconds=seconds, seed=3)
+        film(straight, path, Style(width=99, height=64, **style), world=FIELD, seconds=seconds, seed=3, env=WARP)
         assert before in (b"", path.read_bytes())
         before = path.read_bytes()
     with Image.open(path) as picture:
@@ -95,15 +96,15 @@ def test_a_gif_has_the_size_and_the_time_asked_for(
 def test_an_mp4_is_a_film(tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg")
     path = tmp_path / "film.mp4"
-    film(None, path, Style("top", 96, 64), world=FIELD, rows=2, seconds=0.5)
+    film(None, path, Style("top", 96, 64), world=FIELD, rows=2, seconds=0.5, env=WARP)
     pictures = [np.asarray(picture) for picture in imageio.get_reader(path)]
     assert len(pictures) == 10
     assert pictures[0].shape == (64, 96, 3)
 
 
 def test_the_first_rover_is_told_of(tmp_path: Path) -> None:
-    told = film(straight, tmp_path / "film.gif", Style("top", 64, 48), world=WALL, rows=2, seconds=8, seed=1)
-    env = make_env(world_n=WALL, num_envs=2, seed=1)
+    told = film(straight, tmp_path / "film.gif", Style("top", 64, 48), world=WALL, rows=2, seconds=8, seed=1, env=WARP)
+    env = make_env(world_n=WALL, num_envs=2, seed=1, backend="warp")
     expected = env.rollout(160, straight, break_when_any_done=False)[0]
     env.close()
     assert told.batch_size == (160,)
@@ -131,8 +132,44 @@ def test_what_cannot_be_filmed_is_refused(
 
 def test_the_command_films_and_draws_rewards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, rewards = tmp_path / "film.gif", tmp_path / "rewards.png"
-    command = Film("scripted", out=out, view="top", rovers=2, seconds=0.5, width=64, height=48, rewards=rewards)
-    assert command() == 0
+    assert Film("scripted", out=out, view="top", rovers=2, seconds=0.5, width=64, height=48, rewards=rewards)() == 0
     assert capsys.readouterr().out == f"Film: {out}\nRewards: {rewards}\n"
     assert out.is_file()
     assert rewards.is_file()
+
+
+# --- movers
+
+
+@pytest.mark.parametrize("view", ["chase", "top"])
+def test_a_film_shows_movers(view, tmp_path: Path) -> None:
+    def violet(movers: list[Mover]) -> list[int]:
+        area, path = ((-0.5, 0.5),) * 2, tmp_path / "film.gif"
+        world = World("ring", Terrain.flat((16.0, 16.0)), spawn_range=area, goal_range=((-6, 6),) * 2, movers=movers)
+        film(straight, path, Style(view, 240, 180), world=world, seconds=0.3, seed=2, env=WARP)
+        with Image.open(path) as picture:
+            count = picture.n_frames
+            frames = [np.asarray(picture.convert("RGB")).astype(int) for k in range(count) if picture.seek(k) is None]
+        return [((p[..., 2] > 1.2 * p[..., 0]) & (p[..., 0] > 1.2 * p[..., 1])).sum() for p in frames]
+
+    around = [Waypoints([(0.0, 4 * math.cos(k), 4 * math.sin(k), 0.0)]) for k in range(6)]
+    assert min(violet([Mover(motion, Person()) for motion in around])) > 5
+    assert max(violet([])) == 0
+
+
+def test_an_episode_is_filmed_with_its_movers() -> None:
+    episodes = draw_episodes("plaza:3", 3)
+    drives = record_episodes(straight, episodes, seconds=0.5, name="straight", env=WARP)
+    again = record_episodes(straight, episodes, [2], seconds=0.5, name="straight", env=WARP)
+    last, same = drives[2].moments[-1].movers, again[0].moments[-1].movers
+    assert torch.equal(last.position, same.position)
+    assert not torch.equal(last.position, drives[0].moments[-1].movers.position)
+
+
+def test_movers_hide_what_is_behind_them() -> None:
+    world = World("pole", Terrain.flat((16.0, 16.0)), movers=[Mover(Waypoints([(0.0, 3.0, 0.0, 0.0)]), Cylinder(0.3))])
+    moment = record_endless(straight, world, seconds=0.05, rows=1, seed=0, env=WARP).moments[0]
+    points = torch.tensor([[2.6, 0.0, 0.5], [2.7, 0.0, 0.5], [4.0, 0.0, 0.5], [4.0, 1.0, 0.5]])
+    assert hides(moment.movers, torch.tensor([0.0, 0.0, 0.5]), points).tolist() == [False, False, True, False]
+    # A mover at the camera is not drawn, and hides nothing.
+    assert not hides(moment.movers, torch.tensor([2.4, 0.0, 0.5]), points).any()
