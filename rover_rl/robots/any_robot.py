@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.robots.drives import Ackermann, Drive, SkidSteer, Wheels
 from rover_rl.robots.robot import Robot
-from rover_rl.robots.shapes import WEIGHTLESS, Box, Frame, Mass, Shape, box_mass, nine_digits
+from rover_rl.robots.shapes import Box, Frame, Mass, Shape, box_mass, nine_digits
 
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 FRICTION, GRAVITY = 0.5, 9.81
@@ -91,8 +91,7 @@ def any_robot(seed: int = 0) -> Robot:
 
 def _box(x: float, bottom: float, size: np.ndarray) -> Box:
     middle = np.array((x, 0.0, bottom + size[2] / 2))
-    low, high = middle - size / 2, middle + size / 2
-    return Box(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), WEIGHTLESS)
+    return Box.between(middle - size / 2, middle + size / 2)
 
 
 def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:

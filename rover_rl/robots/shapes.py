@@ -81,6 +81,11 @@ class Box(NamedTuple):
     size: Vector
     mass: Mass | None = None
 
+    @classmethod
+    def between(cls, low: np.ndarray, high: np.ndarray) -> Box:
+        """A box by its lowest and highest corner, whose mass is that of other links."""
+        return cls(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), WEIGHTLESS)
+
 
 def point_inertia(mass: float, offset: np.ndarray) -> np.ndarray:
     """Inertia ``[3, 3]`` of a point mass at an offset ``[3]``: ``m (|r|^2 1 - r r^T)``."""

@@ -41,6 +41,8 @@ class Machine:
     width: float = 0.05
     wheel_mass: float = 0.6
     sign: int = 1
+    steering: int = -1
+    """Direction of the steering axes along z."""
     parts: list[str] = field(default_factory=list)
 
     def body(self, mass: float = 10.0, size: str = "0.6 0.3 0.1", more: str = "") -> Machine:
@@ -54,13 +56,13 @@ class Machine:
 
     def wheel(self, name: str, x: float, y: float, parent: str = "base_link", content: str | None = None) -> Machine:
         """Adds a wheel whose joint frame is rotated, so that its axle is z of the frame."""
-        turn, axis = ("-1.5707963267948966 0 0", "0 0 1") if self.sign > 0 else ("1.5707963267948966 0 0", "0 0 1")
+        turn = f"{-1.5707963267948966 * self.sign} 0 0"
         disc = shape("collision", f'<cylinder radius="{self.radius}" length="{self.width}"/>')
         z = self.radius - self.height if parent == "base_link" else 0.0
         moment = 0.4 * self.wheel_mass * self.radius**2
         self.parts += [
             link(f"{name}_link", inertial(self.wheel_mass, moment) + (disc if content is None else content)),
-            joint(name, "continuous", parent, f"{name}_link", f"{x} {y} {z}", f'<axis xyz="{axis}"/>', turn),
+            joint(name, "continuous", parent, f"{name}_link", f"{x} {y} {z}", '<axis xyz="0 0 1"/>', turn),
         ]
         return self
 
@@ -73,7 +75,7 @@ class Machine:
 
     def knuckle(self, name: str, x: float, y: float, limit: float = 0.6) -> Machine:
         """Adds a steering joint with a wheel."""
-        limits = f'<axis xyz="0 0 -1"/><limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/>'
+        limits = f'<axis xyz="0 0 {self.steering}"/><limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/>'
         place = f"{x} {y} {self.radius - self.height}"
         self.parts += [
             link(f"{name}_knuckle", inertial(0.1, 1e-4)),

@@ -164,11 +164,7 @@ def _box(piece: Piece) -> Box:
     kind, frame, sizes, *_ = piece.shape
     if kind == "box" and not frame.is_turned:
         return Box(tuple(frame.position.tolist()), (sizes[0], sizes[1], sizes[2]))
-    return _box_of(piece.points.min(0), piece.points.max(0))
-
-
-def _box_of(low: np.ndarray, high: np.ndarray) -> Box:
-    return Box(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), WEIGHTLESS)
+    return Box.between(piece.points.min(0), piece.points.max(0))
 
 
 def _found(
@@ -206,7 +202,7 @@ def _found(
     notes += urdf.lost
     numbers = {
         "body": rest,
-        "boxes": tuple(_box_of(*box) for box in boxes),
+        "boxes": tuple(Box.between(*box) for box in boxes),
         "wheel": rolling,
         "lidar_position": lidar_position,
         "imu_position": _mount(urdf, "imu", imu, origin),
