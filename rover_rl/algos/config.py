@@ -258,11 +258,7 @@ class TrainingConfig:
         return self.num_envs // self.workers
 
     def check(self) -> None:
-        """Checks the settings.
-
-        Raises:
-            ValueError: for a setting out of range, by its name.
-        """
+        """Checks the settings. Raises a ``ValueError`` for one out of range, by its name."""
         require_entries(self.network.observation, self.env.own_sensors)
         _check_ranges({name: value for part in PARTS for name, value in vars(getattr(self, part)).items()})
         self._check_network()
@@ -282,10 +278,7 @@ class TrainingConfig:
         if network.north_up and not {"lidar", "imu", "target"} <= entries:
             raise ValueError(f"north_up needs lidar, imu and target in observation, got {network.observation}")
         if self.algorithm.mirror_augmentation and (network.north_up or "pose" in entries):
-            raise ValueError(
-                "mirror_augmentation does not go with north_up, nor with pose in observation: a map is not its mirror "
-                "image"
-            )
+            raise ValueError("mirror_augmentation does not go with north_up, nor with pose in observation")
         for_ppo = network.memory != "none" or network.prior != "none" or network.privileged_critic
         if for_ppo and not isinstance(self.algorithm, PPOConfig):
             raise ValueError(
@@ -362,10 +355,8 @@ _COUNTS = (
 def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequence[str]) -> tuple[str, ...]:
     """Returns the entries that the driver of ``prior="route"`` reads.
 
-    Args:
-        tells_robot: whether the observation tells the robot, which may be any.
-        turns_in_place: whether all robots turn in place. Others drive in arcs, which begin at their speed.
-        observation: entries that the policy reads. If it reads where scans were taken, the driver does, too.
+    A robot that does not turn in place drives in arcs, which begin at its speed. An observation that ``tells_robot``
+    may be of any. If it has the pose of the scan, the driver reads that, too.
     """
     late = [SCAN_POSE] if SCAN_POSE in observation else []
     in_arcs = tells_robot or not turns_in_place
@@ -413,34 +404,22 @@ PARTS: dict[str, type] = {
 }
 """Parts of :class:`TrainingConfig`, by name."""
 
-
-# Default settings of PPO in other simulators than Warp, which simulates many rovers at little more cost than few.
+# Warp simulates many rovers at little more cost than few; SAC's gradient steps take most of the time in any simulator.
 _PPO_ELSEWHERE = {"num_envs": 64, "minibatch": 256, "total_steps": 600_000}
-# Default settings of SAC, whose gradient steps take most of the time in any simulator.
 _SAC = {"num_envs": 64, "total_steps": 400_000}
 
 
 def default_config(algo: str, backend: BackendLike = "warp") -> TrainingConfig:
-    """The default settings of an algorithm in a simulator.
-
-    Args:
-        algo: ``"ppo"`` or ``"sac"``.
-        backend: simulator. Warp has more rovers than others, and PPO in it larger batches and more steps.
-    """
+    """The default settings of ``"ppo"`` or ``"sac"``. In Warp, rovers are more and batches larger than elsewhere."""
     settings = _SAC if algo == "sac" else {} if _name(backend) == "warp" else _PPO_ELSEWHERE
     return with_settings(TrainingConfig(algorithm=ALGORITHMS[algo]()), backend=backend, **settings)
 
 
 def training_config(algo: str, **settings: Any) -> TrainingConfig:
-    """Settings of a training by their names alone, each put into its part.
+    """Settings of a training with ``"ppo"`` or ``"sac"`` by their names alone, each put into its part.
 
-    Args:
-        algo: ``"ppo"`` or ``"sac"``.
-        **settings: fields of the parts of :class:`TrainingConfig`, for example ``world``, ``hidden`` or ``workers``.
-            The others are those of :func:`default_config`.
-
-    Raises:
-        ValueError: for an unknown algorithm or setting.
+    The settings are fields of the parts of :class:`TrainingConfig`, for example ``world``, ``hidden`` or ``workers``;
+    the others are those of :func:`default_config`. Raises a ``ValueError`` for an unknown algorithm or setting.
     """
     if algo not in ALGORITHMS:
         raise ValueError(f"algo must be one of {sorted(ALGORITHMS)}, got {algo!r}")
@@ -448,11 +427,7 @@ def training_config(algo: str, **settings: Any) -> TrainingConfig:
 
 
 def with_settings(config: TrainingConfig, **settings: Any) -> TrainingConfig:
-    """``config`` with other settings, by their names alone: see :func:`training_config`.
-
-    Raises:
-        ValueError: for an unknown setting.
-    """
+    """``config`` with other settings, by their names alone: see :func:`training_config`."""
     homes = part_of(config.algo)
     if unknown := sorted(set(settings) - set(homes)):
         raise ValueError(f"{config.algo} does not know the settings {unknown}; use some of {sorted(homes)}")

@@ -25,13 +25,8 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     """Settings from plain data; what it does not name has its default.
 
     Settings may stand in their parts, as ``plain`` gives them, or without parts. The sessions of a run are no settings.
-
-    Args:
-        data: a dictionary.
-        source: name of the file, for messages.
-
-    Raises:
-        ValueError: for an algorithm or a setting that does not exist, or a value of the wrong type.
+    ``source`` is the name of the file, for messages. Raises a ``ValueError`` for an algorithm or a setting that does
+    not exist, or a value of the wrong type.
     """
     if not isinstance(data, dict) or data.get("algo") not in list(ALGORITHMS):
         raise ValueError(f"{source} must name an algo, one of {sorted(ALGORITHMS)}")
@@ -91,12 +86,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def read_config(path: str | Path) -> TrainingConfig:
-    """Reads settings from YAML.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is no YAML, or as :func:`config_from`.
-    """
+    """Reads settings from YAML. Raises a ``FileNotFoundError``, or a ``ValueError`` as :func:`config_from`."""
     return config_from(read_yaml(path), str(path))
 
 
@@ -113,8 +103,7 @@ def run_config(folder: str | Path) -> TrainingConfig:
 def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     """Names of the experiments that runs belong to: the same for runs that differ in their seed only.
 
-    A name is the algorithm and the world, and the settings that differ from those of other runs of the same algorithm
-    and world.
+    A name has the algorithm, the world, and the settings that differ from those of other runs of both.
 
     Example:
         >>> experiments([training_config("sac", gamma=0.9), training_config("sac", gamma=0.96, seed=1)])

@@ -44,13 +44,11 @@ EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action"
 
 
 class Step(NamedTuple):
-    """Where rovers are after a step, or where their episodes begin.
+    """Where rovers are after a step, or where their episodes begin: the ``observation`` of all, ``[N]``.
 
-    Attributes:
-        observation: observation of all rovers, ``[N]``.
-        rows: rovers that have moved, or whose episodes begin, bool ``[N]``, on the CPU.
-        ended: rovers whose episode has ended in this step, bool ``[N]``, on the CPU.
-        transition: what ``env.step()`` has returned; ``None`` where episodes begin.
+    ``rows`` are the rovers that have moved, or whose episodes begin, and ``ended`` those whose episode has ended in
+    this step, bool ``[N]``, on the CPU. ``transition`` is what ``env.step()`` has returned; ``None`` where episodes
+    begin.
     """
 
     observation: TensorDictBase
@@ -83,14 +81,9 @@ def rovers_in(env: EnvBase) -> RoverEnv:
 class Drive:
     """A policy in an environment, step by step: :func:`drives` is its loop, and the viewer calls it by hand.
 
-    Args:
-        env: :class:`~rover_rl.RoverEnv` or :func:`~rover_rl.make_env`, with ``num_envs``.
-        policy: policy or its runner; ``None`` acts at random.
-        action_repeat, min_rows: see :class:`~rover_rl.algos.policy.runner.PolicyRunner`.
-
-    Attributes:
-        observation: the last observation, ``[N]``.
-        runner: runner of the policy.
+    ``env`` is a :class:`~rover_rl.RoverEnv` or :func:`~rover_rl.make_env`, with ``num_envs``. ``policy`` is a policy or
+    its runner; ``None`` acts at random. For ``action_repeat`` and ``min_rows`` see
+    :class:`~rover_rl.algos.policy.runner.PolicyRunner`. ``observation`` is the last one, ``[N]``.
     """
 
     observation: TensorDictBase
@@ -136,9 +129,8 @@ class Drive:
 class Schedule:
     """Which rovers drive, and where their episodes begin: all of them, again and again, as the environment draws.
 
-    Attributes:
-        driving: rovers that drive, bool ``[N]``; ``None``: all.
-        episode: number of the episode that each drives, int64 ``[N]``; ``None``: not counted.
+    ``driving`` are the rovers that drive, bool ``[N]``; ``None``: all. ``episode`` is the number of the episode that
+    each drives, int64 ``[N]``; ``None``: not counted.
     """
 
     driving: Tensor | None = None
@@ -163,12 +155,8 @@ def drives(
 ) -> Iterator[Step]:
     """Lets a policy drive, and yields each step, and each beginning of episodes before it.
 
-    A step is yielded before the episodes that ended in it are replaced by others. With a schedule, the policy reads the
-    number of the ``episode``.
-
-    Args:
-        env, policy, action_repeat, min_rows: as for :class:`Drive`.
-        schedule: which episodes are driven; ``None``: those that the environment draws, without end.
+    A step is yielded before the episodes that ended in it are replaced by others. With a ``schedule``, the policy reads
+    the number of the ``episode``; without, the environment draws episodes without end. See also :class:`Drive`.
     """
     drive, schedule = Drive(env, policy, action_repeat, min_rows), schedule or Schedule()
     yield drive.begin(**schedule.places())

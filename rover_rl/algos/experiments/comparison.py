@@ -84,9 +84,8 @@ def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
     The success rates are those of an evaluation if all runs have one in common, on the same episodes, else those of
     the last twelfth of training. ``level`` is the success rate in training that a run takes some steps and minutes to.
 
-    Raises:
-        FileNotFoundError: if a folder holds no run.
-        ValueError: if there are no runs, if a run has no rows yet, or for a level that is no rate.
+    Raises a ``FileNotFoundError`` if a folder holds no run, and a ``ValueError`` for no runs, a run without rows, or a
+    level that is no rate.
     """
     if not folders:
         raise ValueError("name the folders of the runs to compare")

@@ -41,13 +41,7 @@ def draw_learning_curve(runs: Sequence[str | Path], path: Path, panels: Panels =
     rows in ``progress.csv``. Runs that differ in their seed only are drawn as one curve: their interquartile mean and
     its 95 % interval, up to the end of the shortest run. A single run also has a faint line with a narrower window.
 
-    Args:
-        runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
-        panels: what each column of panels shows.
-
-    Raises:
-        FileNotFoundError: if a folder holds no run.
-        ValueError: if there are no runs, or if a run has no rows yet.
+    Raises a ``FileNotFoundError`` if a folder holds no run, and a ``ValueError`` for no runs, or one without rows.
     """
     if not runs:
         raise ValueError("name at least one run to draw")

@@ -162,9 +162,8 @@ def seed_runs(config: TrainingConfig, seeds: Sequence[int]) -> list[tuple[Traini
     where these do not change what is learned, such as its backend. The name in ``config``, by default that of a single
     run, such as ``ppo-moon``, is the first part of the folders' names.
 
-    Raises:
-        ValueError: for no or repeated seeds, or a setting out of range.
-        FileExistsError: if there is a run of that name with other settings.
+    Raises a ``ValueError`` for no or repeated seeds, or a setting out of range, and a ``FileExistsError`` if there is a
+    run of that name with other settings.
     """
     if not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds must be at least one, each once, got {tuple(seeds)}")

@@ -36,7 +36,7 @@ def train(
         ValueError: for a setting out of range, or an unknown world, robot, reward or backend.
         FileExistsError: if a run of that name exists.
     """
-    # They import PyTorch.
+    # These import PyTorch.
     from rover_rl.algos.policy.networks import single_threaded, with_threads
     from rover_rl.algos.train.run import TrainingRun, prepare
 

@@ -9,8 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -62,8 +61,17 @@ def collect(
         estimates: state of the :class:`~rover_rl.algos.train.curriculum.Learnability` that a curriculum begins with.
         folder: folder of the run, in which pages watch it.
     """
+    if config.collector == "process":
+        env: Any = make_training_env(
+            config, session=session, estimates=estimates, per_batch=config.on_gpu, watched=folder
+        )
+        try:
+            yield _rollouts(env, actor, config.algorithm.rollout_length)
+        finally:
+            env.close(raise_if_closed=False)
+        return
     make_env = partial(_make_env, config, session, estimates, folder)
-    opened = {"process": _in_this_process, "processes": _in_processes, "ray": _on_a_cluster}[config.collector]
+    opened = _in_processes if config.collector == "processes" else _on_a_cluster
     with opened(config, actor, make_env) as batches:
         yield batches
 
@@ -73,15 +81,10 @@ def _make_env(
     session: int,
     estimates: Mapping[str, Tensor] | None,
     folder: Path | None,
-    worker: int = -1,
-    log: Path | None = None,
+    worker: int,
+    log: Path | None,
 ) -> EnvBase:
-    """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster.
-
-    Worker -1 is this process.
-    """
-    if worker < 0:
-        return make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu, watched=folder)
+    """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster."""
     # TorchRL also makes an environment in the training process, to read its specs.
     in_process = log is not None and multiprocessing.parent_process() is not None
     if in_process or log is None:
@@ -99,22 +102,13 @@ def _make_env(
     return make_training_env(config, worker, session, estimates, watched=None if log is None else folder)
 
 
-@contextmanager
-def _in_this_process(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
-    env: Any = make_env()
-    try:
-        yield _rollouts(env, actor, config.algorithm.rollout_length)
-    finally:
-        env.close(raise_if_closed=False)
-
-
 def _rollouts(env: TransformedEnv, actor: ProbabilisticActor, length: int) -> Batches:
     """Yields endless batches ``[N, length]`` of consecutive steps, in which the actor explores.
 
-    The data is that of TorchRL's collector, to the last bit. That one reads values from the device in every step, for
-    example whether any episode has ended. Each reading waits until a GPU has finished all its work, so that the host
-    cannot prepare the next step meanwhile. This loop reads none on a GPU: it resets ended rows by mask in every step,
-    whether there are any or not. Transforms with ``batch_collected(batch)`` read what they need after each batch.
+    The data is that of TorchRL's collector, to the last bit. That one reads values from the device in every step, such
+    as whether any episode has ended, and waits each time until a GPU has finished all its work. This loop reads none on
+    a GPU: it resets ended rows by mask in every step, whether there are any or not. Transforms with
+    ``batch_collected(batch)`` read what they need after each batch.
     """
     per_batch = [transform for transform in env.transform if hasattr(transform, "batch_collected")]
     current = env.reset()
@@ -151,15 +145,10 @@ def _collector(
 ) -> BaseCollector:
     """Makes TorchRL's collector with a worker for each of ``logs``."""
     asynchronous, frames = config.algorithm.asynchronous, config.num_envs * config.algorithm.rollout_length
-    return Collector(
-        [partial(make_env, worker, log) for worker, log in enumerate(logs)],
-        actor,
-        num_collectors=config.workers,
-        sync=not asynchronous,
-        # Each batch of an asynchronous collector comes from one worker.
-        frames_per_batch=frames // config.workers if asynchronous else frames,
-        **options,
-    )
+    # Each batch of an asynchronous collector comes from one worker.
+    frames = frames // config.workers if asynchronous else frames
+    makers, workers = [partial(make_env, worker, log) for worker, log in enumerate(logs)], config.workers
+    return Collector(makers, actor, num_collectors=workers, sync=not asynchronous, frames_per_batch=frames, **options)
 
 
 @contextmanager
@@ -211,22 +200,20 @@ def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
 
 def _send_weights(collector: BaseCollector) -> None:
     """Sends the actor's weights to the workers. TorchRL alone waits forever for the reply of a dead worker."""
-    done: Future[None] = Future()
+    reply: Future[None] = Future()
 
     def send() -> None:
         try:
-            done.set_result(collector.update_policy_weights_())
+            reply.set_result(collector.update_policy_weights_())
         except Exception as error:
-            done.set_exception(error)
+            reply.set_exception(error)
 
     Thread(target=send, daemon=True).start()
-    while True:
-        try:
-            return done.result(timeout=_POLL_INTERVAL)
-        except FutureTimeout:
-            for number, process in enumerate(collector.procs):
-                if process.exitcode is not None:
-                    raise RuntimeError(f"worker {number} ended (exit code {process.exitcode})") from None
+    while not wait([reply], _POLL_INTERVAL).done:
+        for number, process in enumerate(collector.procs):
+            if process.exitcode is not None:
+                raise RuntimeError(f"worker {number} ended (exit code {process.exitcode})")
+    reply.result()
 
 
 def _last_output(log: Path) -> str:

@@ -89,10 +89,8 @@ class Learnability:
         """Returns how often to draw each world, float64 ``[len(pool)]``.
 
         A part ``1 - share`` of the draws is even. In the other part, the weight of a world is its learnability to the
-        power of ``1 / temperature``: low temperatures draw only the most learnable worlds.
-
-        SFL draws evenly from a buffer of the most learnable worlds instead. Weights need neither a size of the buffer
-        for each size of a pool, nor a ranking of estimates that hardly differ.
+        power of ``1 / temperature``: low temperatures draw only the most learnable worlds. (SFL draws evenly from a
+        buffer of these instead, whose size would depend on that of the pool.)
         """
         values = self.values
         # Relative to the largest value, so that powers do not underflow everywhere.

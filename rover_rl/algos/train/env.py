@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
-from torchrl.envs import EnvBase, RewardSum, StepCounter
+from torchrl.envs import EnvBase, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.recurrent import memory_transforms
@@ -45,28 +45,25 @@ def make_training_env(
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
-    rovers = RoverEnv(env_config)
-    env = add_reward(rovers, env_config.reward, env_config)
-    action_repeat = config.collection.action_repeat
-    env = env.append_transform(ActionRepeat(action_repeat))
-    if config.collection.route_reward:
-        env = env.append_transform(RouteReward(config.collection.route_reward))
-    if config.collection.path_reward:
-        env = env.append_transform(PathReward(rovers, config.collection.path_reward))
-    if config.collection.curriculum != "none":
-        settings = config.collection
+    rovers, settings = RoverEnv(env_config), config.collection
+    ends = SpreadEnds(-(-env_config.length // settings.action_repeat))
+    transforms: list[Transform] = [ActionRepeat(settings.action_repeat)]
+    if settings.route_reward:
+        transforms.append(RouteReward(settings.route_reward))
+    if settings.path_reward:
+        transforms.append(PathReward(rovers, settings.path_reward))
+    if settings.curriculum != "none":
         share, temperature = settings.curriculum_share, settings.curriculum_temperature
-        env = env.append_transform(Curriculum(rovers, share, temperature, estimates, per_batch))
-    env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
-    env = env.append_transform(StepCounter())
-    ends = SpreadEnds(-(-env_config.length // action_repeat))
-    env = env.append_transform(ends)
-    env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length, rovers.control_dt))
-    for transform in memory_transforms(config.network.memory, config.network.memory_size):
-        env = env.append_transform(transform)
+        transforms.append(Curriculum(rovers, share, temperature, estimates, per_batch))
+    transforms += [RewardSum(["reward"], ["episode_reward"]), StepCounter(), ends]
+    transforms.append(AttemptCounter(ends, settings.action_repeat, env_config.length, rovers.control_dt))
+    transforms += memory_transforms(config.network.memory, config.network.memory_size)
     if watched is not None and not worker:
-        env = env.append_transform(LiveRovers(rovers, watched))
-    return env.append_transform(StepClock(rovers, worker, per_batch))
+        transforms.append(LiveRovers(rovers, watched))
+    env = add_reward(rovers, env_config.reward, env_config)
+    for transform in (*transforms, StepClock(rovers, worker, per_batch)):
+        env = env.append_transform(transform)
+    return env
 
 
 def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> EnvConfig:

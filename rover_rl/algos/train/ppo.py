@@ -17,20 +17,10 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from rover_rl.algos.config import PPOConfig, TrainingConfig
+from rover_rl.algos.policy import networks
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.grid_planner import Follower, follow
 from rover_rl.algos.policy.images import ImageFeatures
-from rover_rl.algos.policy.networks import (
-    DRIVER,
-    action_spec,
-    actor_of,
-    driver_of,
-    encoder_of,
-    make_critic,
-    middle_and_half,
-    mirrored,
-    with_driver,
-)
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
@@ -52,9 +42,9 @@ class PPOLearner(Learner):
         assert isinstance(config.algorithm, PPOConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        encoder = encoder_of(config)
-        self.actor = actor_of(config, encoder, device)
-        self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
+        encoder = networks.encoder_of(config)
+        self.actor = networks.actor_of(config, encoder, device)
+        self.critic = networks.make_critic(encoder, network.hidden, device, network.privileged_critic)
         if settings.freeze_encoder:
             frozen = [*_image_networks(self.actor), *_image_networks(self.critic)]
             if not frozen:
@@ -63,8 +53,8 @@ class PPOLearner(Learner):
                 images.requires_grad_(False)
         self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
-        self._driver = driver_of(self.actor)
-        driven = self.actor if self._driver is None else with_driver(self.actor)
+        self._driver = networks.driver_of(self.actor)
+        driven = self.actor if self._driver is None else networks.with_driver(self.actor)
         self._loss = ClipPPOLoss(
             driven,
             self.critic,
@@ -92,7 +82,7 @@ class PPOLearner(Learner):
         with torch.no_grad():
             self._advantage(batch)
             if self._driver is not None:
-                batch[DRIVER] = self._driver(batch)
+                batch[networks.DRIVER] = self._driver(batch)
         decisions = batch.select(*self._training_keys)
         imitating = self._expert is not None and share < self._settings.imitation
         terms = ["loss_objective", "loss_critic", "loss_entropy"]
@@ -146,7 +136,8 @@ class PPOLearner(Learner):
         return self._logged(losses)
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
-        middle, half = middle_and_half(action_spec(self.config.env.bounded_action, self.config.device))
+        spec = networks.action_spec(self.config.env.bounded_action, self.config.device)
+        middle, half = networks.middle_and_half(spec)
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
 
@@ -193,7 +184,7 @@ class MirrorMemory:
             states[key][:, 0] = torch.where(is_init, 0.0, last)
         every = torch.ones(decisions.batch_size, dtype=torch.bool, device=decisions["is_init"].device)
         with set_recurrent_mode(True):
-            image = self._actor[0](mirrored(decisions, every, self._sensors).update(states))
+            image = self._actor[0](networks.mirrored(decisions, every, self._sensors).update(states))
         self._last = {key: image["next", key][:, -1] for key in self._keys}
         return states
 
@@ -205,7 +196,7 @@ def mirrored_rows(
 
     ``starts`` are the states of their memory: see :class:`MirrorMemory`.
     """
-    image = mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), sensors)
+    image = networks.mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), sensors)
     for key, state in starts.items():
         image[key] = torch.where(rows[:, None, None, None], state, decisions[key])
     return image

@@ -27,20 +27,12 @@ from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.config_files import run_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
+from rover_rl.algos.train import run_folder
 from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.fine_tuning import load_source
 from rover_rl.algos.train.live import forget_live_rovers
 from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, time_columns
-from rover_rl.algos.train.run_folder import (
-    STATE,
-    RunRecord,
-    default_name,
-    load_state,
-    new_run_folder,
-    save_run,
-    training_lock,
-)
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
 from rover_rl.envs.rewards import pays_for_goals, reward_components
@@ -96,8 +88,8 @@ class Learner(ABC):
 class TrainingSummary:
     """Summary of a training run, with the steps of all rovers and the minutes of all sessions together.
 
-    ``shares`` are those of this session's time, by activity. ``reached_before`` names the limits that the run
-    had reached before this session, which therefore trained nothing: ``"total_steps"``, ``"max_minutes"`` or both.
+    ``shares`` are those of this session's time, by activity. ``reached_before`` names the limits, ``"total_steps"`` and
+    ``"max_minutes"``, that the run had reached before this session, which therefore trained nothing.
     """
 
     folder: Path
@@ -120,8 +112,7 @@ class TrainingRun:
     ``snapshots/`` (earlier policies), with a curriculum ``curriculum.csv`` (the worlds that were drawn), and what its
     trackers write there. Files are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM
     end the run after the current batch; a second one ends it immediately. A run whose weights become NaN or infinite,
-    or whose files cannot be written, keeps its last checkpoint. A lock keeps other processes from training in the
-    folder meanwhile.
+    or whose files cannot be written, keeps its last checkpoint.
     """
 
     def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:
@@ -136,15 +127,16 @@ class TrainingRun:
             if folder is not None:
                 # Raises before a folder that is no run is locked.
                 run_config(folder)
-                self._lock.enter_context(training_lock(folder))
-                record = RunRecord.of(folder, config)
+                self._lock.enter_context(run_folder.training_lock(folder))
+                record = run_folder.RunRecord.of(folder, config)
                 self._resume(folder)
             if self._saved_steps is None and (source := load_source(config)) is not None:
                 learner.start_from(source.actor)
             if folder is None:
-                folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
-                self._lock.enter_context(training_lock(folder))
-            self.folder, self._record = folder, record or RunRecord(folder / SETTINGS, config)
+                default = run_folder.default_name(config)
+                folder = run_folder.new_run_folder(config.run.runs, config.run.name, default)
+                self._lock.enter_context(run_folder.training_lock(folder))
+            self.folder, self._record = folder, record or run_folder.RunRecord(folder / SETTINGS, config)
             if self._saved_steps is None:
                 self._record.begin()
             self._from_start = record is not None and self._saved_steps is None
@@ -159,15 +151,15 @@ class TrainingRun:
             self._lock = self._lock.pop_all()
 
     def _resume(self, folder: Path) -> None:
-        path = folder / STATE
+        path = folder / run_folder.STATE
         if not path.is_file():
             if (folder / CHECKPOINT).is_file():
                 raise ValueError(
-                    f"{folder} has a checkpoint, but no {STATE} to go on from; "
+                    f"{folder} has a checkpoint, but no {path.name} to go on from; "
                     f"begin a new run with --config {folder / SETTINGS}"
                 )
             return
-        state = load_state(path)
+        state = run_folder.load_state(path)
         try:
             self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
             self._session = state["session"] + 1
@@ -296,7 +288,7 @@ class TrainingRun:
             state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
         if self._curriculum:
             state["curriculum"] = self._curriculum.state_dict()
-        save_run(self.folder, self._checkpoint(), state)
+        run_folder.save_run(self.folder, self._checkpoint(), state)
         self._record.trained(self._steps_before)
         if self._curriculum:
             self._curriculum.write(self.folder)

@@ -106,15 +106,16 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
 
 @dataclass
 class RunRecord:
-    """Settings in the ``config.yaml`` of a run, with its sessions that changed some."""
+    """Settings in the ``config.yaml`` of a run, with its ``sessions`` that changed some.
+
+    Each has ``from_step``, the number of steps that the run had, and ``changed``, the new values by name. ``changed``
+    are old and new values that this session changes, by name.
+    """
 
     path: Path
     config: TrainingConfig
     sessions: list[dict[str, Any]] = field(default_factory=list)
-    """Earlier sessions with other settings than the one before: each with ``from_step``, the number of steps that the
-    run had, and ``changed``, the new values by name."""
     changed: dict[str, tuple[Any, Any]] = field(default_factory=dict)
-    """Old and new values that this session changes, by name."""
 
     @classmethod
     def of(cls, folder: Path, config: TrainingConfig) -> RunRecord:

@@ -17,15 +17,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from rover_rl.algos.config import SACConfig, TrainingConfig
-from rover_rl.algos.policy.networks import (
-    action_spec,
-    actor_of,
-    encoder_of,
-    make_action_critic,
-    middle_and_half,
-    mirrored,
-    on_features,
-)
+from rover_rl.algos.policy import networks
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
 
@@ -41,18 +33,18 @@ class SACLearner(Learner):
         assert isinstance(config.algorithm, SACConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        self._encoder = encoder_of(config)
-        spec = action_spec(config.env.bounded_action, device)
-        self.actor = actor_of(config, self._encoder, device)
+        self._encoder = networks.encoder_of(config)
+        spec = networks.action_spec(config.env.bounded_action, device)
+        self.actor = networks.actor_of(config, self._encoder, device)
         self._loss = SACLoss(
-            on_features(self.actor),
-            make_action_critic(self._encoder, network.hidden, config.env.bounded_action, device),
+            networks.on_features(self.actor),
+            networks.make_action_critic(self._encoder, network.hidden, config.env.bounded_action, device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,
             alpha_init=settings.alpha,
             # TorchRL computes the entropy of unscaled actions, whose range is larger than [-1, 1] by this factor.
-            target_entropy=settings.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
+            target_entropy=settings.target_entropy + math.log(networks.middle_and_half(spec)[1].prod().item()),
         ).to(device)
         self._loss.make_value_estimator(gamma=settings.gamma)
         self._target_update = SoftUpdate(self._loss, tau=settings.tau)
@@ -78,7 +70,7 @@ class SACLearner(Learner):
     def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool) -> Tensor:
         if self._settings.mirror_augmentation:
             rows = torch.rand(len(decisions), device=self.config.device) < 0.5
-            decisions = mirrored(decisions, rows, self._encoder.sensors)
+            decisions = networks.mirrored(decisions, rows, self._encoder.sensors)
         # Encodes the observations once for all networks.
         for observation in (decisions, decisions["next"]):
             observation["features"] = self._encoder(*(observation[key] for key in self._encoder.keys))

@@ -43,31 +43,28 @@ class Trackers:
                 raise ValueError(f"the tracker {name} cannot be opened: {' '.join(str(error).split())}") from error
 
     def add(self, row: dict[str, float]) -> None:
-        def send(logger: Logger) -> None:
-            logger.log_metrics(row, step=int(row["steps"]))
-            logger.flush()
-
-        self._each(send)
+        self._each(lambda logger: (logger.log_metrics(row, step=int(row["steps"])), logger.flush()))
 
     def close(self) -> None:
-        def close(logger: Logger) -> None:
-            logger.shutdown()
-            if isinstance(logger, MLFlowLogger):
-                # TorchRL leaves its run open, and the next one could not begin.
-                import mlflow
-
-                mlflow.end_run()
-
-        self._each(close)
+        self._each(_close)
         self._open.clear()
 
-    def _each(self, action: Callable[[Logger], None]) -> None:
+    def _each(self, action: Callable[[Logger], Any]) -> None:
         for name, logger in [*self._open.items()]:
             try:
                 action(logger)
             except Exception as error:  # Each library has errors of its own.
                 del self._open[name]
                 self._say(f"The tracker {name} has failed and gets no more values: {' '.join(str(error).split())}")
+
+
+def _close(logger: Logger) -> None:
+    logger.shutdown()
+    if isinstance(logger, MLFlowLogger):
+        # TorchRL leaves its run open, and the next one could not begin.
+        import mlflow
+
+        mlflow.end_run()
 
 
 def check_trackers(names: Sequence[str]) -> None:

@@ -40,12 +40,8 @@ def find_areas(
     least 4 m^2 that obstacles enclose, so that it does not touch the border of the site, else the largest part. A point
     in the place of an area is the part around it.
 
-    Args:
-        terrain: ground of the world.
-        obstacles: obstacles of the world.
-        options: options with areas.
-        limits: area that has ground or obstacles.
-        known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
+    ``limits`` is the area that has ground or obstacles, and ``known`` a function of points ``[..., 2]`` (m) that
+    returns which of them a map knows; ``None``: all.
     """
     limits = overlap(limits, terrain.extent)
     notes: list[str] = []

@@ -16,17 +16,11 @@ from rover_rl.worlds.movers import Mover
 
 @dataclass(frozen=True)
 class Piece:
-    """A solid or a surface.
+    """A solid or a surface, by its name in the file.
 
-    Args:
-        name: name in the file, for messages and for the option ``ground``.
-        points: vertices in the frame of the piece, ``[V, 3]``. Copies of a mesh have the same ones.
-        faces: triangles ``[F, 3]``, in that frame counter-clockwise from outside. ``None``: the piece is the convex
-            hull of the points.
-        pose: affine transform from the frame of the piece to the world, ``[4, 4]``.
-
-    Attributes:
-        vertices: vertices in the world frame, ``[V, 3]``, m.
+    ``points [V, 3]`` are vertices in its own frame, which copies of a mesh share, and ``vertices`` those in the world
+    frame, m; ``pose [4, 4]`` is the affine transform between them. ``faces [F, 3]`` are triangles, counter-clockwise
+    from outside; ``None``: the piece is the convex hull of the points.
     """
 
     name: str
@@ -56,13 +50,10 @@ class Plane(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Elevations on a regular grid, turned about z.
+    """Elevations on a regular grid, turned by ``yaw`` (rad) about ``origin``, the position of ``heights[0, 0]``, m.
 
-    Args:
-        heights: elevations ``[rows, columns]``, m, with rows along +y. NaN: no ground.
-        cell: spacing ``(along x, along y)``, m.
-        origin: position of ``heights[0, 0]``, ``(x, y)``, m.
-        yaw: turn of the grid about ``origin``, rad.
+    ``heights`` are ``[rows, columns]``, m, with rows along +y; NaN: no ground. ``cell`` is the spacing along x and y,
+    m.
     """
 
     heights: np.ndarray

@@ -45,14 +45,11 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 class GeoTags(NamedTuple):
-    """Meaning of the values of a GeoTIFF.
+    """Meaning of the values of a GeoTIFF: the height of a value is ``scale * value + offset``, m.
 
-    Attributes:
-        scale, offset: the height of a value is ``scale * value + offset``, m.
-        cell: spacing from column to column along x and from row to row along -y, m. ``None``: not known.
-        corner: position of the middle of the first value, m. ``None``: not known.
-        no_meters: why the spacing is not known in meters, and what helps.
-        notes: what the units are if not meters.
+    ``cell`` is the spacing from column to column along x and from row to row along -y, m, and ``corner`` the position
+    of the middle of the first value, m, where they are known. ``no_meters`` says why they are not known in meters, and
+    what helps, and ``notes`` what the units are.
     """
 
     scale: float = 1.0
@@ -64,12 +61,9 @@ class GeoTags(NamedTuple):
 
 
 class Elevations(NamedTuple):
-    """Numbers of a picture or an array, with the first row first.
+    """Numbers of a picture or an array, float64 ``[rows, columns]``, the first row first, NaN where there is no data.
 
-    Attributes:
-        values: numbers ``[rows, columns]``, float64, NaN where there is no data.
-        white: the largest number of unsigned integers, 1 for other types.
-        tags: what a GeoTIFF says of them.
+    ``white`` is the largest number of unsigned integers, 1 for other types.
     """
 
     values: np.ndarray

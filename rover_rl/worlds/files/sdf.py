@@ -50,20 +50,11 @@ MOVE, DRIVEN, JOINTED, OFF = (
 class _Model:
     """A model or an actor, or the world.
 
-    Args:
-        element: its description.
-        file: file that it comes from.
-        title: what it is called in messages.
-        path: names of the models down to it, with slashes.
-        state: what a saved world says of it in place of its own file.
-        static: whether it or a parent is static.
-        files: files on the way to it, to find circles.
-        transform: pose in the world, ``[4, 4]``.
-        children, merged: models in it by their names, and those whose frames are its own.
-
-    Attributes:
-        frames: functions by the name of a frame that return its pose and the frame that it is relative to. A pose is
-            read when it is needed, so that a wrong one spoils nothing else.
+    ``title`` is what messages call it, and ``path`` has the names of the models down to it, with slashes. ``state`` is
+    what a saved world says of it in place of its own file, ``static`` whether it or a parent is, and ``files`` are
+    those on the way to it, to find circles. ``transform`` is its pose in the world, ``[4, 4]``. The frames of
+    ``merged`` children are its own. ``frames`` are functions that return a pose and the frame that it is relative to,
+    by name: a pose is read when it is needed, so that a wrong one spoils nothing else.
     """
 
     element: Element
@@ -161,9 +152,8 @@ def _root(path: Path) -> Element:
 class _Reader:
     """Walks through a world and collects shapes and actors.
 
-    Attributes:
-        told: names of what is not as in Gazebo, by the sentence that says so.
-        shown: links whose visual geometry is taken.
+    ``told`` has the names of what is not as in Gazebo, by sentence, and ``shown`` the links whose visual geometry
+    counts.
     """
 
     def __init__(self, contents: Contents, locator: Locator, options: ImportOptions) -> None:
@@ -216,7 +206,7 @@ class _Reader:
         return [(found[0], path, include)] if found else []
 
     def _enter(self, element: Element, file: Path, include: Element, parent: _Model) -> tuple[str, _Model]:
-        """Adds a model to the frames of its parent. Returns its name there, and the model."""
+        """Adds a model to the frames of its parent; returns its name there, and the model."""
         name = text_of(include.find("name")) or element.get("name", "")
         saved = _named(parent.state, "model", name)
 
@@ -235,15 +225,9 @@ class _Reader:
             unique += "_"
         # What the include says about its model counts.
         static = is_true((element if include.find("static") is None else include).find("static"))
-        child = _Model(
-            element,
-            file,
-            f"the model {name!r}",
-            f"{parent.path}/{unique}".lstrip("/"),
-            _named(parent.state, "model", unique),
-            parent.static or static,
-            (*parent.files, file.resolve()),
-        )
+        path, state = f"{parent.path}/{unique}".lstrip("/"), _named(parent.state, "model", unique)
+        files = (*parent.files, file.resolve())
+        child = _Model(element, file, f"the model {name!r}", path, state, parent.static or static, files)
         parent.frames[unique] = pose
         parent.children[unique] = child
         if include.get("merge", "").lower() in ("1", "true"):
@@ -291,14 +275,11 @@ class _Reader:
     def _actor(self, actor: Element, transform: np.ndarray, name: str) -> None:
         script = actor.find("script")
         script = Element("script") if script is None else script
-        timed = [
-            (float(numbers(waypoint.find("time"), 1, None, f"a waypoint's time of {name!r}")[0]), waypoint)
-            for waypoint in script.findall("trajectory/waypoint")
-        ]
-        keys = [
-            (time, *_ground_pose(transform @ _pose_of(waypoint, f"a waypoint of {name!r}")[0]))
-            for time, waypoint in sorted(timed, key=lambda pair: pair[0])
-        ]
+        keys = []
+        for waypoint in script.findall("trajectory/waypoint"):
+            (time,) = numbers(waypoint.find("time"), 1, None, f"a waypoint's time of {name!r}").tolist()
+            keys.append((time, *_ground_pose(transform @ _pose_of(waypoint, f"a waypoint of {name!r}")[0])))
+        keys.sort(key=lambda key: key[0])
         loop, auto = (flag is None or is_true(flag) for flag in map(script.find, ("loop", "auto_start")))
         delay = numbers(script.find("delay_start"), 1, (0,), f"delay_start of {name!r}")
         # An actor that does not start by itself stands at its first waypoint.
@@ -406,10 +387,7 @@ class _Reader:
 
 
 def _pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
-    """Returns the pose in the ``<pose>`` of an element, ``[4, 4]``, and the frame that it is relative to.
-
-    The frame is empty for the default one. ``what`` is what the element is, for messages.
-    """
+    """Returns the pose in the ``<pose>`` of an element, ``[4, 4]``, and the frame that it is relative to, or ``""``."""
     pose = element.find("pose")
     transform = np.eye(4)
     if pose is None:

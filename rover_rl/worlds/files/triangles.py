@@ -196,15 +196,8 @@ def surface_heights(
 ) -> np.ndarray:
     """Returns the lowest height of a surface without vertical faces at each point of a grid, by vertical rays.
 
-    Args:
-        vertices: ``[V, 3]``, m.
-        faces: ``[F, 3]``.
-        origin: ``(x, y)`` of the first point, m.
-        cell: spacing of the points, m.
-        shape: number of points along y and x.
-
-    Returns:
-        Heights ``[rows, columns]``, m, NaN where there is no triangle.
+    The grid begins at ``origin``, ``(x, y)``, m, with points ``cell`` m apart; ``shape`` is their number along y and x.
+    Heights are ``[rows, columns]``, m, NaN where there is no triangle.
     """
     heights = np.full(shape[0] * shape[1], np.inf)
     # Grid coordinates: column, row, and height in meters.
@@ -276,12 +269,8 @@ def simplify(vertices: np.ndarray, faces: np.ndarray, error: float) -> tuple[np.
     """Returns a mesh with fewer triangles by edge collapses (Garland and Heckbert, 1997, doi:10.1145/258734.258849).
 
     In each round, vertices that are far from one another move to a neighbor at once. A closed mesh stays closed.
-
-    Args:
-        vertices: ``[V, 3]``, m.
-        faces: ``[F, 3]``.
-        error: largest distance of a vertex from the planes of the triangles that it stands for, their root mean square,
-            m.
+    ``error`` is the largest distance of a vertex from the planes of the triangles that it stands for, their root mean
+    square, m.
     """
     normals = face_normals(vertices, faces)
     # Weighted by the area, as the length of the normals is twice that.

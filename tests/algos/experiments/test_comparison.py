@@ -52,6 +52,14 @@ def test_experiments_are_compared_by_their_final_success_in_training(tmp_path: P
     (pair,) = comparison.pairs
     assert (pair.better, pair.other, pair.probability.value) == ("good", "bad", 1)
     assert comparison.scored_by == IN_TRAINING
+    write_comparison(comparison, tmp_path / "out")
+    data = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert [one["experiment"] for one in data["experiments"]] == ["good", "bad"]
+    assert data["experiments"][1]["steps"] is None
+    assert data["pairs"][0]["probability"] == 1
+    assert [row["seed"] for row in csv_rows(tmp_path / "out" / "runs.csv")] == [*"012012"]
+    assert (tmp_path / "out" / "comparison.csv").read_text().count("\n") == 3
+    assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
 
 
 def evaluation(folder: Path, **rates: float) -> None:
@@ -76,19 +84,6 @@ def test_an_evaluation_that_all_runs_share_counts_instead_of_training(tmp_path: 
     later = (runs[0] / "evaluation.json").stat().st_mtime + 10
     os.utime(runs[1] / "checkpoint.pt", (later, later))
     assert compare(runs).scored_by == IN_TRAINING
-
-
-def test_comparisons_are_written(tmp_path: Path) -> None:
-    write_experiment(tmp_path / "runs", "good")
-    write_experiment(tmp_path / "runs", "bad", best=0.5, gamma=0.9)
-    write_comparison(compare(find_runs([str(tmp_path / "runs")])), tmp_path / "out")
-    data = json.loads((tmp_path / "out" / "comparison.json").read_text())
-    assert [one["experiment"] for one in data["experiments"]] == ["good", "bad"]
-    assert data["experiments"][1]["steps"] is None
-    assert data["pairs"][0]["probability"] == 1
-    assert [row["seed"] for row in csv_rows(tmp_path / "out" / "runs.csv")] == [*"012012"]
-    assert (tmp_path / "out" / "comparison.csv").read_text().count("\n") == 3
-    assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
 
 
 def test_what_cannot_be_compared_raises(tmp_path: Path) -> None:

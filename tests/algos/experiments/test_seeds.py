@@ -27,25 +27,20 @@ def test_each_seed_has_a_folder(tmp_path: Path) -> None:
     assert seed_runs(with_settings(config, name="mine"), [3])[0][0].run.name == "mine-seed3"
 
 
-def test_runs_that_exist_are_continued_with_their_own_backend(tmp_path: Path) -> None:
+def test_runs_that_exist_are_continued_with_their_own_backend_if_all_else_is_the_same(tmp_path: Path) -> None:
     config = training_config("ppo", runs=str(tmp_path), name="mine")
     write_run(tmp_path / "mine-seed1", with_settings(config, seed=1, backend="warp", workers=1))
     (_, new), (run, folder) = seed_runs(config, (0, 1))
     assert (new, folder, run.env.backend) == (None, tmp_path / "mine-seed1", "warp")
-
-
-def test_runs_with_other_settings_are_refused(tmp_path: Path) -> None:
-    config = training_config("ppo", runs=str(tmp_path), name="mine")
-    write_run(tmp_path / "mine-seed0", with_settings(config, seed=0))
     with pytest.raises(FileExistsError, match="other settings of gamma, total_steps; choose another --name"):
-        seed_runs(with_settings(config, gamma=0.5, total_steps=7), [0])
+        seed_runs(with_settings(config, gamma=0.5, total_steps=7), [1])
     with pytest.raises(FileExistsError, match="other settings of algo"):
-        seed_runs(training_config("sac", runs=str(tmp_path), name="mine"), [0])
+        seed_runs(training_config("sac", runs=str(tmp_path), name="mine"), [1])
 
 
 @pytest.mark.slow
 def test_one_command_trains_all_seeds_and_one_compares_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["train", *TINY, "--total-steps", "192", "--logger", "csv", "--runs", str(tmp_path), "--name", "mine"]
+    line = ["train", *TINY, "--total-steps", "64", "--logger", "csv", "--runs", str(tmp_path), "--name", "mine"]
     assert main([*line, "--seeds", "0"]) == 0
     rows = (tmp_path / "mine-seed0" / "progress.csv").read_bytes()
     assert "To compare them with others: rover-rl compare " + str(tmp_path / "mine\n") in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Steps and updates on the CPU and on a simulated accelerator, which test_accelerator.py compares."""
+"""Batches and updates on the CPU and on a simulated accelerator, which test_accelerator.py compares."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -30,7 +30,7 @@ from rover_rl.sims.rover_state import Dynamics
 from rover_rl.sims.settings import Connection
 from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.worlds import Terrain, World
-from rover_rl.worlds.pool import WorldPool, WorldSource
+from rover_rl.worlds.pool import WorldPool
 from rover_rl.worlds.table import TerrainTable, WorldTable
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
@@ -148,54 +148,8 @@ def on_both() -> bytes:
 
 
 def _found(on: Accelerator | None) -> dict[str, Any]:
-    return {
-        "steps": _stepped(on),
-        "changes": _changed(on),
-        **{name: _learned(on, config) for name, config in LEARNERS.items()},
-        **{f"batches of {name}": _collected(on, config) for name, config in COLLECTED.items()},
-    }
-
-
-def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
-    """Observations, rewards and outcomes of each step, and the operations that waited for the accelerator.
-
-    The first step is left out, in which TorchRL reads its specs.
-    """
-    env = _env(on)
-    td = env.reset()
-    seen, looks = [], []
-    for step in range(16):
-        action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
-        if on is not None:
-            on.looks.clear()
-        td = env.step(td.set("action", action))
-        if on is not None and step > 0:
-            looks += on.looks
-        seen.append(_on_host(td["next"]))
-        td = td["next"]
-    return seen, looks
-
-
-def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
-    """Observations of some rovers that begin episodes in other worlds, and then of a step of all rovers, in turn.
-
-    Also returns the operations that waited for the accelerator. These are the environment's own reset and step, because
-    those of TorchRL read values around them.
-    """
-    env = _env(on, POOL).base_env
-    env.reset()
-    seen, looks = [], []
-    for turn in range(8):
-        begins = torch.arange(ROVERS, device=env.device)[:, None] % 3 != turn % 3
-        reset = TensorDict({"_reset": begins}, [ROVERS], device=env.device)
-        action = TensorDict({"action": torch.full((ROVERS, 2), 0.4, device=env.device)}, [ROVERS], device=env.device)
-        if on is not None:
-            on.looks.clear()
-        results = env._reset(reset), env._step(action)
-        if on is not None:
-            looks += on.looks
-        seen += [_on_host(result) for result in results]
-    return seen, looks
+    learned = {name: _learned(on, config) for name, config in LEARNERS.items()}
+    return learned | {f"batches of {name}": _collected(on, config) for name, config in COLLECTED.items()}
 
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:
@@ -215,7 +169,8 @@ def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, 
 
 def _collected(on: Accelerator | None, config: TrainingConfig) -> tuple[list[dict[str, Tensor]], list[str]]:
     """Three batches of a training, and the operations that waited for the accelerator in the last two."""
-    config = with_settings(_small(on, config), backend=SlidingBackend(), action_repeat=2, length=12, seed=3)
+    settings = {"action_repeat": 2, "length": 12, "seed": 3, "randomization": Randomization.typical()}
+    config = with_settings(_small(on, config), backend=SlidingBackend(), **settings)
     torch.manual_seed(0)
     learner: Any = (PPOLearner if config.algo == "ppo" else SACLearner)(config)
     seen, looks = [], []
@@ -243,9 +198,9 @@ def _small(on: Accelerator | None, config: TrainingConfig) -> TrainingConfig:
     )
 
 
-def _env(on: Accelerator | None, worlds: WorldSource = WORLDS) -> TransformedEnv:
+def _env(on: Accelerator | None) -> TransformedEnv:
     return make_env(
-        world_n=worlds,
+        world_n=WORLDS,
         num_envs=ROVERS,
         length=12,
         backend=SlidingBackend(),

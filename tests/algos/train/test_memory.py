@@ -23,7 +23,6 @@ from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
 from tests.algos.train.runs import FIELD, GRU, LSTM, PPO, WALL, check_states, field, run
 
-BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
 OBSERVATION = PPO.network.observation
 
 
@@ -36,11 +35,10 @@ def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[Tensor
         return learner, [next(collected).clone() for _ in range(count)]
 
 
-@BOTH
 @torch.no_grad()
-def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: TrainingConfig) -> None:
-    learner, collected = batches(config, 3)
-    batch = check_states(collected, config.network.memory)
+def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets() -> None:
+    learner, collected = batches(LSTM, 3)
+    batch = check_states(collected, "lstm")
     # What was collected step by step follows from the whole sequence of observations, and nothing else.
     seen = batch.select(*OBSERVATION, "is_init")
     with set_recurrent_mode(True):
@@ -49,9 +47,8 @@ def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: Tra
         torch.testing.assert_close(again[key], batch[key])
 
 
-@BOTH
-def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_actions(config: TrainingConfig) -> None:
-    settings = with_settings(config, mirror_augmentation=False, epochs=1, minibatch=32)
+def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_actions() -> None:
+    settings = with_settings(LSTM, mirror_augmentation=False, epochs=1, minibatch=32)
     learner, collected = batches(settings, 2)
     logged = learner.update(collected[1], 0.0, Stopwatch())
     assert logged["gradient_steps"] == 1
@@ -59,11 +56,10 @@ def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_action
     assert logged["clip_fraction"] == 0.0
 
 
-@BOTH
 @torch.no_grad()
-def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start(config: TrainingConfig) -> None:
-    learner, collected = batches(config, 3)
-    memory, keys = MirrorMemory(learner.actor), (*OBSERVATION, "is_init", *MEMORY_KEYS[config.network.memory])
+def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start() -> None:
+    learner, collected = batches(LSTM, 3)
+    memory, keys = MirrorMemory(learner.actor), (*OBSERVATION, "is_init", *MEMORY_KEYS["lstm"])
     decisions = [batch.select(*keys) for batch in collected[:2]]
     starts = [memory.starts(part) for part in decisions]
     runner = PolicyRunner(learner.actor, action_repeat=1)

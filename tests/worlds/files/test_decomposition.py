@@ -8,32 +8,14 @@ import torch
 import trimesh
 from scipy.spatial import ConvexHull
 
-from rover_rl.worlds import World
 from rover_rl.worlds.files.contents import Piece
 from rover_rl.worlds.files.convex import obstacles_of
 from rover_rl.worlds.files.triangles import distances, is_closed, random_points, simplify, split
 from tests.extras import needs_worlds
 from tests.worlds.files.scenes import prism
+from tests.worlds.files.test_sdf import link, model, world_of
 
 pytestmark = needs_worlds
-GROUND = (
-    "<model name='g'><static>1</static><link name='l'><collision name='c'><geometry><plane/></geometry></collision>"
-    "</link></model>"
-)
-BOX = "<box><size>1 1 1</size></box>"
-
-
-def model(name, geometry, pose="0 0 0 0 0 0"):
-    return (
-        f"<model name='{name}'><static>1</static><pose>{pose}</pose><link name='l'><collision name='c'>"
-        f"<geometry>{geometry}</geometry></collision></link></model>"
-    )
-
-
-def imported(folder, *models, **options):
-    path = folder / "w.sdf"
-    path.write_text(f"<sdf version='1.6'><world name='w'>{GROUND}{''.join(models)}</world></sdf>")
-    return World.from_file(path, **options)
 
 
 def parts_of(mesh, error=0.02, pose=None):
@@ -97,8 +79,7 @@ def hollow(outer, inner):
     return trimesh.util.concatenate([outer, inner])
 
 
-@pytest.mark.parametrize("error", [0.02, 0.2, 1.0])
-@pytest.mark.parametrize("t", [0.001, 0.02, 0.15])
+@pytest.mark.parametrize(("t", "error"), [(0.001, 0.02), (0.02, 1.0), (0.15, 0.2)])
 def test_a_room_with_thin_walls_stays_empty_and_its_door_open(t, error):
     mesh = hut(t)
     assert mesh.is_watertight
@@ -126,9 +107,8 @@ def test_a_room_with_thin_walls_stays_empty_and_its_door_open(t, error):
     ],
     ids=["U", "tube", "hollow box", "grating"],
 )
-@pytest.mark.parametrize("turned", [False, True])
-def test_thin_solids_have_their_volume(mesh, inside, turned):
-    pose = trimesh.transformations.rotation_matrix(0.7, (1, 2, 3), (4, 5, 6)) if turned else np.eye(4)
+def test_thin_solids_have_their_volume(mesh, inside):
+    pose = trimesh.transformations.rotation_matrix(0.7, (1, 2, 3), (4, 5, 6))
     solids = parts_of(mesh, pose=pose)
     assert holds(solids, tuple(pose[:3, :3] @ inside + pose[:3, 3])) == [False]
     assert volume_of(solids) == pytest.approx(mesh.volume, rel=0.2)
@@ -139,7 +119,7 @@ def test_convex_and_nearly_convex_meshes_are_one_hull():
     rounded.vertices = np.sign(rounded.vertices) * 0.2 + rounded.vertices
     dented = trimesh.creation.icosphere(3, 0.5)
     dented.vertices[0] *= 0.97
-    for mesh in (trimesh.creation.box((1, 2, 0.001)), rounded, dented, trimesh.creation.capsule(1, 0.3)):
+    for mesh in (trimesh.creation.box((1, 2, 0.001)), rounded, dented):
         assert len(parts_of(mesh)) == 1
 
 
@@ -151,7 +131,6 @@ SHEETS = {
     "one side": (Q, [(0, 1, 2), (0, 2, 3)], 1),
     "two sides": (Q, [(0, 1, 2), (0, 2, 3), (0, 2, 1), (0, 3, 2)], 1),
     "two diagonals": (Q, [(0, 1, 2), (0, 2, 3), (1, 0, 3), (1, 3, 2)], 1),
-    "the same side twice": (Q, [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)], 1),
     "one triangle turned over": (Q, [(0, 1, 2), (0, 3, 2)], 1),
     "two quads": (H, [(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (1, 0, 5), (1, 5, 4), (2, 1, 4), (2, 4, 3)], 2),
     "a vertex on an edge": (H, [(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (2, 0, 5), (2, 5, 3)], 2),
@@ -179,9 +158,9 @@ def test_open_rooms_stay_empty_whatever_side_their_walls_face():
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize(("radius", "off"), [(0.5, 0.02), (2.0, 0.04)])
-def test_a_bowl_becomes_plates_and_stays_hollow(radius, off):
-    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+def test_a_bowl_becomes_plates_and_stays_hollow():
+    radius, off = 0.5, 0.02
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     mesh.update_faces(mesh.triangles_center[:, 2] < 0)
     solids = parts_of(mesh)
     assert 1 < len(solids) <= 400
@@ -193,14 +172,15 @@ def test_a_bowl_becomes_plates_and_stays_hollow(radius, off):
 def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
     (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     (tmp_path / "point.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
-    world = imported(
-        tmp_path,
-        model("good", BOX, "3 0 0.5 0 0 0"),
-        model("line", "<mesh><uri>line.obj</uri></mesh>"),
-        model("point", "<mesh><uri>point.obj</uri></mesh>"),
-        model("foil", "<box><size>1 1 1e-9</size></box>", "0 3 0.5 0 0 0"),
-        model("poster", "<box><size>1 1 0.001</size></box>", "0 -3 0.5 0 0 0"),
-    )
+    shapes = {
+        "good": ("<box><size>1 1 1</size></box>", "3 0 0.5 0 0 0"),
+        "line": ("<mesh><uri>line.obj</uri></mesh>", ""),
+        "point": ("<mesh><uri>point.obj</uri></mesh>", ""),
+        "foil": ("<box><size>1 1 1e-9</size></box>", "0 3 0.5 0 0 0"),
+        "poster": ("<box><size>1 1 0.001</size></box>", "0 -3 0.5 0 0 0"),
+    }
+    with pytest.warns(UserWarning, match="left out"):
+        world = world_of(tmp_path, "".join(model(link(*shape), name) for name, shape in shapes.items()))
     assert len(world.obstacles) == 2
     (areas,) = [note for note in world.notes if "no area" in note]
     assert "line/l/c" in areas
@@ -211,12 +191,11 @@ def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
 def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, cache):
     mesh = prism(*frame((1, 0.6), 0.1), 0.4)
     mesh.export(tmp_path / "u.stl")
-    uri = "<uri>u.stl</uri>"
-    poses = [f"{3 * k} {k} 0 {0.3 * k} 0.1 {k}" for k in range(3)]
-    alike = [model(f"m{k}", f"<mesh>{uri}</mesh>", pose) for k, pose in enumerate(poses)]
-    mirrored = model("mirrored", f"<mesh>{uri}<scale>-1 1 1</scale></mesh>", "0 6 0 0 0 0")
-    stretched = [model(f"s{k}", f"<mesh>{uri}<scale>1 2 3</scale></mesh>", f"{3 * k} -6 0 0 0 {k}") for k in range(2)]
-    world = imported(tmp_path, *alike, mirrored, *stretched)
+    places = [("1 1 1", f"{3 * k} {k} 0 {0.3 * k} 0.1 {k}") for k in range(3)]
+    places += [("-1 1 1", "0 6 0 0 0 0"), *(("1 2 3", f"{3 * k} -6 0 0 0 {k}") for k in range(2))]
+    shape = "<mesh><uri>u.stl</uri><scale>{}</scale></mesh>"
+    body = "".join(model(link(shape.format(scale), pose), f"m{k}") for k, (scale, pose) in enumerate(places))
+    world = world_of(tmp_path, body)
     assert len([*(cache / "convex_parts").rglob("*.npz")]) == 2
     assert len(world.obstacles) == 6 * 3
     assert volume_of(world.obstacles) == pytest.approx((4 + 2 * 6) * mesh.volume, rel=1e-3)

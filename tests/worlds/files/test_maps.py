@@ -35,17 +35,6 @@ def write_tiff(path: Path, values: np.ndarray, corner: tuple[float, float] | Non
 
 
 @needs_worlds
-@pytest.mark.parametrize(("raster", "shift"), [(1, 0.25), (2, 0.0)])
-def test_a_geotiff_has_its_own_scale_and_position(tmp_path, raster, shift):
-    write_tiff(tmp_path / "dem.tif", SLOPE.astype(np.float32), (-3.0, 5.0), raster=raster)
-    world = World.from_file(tmp_path / "dem.tif")
-    assert world.terrain.cell == 0.5
-    assert world.terrain.extent == ((-3.0 + shift, 1.0 + shift), (1.0 - shift, 5.0 - shift))
-    points = [(-3.0 + shift, 5.0 - shift), (1.0 + shift, 5.0 - shift), (-3.0 + shift, 1.0 - shift)]
-    assert heights_at(world, *points) == pytest.approx([0.0, 0.8, -0.4], abs=1e-6)
-
-
-@needs_worlds
 def test_a_geotiff_far_away_is_moved_to_the_origin_and_holes_are_filled(tmp_path):
     values = SLOPE.astype(np.float32)
     values[4, 4] = -9999
@@ -58,18 +47,13 @@ def test_a_geotiff_far_away_is_moved_to_the_origin_and_holes_are_filled(tmp_path
 
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "npy"])
 def test_pictures_and_arrays_have_their_scale_from_options(tmp_path, kind):
-    if kind == "npy":
-        path = tmp_path / "map.npy"
-        np.save(path, SLOPE)
-        options: dict[str, float] = {"pixel": 0.5}
-    else:
-        path = tmp_path / "map.png"
-        white = np.iinfo(kind).max
-        Image.fromarray(np.rint((SLOPE + 0.4) / 1.2 * white).astype(kind)).save(path)
-        options = {"pixel": 0.5, "height": 1.2}
+    path, options, low = tmp_path / "map.npy", {"pixel": 0.5}, 0.0
+    np.save(path, SLOPE)
+    if kind != "npy":
+        path, options, low = tmp_path / "map.png", {"pixel": 0.5, "height": 1.2}, 0.4
+        Image.fromarray(np.rint((SLOPE + 0.4) / 1.2 * np.iinfo(kind).max).astype(kind)).save(path)
     world = World.from_file(path, **options)
     assert world.terrain.extent == ((-2.0, 2.0), (-2.0, 2.0))
-    low = 0.0 if kind == "npy" else 0.4
     found = heights_at(world, (-2.0, 2.0), (2.0, 2.0), (-2.0, -2.0))
     assert found == pytest.approx([low, low + 0.8, low - 0.4], abs=0.003)
 
@@ -155,20 +139,13 @@ def test_modes_and_thresholds(tmp_path, occupied, free, unseen, changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"resolution": "1e-1"},
-        {"resolution": '"0.1"'},
-        {"resolution": "'.1'"},
-        {"resolution": "+0.1"},
-        {"resolution": "1.E-1"},
-        {"origin": "[-1e0, -2., +0]"},
-        {"origin": '["-1.0", "-2", 0e5]'},
+        {"resolution": '"1e-1"'},
+        {"resolution": "+.1"},
+        {"origin": '["-1e0", -2., +0]'},
         {"origin": "\n- -1\n- -2\n- 1e-9"},
-        {"free_thresh": "190e-3"},
-        {"occupied_thresh": ".65", "free_thresh": '"0.19"'},
+        {"occupied_thresh": ".65", "free_thresh": "190e-3"},
         {"mode": "Trinary"},
-        {"mode": "SCALE"},
-        {"mode": '"scale"'},
-        *({"negate": negate} for negate in ("0", "+0", '"0"', "0x0", "false", "False", "NO", "off", "n")),
+        *({"negate": negate} for negate in ("+0", "0x0", "False", "NO")),
     ],
 )
 def test_numbers_and_words_are_those_of_yaml_cpp(tmp_path, changes):
@@ -204,18 +181,16 @@ def with_colors_and_alpha(path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", [gray_16, text_pgm, palette, with_alpha, with_colors_and_alpha])
-@pytest.mark.parametrize("mode", ["trinary", "scale"])
-def test_pictures_of_all_kinds(tmp_path, write, mode):
+def test_pictures_of_all_kinds(tmp_path, write):
     name = "my map.pgm" if write is text_pgm else "my map.png"
-    path = write_map(tmp_path, image=name, mode=mode)
+    path = write_map(tmp_path, image=name)
     write(tmp_path / name)
     assert is_wall(World.from_file(path), *POINTS) == [True, False, True, False, False]
     assert is_wall(World.from_file(path, unknown="wall"), *POINTS) == [True, False, True, False, True]
 
 
-def test_a_picture_is_found_by_its_absolute_path_and_by_its_name(tmp_path):
-    for image in (tmp_path / "map.pgm", "/home/someone/maps/map.pgm"):
-        assert is_wall(World.from_file(write_map(tmp_path, image=image)), *POINTS)[0]
+def test_a_picture_is_found_by_its_name(tmp_path):
+    assert is_wall(World.from_file(write_map(tmp_path, image="/home/someone/maps/map.pgm")), *POINTS)[0]
 
 
 def test_a_renamed_map_finds_its_picture(tmp_path):
@@ -245,8 +220,7 @@ def test_a_large_map_of_a_turned_building_has_few_slanted_pieces(tmp_path, monke
         assert inside(world, *((0.1 * x + 0.05, 0.1 * y + 0.05, 0.5) for y, x in chosen)) == [expected] * 400
 
 
-@pytest.mark.parametrize("width", [1, 3])
-@pytest.mark.parametrize("degrees", [0, 10, 45, 80, 135])
+@pytest.mark.parametrize(("width", "degrees"), [(1, 10), (1, 45), (3, 80), (3, 135)])
 def test_a_slanted_wall_is_few_pieces_without_a_gap(width, degrees):
     image = Image.new("1", (200, 200))
     end = 80 * np.array((math.cos(math.radians(degrees)), math.sin(math.radians(degrees))))
@@ -273,8 +247,6 @@ def test_the_advice_for_a_map_of_too_many_pieces_helps(tmp_path, monkeypatch):
     walls = zip(-1 + 0.1 * (column + 0.5), -2 + 0.1 * (60 - row - 0.5), strict=True)
     assert np.mean(is_wall(world, *walls)) > 0.9
     write_map(tmp_path, states[15:40, 15:40])
-    assert len(World.from_file(path).obstacles) <= 200
-    write_map(tmp_path, states.reshape(20, 3, 20, 3).mean((1, 3)), resolution=0.3)
     assert len(World.from_file(path).obstacles) <= 200
 
 

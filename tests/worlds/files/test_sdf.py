@@ -115,10 +115,10 @@ def test_poses_and_frames(tmp_path, body):
     assert world.obstacles[0].vertices.mean(0)[:2].tolist() == pytest.approx([3.0, 2.0], abs=1e-6)
 
 
-def test_all_supported_versions_and_no_others(tmp_path):
-    for minor in range(4, 12):
+def test_the_supported_versions_and_no_others(tmp_path):
+    for minor in (4, 12):
         assert len(world_of(tmp_path, model(link(POST)), version=f"1.{minor}").obstacles) == 1
-    for version in ("1.3", "2.0", "", "x"):
+    for version in ("1.3", "2.0", "x"):
         with pytest.raises(ValueError, match=r"has the SDF version .*; 1.4 to 1.12 are supported"):
             world_of(tmp_path, "", version=version)
 
@@ -223,10 +223,8 @@ def test_actors_are_people_who_walk_from_waypoint_to_waypoint(tmp_path):
 
 
 def test_an_actor_that_does_not_start_by_itself_stands_at_its_first_waypoint(tmp_path):
-    actor = """<actor name='guard'><script><auto_start>false</auto_start><trajectory id='0' type='walk'>
-    <waypoint><time>0</time><pose>2 1 0 0 0 0</pose></waypoint>
-    <waypoint><time>3</time><pose>4 1 0 0 0 0</pose></waypoint>
-    </trajectory></script></actor>"""
+    points = "".join(f"<waypoint><time>{t}</time><pose>{2 + t} 1 0 0 0 0</pose></waypoint>" for t in (0, 3))
+    actor = f"<actor name='guard'><script><auto_start>0</auto_start><trajectory>{points}</trajectory></script></actor>"
     (found,) = world_of(tmp_path, actor).movers
     assert (found.motion.keys, found.motion.repeat) == (((0.0, 2.0, 1.0, 0.0),), "once")
 
@@ -257,14 +255,10 @@ def test_a_heightmap_is_as_high_and_wide_as_gazebo_makes_it(tmp_path):
     corners = [(9.0, -8.0), (-7.0, 8.0), (-7.0, -8.0), (9.0, 8.0)]
     expected = [3.5, 0.5, 0.5 + 3 * 32 / 192, 0.5 + 3 * 160 / 192]
     assert heights_at(world, *corners) == pytest.approx(expected, abs=1e-5)
-
-
-def test_a_terrain_mesh_on_a_plane_is_ground_and_a_low_box_is_not(tmp_path):
-    slab = "<box><size>18 18 0.4</size></box>"
-    low = "<box><size>2 2 0.3</size></box>"
-    world = world_of(tmp_path, model(link(slab), "slab") + model(link(low, "3 3 0.3 0 0 0"), "low"))
-    assert heights_at(world, (0.0, 0.0), (3.0, 3.0)) == pytest.approx([0.2, 0.2], abs=1e-6)
-    assert len(world.obstacles) == 1
+    # A quarter turn counter-clockwise: x becomes y.
+    turned = world_of(tmp_path, model(link(shape), extra=f"{STATIC}<pose degrees='1'>0 0 0 0 0 90</pose>"))
+    corners = [(8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0)]
+    assert heights_at(turned, *corners) == pytest.approx([3.5, 0.5, expected[2], expected[3]], abs=1e-5)
 
 
 def test_an_inclined_plane_is_ground(tmp_path):
@@ -296,11 +290,13 @@ def test_merged_includes_share_their_frames(tmp_path):
     assert inside(world_of(tmp_path, body), (3.0, 2.0, 1.0)) == [True]
 
 
-@pytest.mark.parametrize("uri", ["model://gone/meshes/post.stl", "file:///home/other/ws/src/pkg/meshes/post.stl"])
-@pytest.mark.parametrize("place", ["beside", "option"])
+@pytest.mark.parametrize(
+    ("uri", "place"),
+    [("model://gone/meshes/post.stl", "worlds"), ("file:///home/other/ws/src/pkg/meshes/post.stl", "elsewhere")],
+)
 def test_meshes_are_found_by_their_name(tmp_path, uri, place):
     home, elsewhere = tmp_path / "worlds", tmp_path / "elsewhere"
-    folder = (home if place == "beside" else elsewhere) / "package" / "meshes"
+    folder = tmp_path / place / "package" / "meshes"
     folder.mkdir(parents=True)
     home.mkdir(exist_ok=True)
     trimesh.creation.box((0.2, 0.2, 4)).export(folder / "post.stl")
@@ -331,16 +327,12 @@ def test_movers_that_stand_still_are_told(tmp_path):
     assert "crate" not in told
 
 
-def world_of_text(tmp_path: Path, text: str) -> Path:
-    (tmp_path / "text.sdf").write_text(f"{text}</world></sdf>")
-    return tmp_path / "text.sdf"
-
-
 @pytest.mark.parametrize("head", ["\n<?xml version='1.0'?>", "<!-- ---- --><?xml version='1.0' encoding='UTF-16'?>"])
 def test_worlds_are_read_with_the_rules_of_tinyxml(tmp_path, head):
     body = model(link(POST) + "<plugin name='R&D' filename='f?a&b'><gz:x/></plugin>")
-    path = world_of_text(tmp_path, f"{head}<sdf version='1.6'><world name='w'>{PLANE.format(size='9 9')}{body}")
-    assert len(World.from_file(path).obstacles) == 1
+    text = f"{head}<sdf version='1.6'><world name='w'>{PLANE.format(size='9 9')}{body}</world></sdf>"
+    (tmp_path / "text.sdf").write_text(text)
+    assert len(World.from_file(tmp_path / "text.sdf").obstacles) == 1
 
 
 def collada(path: Path, size: tuple[float, float, float], asset: str, head: str = "") -> None:
@@ -357,53 +349,37 @@ def test_meshes_of_collada_are_read_with_the_rules_of_tinyxml(tmp_path):
     assert len(world_of(tmp_path, model(link("<mesh><uri>box.dae</uri></mesh>"))).obstacles) == 1
 
 
-@pytest.mark.parametrize("tag", ["collision", "visual"])
 @pytest.mark.parametrize(
     ("asset", "scale", "factor"),
     [
         ("", "", (1, 1, 1)),
-        ("<up_axis>Z_UP</up_axis>", "", (1, 1, 1)),
         ("<up_axis>Y_UP</up_axis>", "<scale>2 1 1</scale>", (2, 1, 1)),
         ("<up_axis>X_UP</up_axis>", "<scale>1 -2 1</scale>", (1, 2, 1)),
         ("<unit meter='0.0254' name='inch'/><up_axis>Y_UP</up_axis>", "", (0.0254,) * 3),
         ("<unit meter='0.01'/>", "<scale>100 100 50</scale>", (1, 1, 0.5)),
     ],
 )
-def test_meshes_of_collada_keep_their_axes_and_take_their_unit_as_in_gazebo(tmp_path, asset, scale, factor, tag):
+def test_meshes_of_collada_keep_their_axes_and_take_their_unit_as_in_gazebo(tmp_path, asset, scale, factor):
     collada(tmp_path / "box.dae", (2, 1, 3), asset)
-    mesh = link(f"<mesh><uri>box.dae</uri>{scale}</mesh>").replace("collision", tag)
-    (box,) = world_of(tmp_path, model(mesh)).obstacles
+    (box,) = world_of(tmp_path, model(link(f"<mesh><uri>box.dae</uri>{scale}</mesh>"))).obstacles
     low, high = box.vertices.min(0).values.numpy(), box.vertices.max(0).values.numpy()
     np.testing.assert_allclose(high - low, np.array((2, 1, 3)) * factor, atol=1e-6)
     assert low[2] == pytest.approx(0)
 
 
-@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb", "gltf"])
+@pytest.mark.parametrize("kind", ["obj", "glb"])
 def test_meshes_of_worlds_keep_their_axes_as_in_gazebo(tmp_path, kind):
-    cube = trimesh.creation.box(bounds=[(-1, -0.5, 0), (1, 0.5, 3)])
-    for name, content in export_files(cube, kind).items():
-        (tmp_path / name).write_bytes(content)
+    trimesh.creation.box(bounds=[(-1, -0.5, 0), (1, 0.5, 3)]).export(tmp_path / f"box.{kind}")
     (box,) = world_of(tmp_path, model(link(f"<mesh><uri>box.{kind}</uri></mesh>"))).obstacles
     assert box.vertices.max(0).values.tolist() == pytest.approx([1, 0.5, 3])
-
-
-def export_files(mesh: trimesh.Trimesh, kind: str) -> dict[str, bytes]:
-    """Returns the files of a mesh, by name."""
-    if kind == "gltf":
-        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene([mesh]))
-        return {"box.gltf" if name == "model.gltf" else name: content for name, content in files.items()}
-    content = mesh.export(file_type=kind)
-    return {f"box.{kind}": content.encode() if isinstance(content, str) else content}
 
 
 BAD_PIECES = {
     "no number": (link("<box><size>1 one 1</size></box>"), "the size of the box of bad/l/c must be 3 finite numbers"),
     "no size": (link("<sphere/>"), "the radius of the sphere of bad/l/c must be 1 finite number"),
     "size of 0": (link("<box><size>1 0 1</size></box>"), "the size of the box of bad/l/c must be positive"),
-    "negative size": (link("<cylinder><radius>-1</radius><length>1</length></cylinder>"), "bad/l/c must be positive"),
     "far up": (link(POST, "1 1 343582 0 0 0"), "bad/l/c reaches 3.44e[+]05 m from the origin"),
     "pose of three numbers": (link(POST, "1 1 1"), "the pose of 'l' in the model 'bad' must be 6 finite numbers"),
-    "pose that is NaN": (link(POST, "nan 1 1 0 0 0"), "the pose of 'l' in the model 'bad' must be 6 finite numbers"),
     "no quaternion": (
         link(POST, "0 0 0 0 0 0 0", attributes="rotation_format='quat_xyzw'"),
         "a quaternion of length 0",
@@ -468,11 +444,7 @@ GROUND = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane"
 @pytest.mark.parametrize(
     "uri",
     [
-        "model://ground_plane",
-        "model://ground_plane/",
         "model://ground_plane/model.sdf",
-        GROUND,
-        f"{GROUND}/2",
         f"{GROUND}/tip".replace(" ", "%20"),
         "https://fuel.ignitionrobotics.org/1.0/openrobotics/models/ground plane/1/",
     ],
@@ -480,9 +452,8 @@ GROUND = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane"
 def test_the_ground_plane_and_the_sun_of_gazebo_need_no_files(tmp_path, uri):
     ground = f"<include><uri>{uri}</uri><pose>0 0 0.5 0 0 0</pose></include>"
     sun = f"<include><uri>{re.sub('(?i)ground(.*)plane', 'sun', uri)}</uri></include>"
-    path = world_of_text(
-        tmp_path, f"<sdf version='1.6'><world name='w'>{sun}{ground}{model(link(POST, '3 2 9 0 0 0'))}"
-    )
+    path = tmp_path / "text.sdf"
+    path.write_text(f"<sdf version='1.6'><world>{sun}{ground}{model(link(POST, '3 2 9 0 0 0'))}</world></sdf>")
     world = World.from_file(path)
     assert (world.terrain.is_flat, heights_at(world, (0.0, 0.0))) == (True, [0.5])
     assert len(world.obstacles) == 1
@@ -495,17 +466,12 @@ def test_the_ground_plane_and_the_sun_of_gazebo_need_no_files(tmp_path, uri):
 @pytest.mark.parametrize(
     ("contact", "count"),
     [
-        ("<collide_bitmask>0</collide_bitmask>", 0),
         ("<collide_bitmask>\n 0x00 </collide_bitmask>", 0),
-        ("<collide_bitmask>0X0</collide_bitmask>", 0),
         ("<collide_bitmask>65536</collide_bitmask>", 0),  # 16 bits count
-        ("<collide_bitmask>0x10000</collide_bitmask>", 0),
         ("<collide_bitmask>0</collide_bitmask><category_bitmask>0</category_bitmask>", 0),
         ("<collide_bitmask>0</collide_bitmask><category_bitmask>2</category_bitmask>", 1),
         ("<collide_bitmask>010</collide_bitmask>", 1),
-        ("<collide_bitmask>-1</collide_bitmask>", 1),
         ("<collide_bitmask/>", 1),
-        ("<collide_without_contact>1</collide_without_contact>", 0),
         ("<collide_without_contact> True </collide_without_contact>", 0),
         ("<collide_without_contact>false</collide_without_contact>", 1),
     ],
@@ -556,15 +522,13 @@ def slab(top: float, size: tuple[float, float, float], x: float = 0.0, y: float 
     ("floors", "top"),
     [
         (slab(-0.02, (8, 8, 0.1)), 0.0),
-        (slab(0.0, (8, 8, 0.1)), 0.0),
         (slab(0.01, (3, 2, 0.01)), 0.0),
-        (slab(0.0, (20, 20, 0.1)), 0.0),
         (slab(0.02, (3, 2, 0.02)), 0.02),
         (slab(0.05, (8, 8, 0.3)), 0.05),
-        ("".join(slab(0.05, (4, 4, 0.1), x, y, f"t{x}{y}") for x in range(-8, 9, 4) for y in range(-8, 9, 4)), 0.05),
+        ("".join(slab(0.05, (4, 4, 0.1), x, y, f"t{x}{y}") for x in (-2, 2) for y in (-2, 2)), 0.05),
         (slab(0.2, (18, 18, 0.4)) + slab(0.23, (2, 2, 0.03), name="carpet"), 0.23),
     ],
-    ids=["below", "level", "thin carpet", "whole room", "carpet", "slab", "tiles", "carpet on a slab"],
+    ids=["below", "thin carpet", "carpet", "slab", "tiles", "carpet on a slab"],
 )
 def test_floors_on_other_ground_carry_the_wheels(tmp_path, floors, top):
     world = world_of(tmp_path, WALLS + floors, spawn_range=((-0.9, 0.9), (-0.9, 0.9)))
@@ -586,7 +550,6 @@ def test_what_is_higher_or_narrower_than_a_floor_is_an_obstacle_and_may_be_named
 @pytest.mark.parametrize(
     ("uri", "x"),
     [
-        ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick Wall", 10.0),
         ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick%20Wall/tip", 10.0),
         ("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Brick Wall/2", 2.0),
         ("model://brick wall", 10.0),
@@ -625,7 +588,7 @@ def test_polylines_within_one_another_are_holes_as_in_gazebo(tmp_path):
     assert inside(world, *points) == [True, False, True, True, False, True]
 
 
-@pytest.mark.parametrize("pose", ["9000 0 0 0 0 0", "7000 7000 0 0 0 0", "0 0 5000 0 0 0", "1 1 -3000 0 0 0"])
+@pytest.mark.parametrize("pose", ["7000 7000 0 0 0 0", "1 1 -3000 0 0 0"])
 def test_a_model_that_is_far_from_all_others_is_left_out_and_named(tmp_path, pose):
     near = model(link(POST, "3 2 0 0 0 0"))
     with pytest.warns(UserWarning, match="left out, as they are more than 1 km from all others: far/l/c"):
