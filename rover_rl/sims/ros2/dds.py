@@ -50,14 +50,10 @@ _log = logging.getLogger(__name__)
 
 
 class DdsTransport:
-    """:class:`Transport` through Cyclone DDS: a DDS participant, which announces its node for ``ros2 node list``.
+    """:class:`Transport` through Cyclone DDS: a participant, which announces its node for ``ros2 node list``.
 
-    Messages are read in a thread of its own, which :meth:`close` stops. ``environment`` has the variables that select
-    the domain, by default those of the process.
-
-    Raises:
-        ValueError: if ``ROS_DOMAIN_ID`` is invalid.
-        RuntimeError: if the process was forked from a process with connections. Use the start method ``spawn``.
+    Raises ``ValueError`` if ``ROS_DOMAIN_ID`` is invalid, and ``RuntimeError`` in a process that was forked from one
+    with connections: use the start method ``spawn``.
     """
 
     def __init__(self, node: str, environment: Mapping[str, str] = os.environ) -> None:

@@ -106,8 +106,8 @@ class LivePoints:
 def sample(ground: ElevationMap, position: Tensor, orientation: Tensor, grid: Tensor) -> Tensor:
     """Returns the heights of a map at points ``grid [..., 2]`` of the world, ``[...]``, m; NaN where none is known.
 
-    The frame of the map is at ``position [3]`` (m) and ``orientation [4]``. It may be tilted, as that of a robot: a
-    point on the vertical above each point is moved to the surface of the map.
+    Its frame, at ``position [3]`` (m) and ``orientation [4]``, may be tilted: a point on the vertical above each point
+    is moved to the surface.
     """
     to_map = orientation * orientation.new_tensor([-1.0, -1.0, -1.0, 1.0])
     up = rotate(to_map, position.new_tensor([0.0, 0.0, 1.0]))
@@ -123,10 +123,9 @@ def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Te
     """Returns the height of the ground around each point of a grid, ``[rows, columns]``, m; NaN without a point there.
 
     It is the first quartile of the heights of the points ``[P, 3]`` (m, world frame) in the cell of side ``cell`` (m)
-    around it: most of those above an overhang or on the side of an obstacle are higher, and a single one below the
-    ground does not count where there are five and more. On a slope, it lies below the middle of the cell by a quarter
-    of the rise from one cell to the next. ``grid`` has the middles of the cells, ``[rows, columns, 2]``, m: rows follow
-    one another backward, columns to the right, and ahead is ``yaw`` (rad).
+    around it: most of those on an obstacle are higher, and a single one below the ground does not count among five and
+    more. On a slope, it lies below the middle of the cell by a quarter of the rise from one cell to the next. ``grid``
+    and ``yaw`` are those of :meth:`~rover_rl.sims.base.LiveRover.ground_at`.
     """
     rows, columns = grid.shape[:2]
     back, right = (grid[0, 0] - points[:, :2]).unbind(-1)
@@ -143,11 +142,7 @@ def lowest_quarter(points: Tensor, grid: Tensor, yaw: Tensor, cell: float) -> Te
 
 
 def read_elevation_map(msg: Any, layer: str = "elevation") -> ElevationMap:
-    """Reads a layer of a ``grid_map_msgs/GridMap``.
-
-    Raises ``ValueError`` if the layer is missing or has another size than the map, a number of the geometry is out of
-    range, or the map is turned in its frame.
-    """
+    """Reads a layer of a ``grid_map_msgs/GridMap``. Raises ``ValueError`` if it is missing, malformed or turned."""
     names, info = [*msg.layers], msg.info
     if layer not in names or len(names) != len(msg.data):
         raise ValueError(f"an elevation map must have the layer {layer!r}, got {names} with {len(msg.data)} arrays")
@@ -180,7 +175,6 @@ def _read_layer(array: Any) -> np.ndarray:
 
 
 def elevation_map_message(ground: ElevationMap, stamp: Any, frame: str) -> Any:
-    """Builds the message of an elevation map with one layer."""
     rows, columns = ground.heights.shape
     sizes = [("column_index", columns, rows * columns), ("row_index", rows, rows)]
     layout = ros.MultiArrayLayout([ros.MultiArrayDimension(*size) for size in sizes])
@@ -191,10 +185,7 @@ def elevation_map_message(ground: ElevationMap, stamp: Any, frame: str) -> Any:
 
 
 def read_points(msg: Any) -> Tensor:
-    """Reads the points of a cloud with finite coordinates, float32 ``[P, 3]``, m.
-
-    Raises ``ValueError`` if the fields x, y and z are missing or no floats, or there is too little data.
-    """
+    """Reads the points with finite coordinates, float32 ``[P, 3]``, m. Raises ``ValueError`` if there is no such."""
     fields = {each.name: (KINDS.get(int(each.datatype), ""), int(each.offset)) for each in msg.fields}
     kinds, offsets = zip(*(fields.get(name, ("", 0)) for name in "xyz"), strict=True)
     if not all(kinds):
@@ -217,7 +208,7 @@ def read_points(msg: Any) -> Tensor:
 
 
 def point_cloud_message(points: Tensor, stamp: Any, frame: str) -> Any:
-    """Builds the message of an organized cloud ``[rows, columns, 3]``, m, with NaN for no return."""
+    """Makes a ``sensor_msgs/PointCloud2`` of points ``[rows, columns, 3]``, m, with NaN for no return."""
     rows, columns, _ = points.shape
     data = np.frombuffer(points.float().contiguous().numpy().astype("<f4").tobytes(), dtype=np.uint8)
     fields = [ros.PointField(name, 4 * number, 7, 1) for number, name in enumerate("xyz")]

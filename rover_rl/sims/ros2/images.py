@@ -29,13 +29,8 @@ except ImportError:  # pragma: no cover
 MILLIMETERS = 0.001  # unit of depths that are whole numbers, m
 ENCODINGS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", MILLIMETERS), "mono16": ("u2", MILLIMETERS)}
 """Type of a depth, and its unit in m, by the name of the encoding."""
-COLOR_ENCODINGS = {
-    "rgb8": (3, [0, 1, 2]),
-    "bgr8": (3, [2, 1, 0]),
-    "rgba8": (4, [0, 1, 2]),
-    "bgra8": (4, [2, 1, 0]),
-    "mono8": (1, [0, 0, 0]),
-}
+RGB, BGR = [0, 1, 2], [2, 1, 0]
+COLOR_ENCODINGS = {"rgb8": (3, RGB), "bgr8": (3, BGR), "rgba8": (4, RGB), "bgra8": (4, BGR), "mono8": (1, [0, 0, 0])}
 """Number of bytes of a pixel, and those of red, green and blue, by the name of the encoding."""
 HEADER = struct.Struct("<iff")  # of compressedDepth: number of the format, a and b
 PNG = b"\x89PNG"  # first bytes of a PNG file
@@ -43,11 +38,11 @@ QUALITY = 95  # of JPEG files, at most 100
 
 
 class ImageFormat(NamedTuple):
-    """How images go over a topic: class of the messages, and functions that read and write them.
+    """Class of the messages of a topic, and functions that read them and write an image, its stamp and its frame.
 
-    ``read`` raises ``ValueError`` for a message that it cannot read. ``write`` takes an image, its stamp and the name
-    of its frame. Depth images are ``[rows, columns]``, m: 0 for pixels that are lost or too close, ``inf`` without a
-    return (REP 117). Color images are red, green and blue from 0 to 1, ``[3, rows, columns]``.
+    ``read`` raises ``ValueError`` for a message that it cannot read. Depth images are ``[rows, columns]``, m: 0 for
+    pixels that are lost or too close, ``inf`` without a return (REP 117). Color images are red, green and blue from 0
+    to 1, ``[3, rows, columns]``.
     """
 
     message: Any
@@ -58,9 +53,7 @@ class ImageFormat(NamedTuple):
 def image_format(kind: ImageKind, topic: str) -> ImageFormat:
     """Returns the format of a topic: compressed if it ends in ``/compressed`` or ``/compressedDepth``.
 
-    Raises:
-        ValueError: for colors on ``/compressedDepth``.
-        ImportError: if images are compressed, and Pillow is not installed.
+    Raises ``ValueError`` for colors on ``/compressedDepth``, and ``ImportError`` if Pillow is missing.
     """
     transport = topic.rpartition("/")[2]
     if transport not in ("compressed", "compressedDepth"):

@@ -37,12 +37,7 @@ for _name, _definition in _GRID_MAP.items():
 
 
 class Message:
-    """Base class of all messages.
-
-    Attributes:
-        ros_type: ROS 2 name of the type, for example ``"geometry_msgs/msg/Twist"``.
-        types: definitions of the type and those of its fields.
-    """
+    """Base class of all messages, with the ROS 2 name of the type, such as ``"geometry_msgs/msg/Twist"``."""
 
     ros_type: ClassVar[str]
     types: ClassVar[Typestore]

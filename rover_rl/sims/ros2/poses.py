@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple, get_args
 
 import torch
@@ -47,7 +48,7 @@ ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
 
 
 class TargetPose(NamedTuple):
-    """Pose to move the rover to: x, y and height z in the world, m, and yaw, counter-clockwise from the x axis, rad."""
+    """Pose to move the rover to in the world: x, y and z, m, and yaw, rad."""
 
     x: float
     y: float
@@ -56,7 +57,6 @@ class TargetPose(NamedTuple):
 
 
 def read_finite(name: str, *numbers: float) -> Tensor:
-    """Returns numbers of a message as float32 ``[n]``."""
     values = torch.tensor(numbers, dtype=torch.float32)
     if not torch.isfinite(values).all():
         raise ValueError(f"a {name} must be finite, got {values.tolist()}")
@@ -64,7 +64,7 @@ def read_finite(name: str, *numbers: float) -> Tensor:
 
 
 def read_orientation(q: Any) -> Tensor:
-    """Reads and normalizes a ``geometry_msgs/Quaternion`` other than zero: float32 ``[4]`` as (x, y, z, w)."""
+    """Reads and normalizes a ``geometry_msgs/Quaternion``: float32 ``[4]`` as (x, y, z, w)."""
     quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
     norm = torch.linalg.vector_norm(quaternion)
     if not 0.0 < norm < math.inf:
@@ -73,7 +73,6 @@ def read_orientation(q: Any) -> Tensor:
 
 
 def read_pose(pose: Any) -> MeasuredPose:
-    """Reads a ``geometry_msgs/Pose``."""
     point = pose.position
     return MeasuredPose(read_finite("position", point.x, point.y, point.z), read_orientation(pose.orientation))
 
@@ -82,12 +81,10 @@ def read_pose_array(msg: Any) -> MeasuredPose:
     """Reads the first pose of a ``geometry_msgs/PoseArray``, whose orientation is not used and may be invalid."""
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
-    point = msg.poses[0].position
-    position = read_finite("position", point.x, point.y, point.z)
-    try:
-        return MeasuredPose(position, read_orientation(msg.poses[0].orientation))
-    except (ValueError, AttributeError):
-        return MeasuredPose(position, None)
+    point, turn = msg.poses[0].position, None
+    with suppress(ValueError, AttributeError):
+        turn = read_orientation(msg.poses[0].orientation)
+    return MeasuredPose(read_finite("position", point.x, point.y, point.z), turn)
 
 
 POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
@@ -101,7 +98,6 @@ POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
 
 
 def yaw_of(orientation: Tensor | None) -> float:
-    """Returns the yaw of an orientation ``[4]``, rad; 0 for ``None``."""
     return 0.0 if orientation is None else rotations.quaternion_to_euler(orientation)[2].item()
 
 
@@ -156,9 +152,9 @@ class PoseEstimator:
         self._imu_yaw_offset = yaw_of(pose.orientation) + turn - yaw_of(imu_orientation)
 
     def matches_target(self, pose: MeasuredPose, target: TargetPose, tolerance: float) -> bool:
-        """Whether a pose is within ``tolerance`` (m) of a target; always true for wheel odometry, which cannot tell."""
+        """Whether a pose is within ``tolerance`` (m) of a target."""
         if self._source == "wheels":
-            return True
+            return True  # they cannot tell
         x, y, _ = pose.position.tolist()
         near = math.hypot(x - target.x, y - target.y) <= tolerance
         yaw_error = 0.0 if pose.orientation is None else yaw_of(pose.orientation) - target.yaw
@@ -186,7 +182,7 @@ class Placer:
 
     @property
     def moves(self) -> bool:
-        """Whether the rover is moved at all; false before an automatic selection."""
+        """Whether the rover is moved; false before an automatic selection."""
         return self._way not in ("auto", "none")
 
     def place(self, target: TargetPose) -> None:
@@ -209,11 +205,8 @@ class Placer:
         for command in GAZEBO_MESSAGES:
             if shutil.which(command):
                 return command
-        _log.warning(
-            "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
-            "choose another way to move it with Ros2Settings(reset=...)",
-            self._topic,
-        )
+        text = "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
+        _log.warning(text + "choose another way to move it with Ros2Settings(reset=...)", self._topic)
         return "none"
 
     def _has_subscriber(self, timeout: float) -> bool:

@@ -9,6 +9,7 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -56,10 +57,9 @@ class RobotNode:
     ) -> None:
         self._rover, self._transport, self._settings, self._connection = rover, transport, settings, connection
         self._lidar_range, self._view = lidar_range, view
-        self._lock = threading.Lock()
-        # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
-        self._command, self._command_age = (0.0, 0.0), 0.0
-        self._reset_pose: tuple[float, float, float] | None = None
+        # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived: replaced by the transport's thread.
+        self._command: list[Any] = [(0.0, 0.0), 0.0]
+        self._reset_poses: deque[tuple[float, float, float]] = deque(maxlen=1)
         self._yaw = start[2]
         self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
         self._publishers: dict[str, Callable[[Any], None]] = {}
@@ -73,7 +73,7 @@ class RobotNode:
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
 
     def run(self, rate: float, stop: threading.Event) -> None:
-        """Steps the simulator until ``stop`` is set, at ``rate`` times real time."""
+        """Steps the rover until ``stop`` is set, at ``rate`` times real time."""
         due = time.monotonic()
         while not stop.is_set():
             dt = self.step()
@@ -83,13 +83,11 @@ class RobotNode:
     def step(self) -> float:
         """Runs one control step with the latest command, publishes the state, and returns the step's duration, s."""
         self._check_types()
-        with self._lock:
-            reset_pose, self._reset_pose = self._reset_pose, None
-        if reset_pose is not None:
-            self._move_to(reset_pose)
-        with self._lock:
-            command = self._command if self._command_age < COMMAND_LIFETIME else (0.0, 0.0)
-            self._command_age += self._rover.control_dt
+        if self._reset_poses:
+            self._move_to(self._reset_poses.pop())
+        latest = self._command
+        command = latest[0] if latest[1] < COMMAND_LIFETIME else (0.0, 0.0)
+        latest[1] += self._rover.control_dt
         self._publish_report(self._rover.step(command))
         return self._rover.control_dt
 
@@ -101,8 +99,7 @@ class RobotNode:
         if any(others):
             text = "%s: only linear.x and angular.z move the robot, and the rest of a command is ignored"
             self._log.warning("others", text, self._connection.cmd_vel_topic)
-        with self._lock:
-            self._command, self._command_age = (speed, yaw_rate), 0.0
+        self._command = [(speed, yaw_rate), 0.0]
 
     def _receive_reset_pose(self, msg: Any) -> None:
         try:
@@ -113,8 +110,7 @@ class RobotNode:
             self._refuse(error)
             return
         x, y, _ = position.tolist()
-        with self._lock:
-            self._reset_pose = (x, y, yaw_of(orientation))
+        self._reset_poses.append((x, y, yaw_of(orientation)))
 
     def _move_to(self, pose: tuple[float, float, float]) -> None:
         try:
@@ -123,8 +119,7 @@ class RobotNode:
             self._refuse(error)
             return
         self._yaw = pose[2]
-        with self._lock:
-            self._command = (0.0, 0.0)  # a reset discards earlier commands
+        self._command = [(0.0, 0.0), 0.0]  # a reset discards earlier commands
 
     def _refuse(self, error: ValueError) -> None:
         text = "%s: ignored a pose, and the rover stays where it is: %s"

@@ -15,10 +15,8 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.rover_state import beam_angles
 
 SECTOR = math.radians(45)
-"""Half-angle of the sector around the direction of travel in which every beam must be seen, rad.
-
-A rover with a footprint radius of 0.35 m and a stopping distance of 0.35 m sweeps no area outside of this sector that
-it has not already seen from farther away."""
+"""Half-angle of the sector around the direction of travel in which every beam must be seen, rad. With a footprint
+radius and a stopping distance of 0.35 m, a rover sweeps no area outside that it has not seen from farther away."""
 TURN = 2 * math.pi
 
 
@@ -54,11 +52,9 @@ class Scan(NamedTuple):
 def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     """Reads a ``sensor_msgs/LaserScan``, of which a share of at most ``max_invalid`` readings may be invalid.
 
-    A reading is invalid if it is NaN, or a finite number outside of the message's limits ``range_min`` and
-    ``range_max`` (REP 117). Readings that the angles announce and ``ranges`` lacks also count as invalid. The limits
-    apply only if ``range_max`` is greater than ``range_min``.
-
-    Raises ``ValueError`` if the scan has no readings, unusable angles, or too many invalid readings.
+    A reading is invalid if it is NaN, or a finite number outside of the message's limits, if it has such (REP 117).
+    Readings that the angles announce and ``ranges`` lacks also count. Raises ``ValueError`` if there are no readings,
+    unusable angles, or too many invalid readings.
     """
     ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
     if ranges.ndim != 1 or not len(ranges):

@@ -42,19 +42,19 @@ class Transport(Protocol):
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher: ...
 
     def name_of(self, sender: str, topic: str) -> str:
-        """Returns the name of the node of a publisher that was overheard."""
+        """Name of the node of a publisher that was overheard."""
 
     def subscribers(self, topic: str) -> int:
-        """Returns the number of subscribers of this transport's publisher on ``topic``, without its own."""
+        """Number of subscribers of this transport's publisher on a topic, without its own."""
 
     def publishers(self, topic: str) -> int:
-        """Returns the number of publishers that have sent usable messages on a subscribed topic in the last second.
+        """Number of publishers that have sent usable messages on a subscribed topic in the last second.
 
         DDS itself detects only after many seconds that a publisher was killed.
         """
 
     def types(self, topic: str, receivers: bool = False) -> set[str]:
-        """Returns the ROS 2 names of the types that publishers of ``topic`` send, or that its subscribers receive."""
+        """ROS 2 names of the types that publishers of a topic send, or that its subscribers receive."""
 
     def close(self) -> None:
         """Releases all resources. Idempotent. No ``receive`` is called afterwards."""

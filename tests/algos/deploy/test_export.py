@@ -5,6 +5,7 @@ import json
 import pickle
 import random
 import sys
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,6 +34,14 @@ needs_onnx = pytest.mark.skipif(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_checks() -> Iterator[None]:
+    """Exported policies are compared on 50 observations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exporting, "CHECKED", 50)
+        yield
+
+
 @pytest.fixture(scope="module")
 def onnx_file(tmp_path_factory) -> Path:
     """What the command writes of SAC's policy."""
@@ -43,12 +52,6 @@ def onnx_file(tmp_path_factory) -> Path:
     assert "moon-sac.onnx: acts as pretrained:moon-sac does" in told.getvalue()
     assert "reads" not in told.getvalue()
     return folder / "moon-sac.onnx"
-
-
-@pytest.fixture
-def few_checks(monkeypatch) -> None:
-    """Exported policies are compared on 50 observations: the file of the module is compared on all."""
-    monkeypatch.setattr(exporting, "CHECKED", 50)
 
 
 def shapes(path: Path) -> tuple[dict[str, list[int]], ...]:
@@ -72,7 +75,6 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
     assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
 
 
-@pytest.mark.usefixtures("few_checks")
 def test_a_program_with_memory_acts_as_the_original_over_an_episode(tmp_path):
     checkpoint, path = recurrent_checkpoint("gru"), tmp_path / "recurrent.pt2"
     assert export(checkpoint, path, "torch") <= exporting.TOLERANCE
@@ -85,7 +87,6 @@ def test_a_program_with_memory_acts_as_the_original_over_an_episode(tmp_path):
     assert not torch.allclose(forgetful, action, atol=1e-3)
 
 
-@pytest.mark.usefixtures("few_checks")
 def test_a_policy_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
     with pytest.raises(RuntimeError, match="acts otherwise"):
@@ -128,7 +129,6 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
 
 
 @needs_onnx
-@pytest.mark.usefixtures("few_checks")
 def test_a_policy_that_reads_the_route_takes_it_as_an_input_and_drives_as_the_original(tmp_path, monkeypatch, capsys):
     """It has been made for two robots, of which the file is for one, and adds to a planner."""
     monkeypatch.chdir(tmp_path)
@@ -145,7 +145,7 @@ def test_a_policy_that_reads_the_route_takes_it_as_an_input_and_drives_as_the_or
     original, policy = Checkpoint.load("cars").for_robot("hunter"), OnnxPolicy(Path("cars.onnx"))
     assert policy.made_for == original.env
     env = original.env.fitted()
-    episodes = draw_episodes(env.world, 2, robot=env.robot)
+    episodes = draw_episodes(env.world, 1, robot=env.robot)
     ours, theirs = (evaluate(each, episodes, env=env, seconds=2.0) for each in (original.make_actor(), policy))
     assert ours.action_repeat == theirs.action_repeat == 4
     assert_alike(ours.trajectories, theirs.trajectories)
@@ -154,7 +154,6 @@ def test_a_policy_that_reads_the_route_takes_it_as_an_input_and_drives_as_the_or
 
 @pytest.mark.slow
 @needs_onnx
-@pytest.mark.usefixtures("few_checks")
 def test_an_onnx_policy_with_memory_drives_as_the_original_and_commands_take_both(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     checkpoint, path = recurrent_checkpoint("lstm"), tmp_path / "mine.onnx"
@@ -164,11 +163,9 @@ def test_an_onnx_policy_with_memory_drives_as_the_original_and_commands_take_bot
     assert shapes(path) == ({"state_in": state, **sizes}, {"action": [1, 2], "state_out": state})
     policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("maze").first(3)
     # Fewer rows than episodes, whose memory is cleared when the next one begins.
-    ours, theirs = (evaluate(each, episodes, seconds=2.0, rows=2) for each in (checkpoint.make_actor(), policy))
+    ours, theirs = (evaluate(each, episodes, seconds=1.0, rows=2) for each in (checkpoint.make_actor(), policy))
     assert ours.action_repeat == theirs.action_repeat == 4
     assert_alike(ours.trajectories, theirs.trajectories)
-    assert (
-        main([*["evaluate", "mine", "mine.onnx", "--world", "maze", "--count", "2", "--seconds", "0.5", "--out", "."]])
-        == 0
-    )
+    options = ["--world", "maze", "--count", "1", "--seconds", "0.5", "--out", "."]
+    assert main(["evaluate", "mine", "mine.onnx", *options]) == 0
     assert [entry["action_repeat"] for entry in json.loads(Path("evaluation.json").read_text())] == [4, 4]

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from rover_rl.sims.ros2.dds import (
     domain_id,
     domain_settings,
 )
-from rover_rl.sims.ros2.messages import Clock, Header, LaserScan, Time, Twist
+from rover_rl.sims.ros2.messages import Clock, LaserScan, Twist, encode
 from tests.sims.ros2.processes import until
+from tests.sims.ros2.test_messages import SENT
 
 pytestmark = pytest.mark.ros2
 
@@ -36,18 +38,21 @@ def pair(domain) -> Iterator[tuple[DdsTransport, DdsTransport]]:
     listener.close()
 
 
-def test_messages_arrive_unchanged(pair):
+@pytest.mark.parametrize("message", SENT, ids=lambda message: message.ros_type)
+def test_messages_arrive_unchanged_and_their_type_and_the_node_of_their_publisher_are_known(pair, message):
     talker, listener = pair
-    scan = LaserScan(Header(Time(1, 2), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
-    received: list[LaserScan] = []
-    listener.subscribe("/scan", LaserScan, received.append)
-    publish = talker.publisher("/scan", LaserScan)
-    until(lambda: talker.subscribers("/scan"))
-    publish(scan)
+    received: list[Any] = []
+    listener.overhear("/sent", type(message), lambda *heard: received.append(heard))
+    talker.overhear("/sent", type(message), lambda *heard: received.append(heard))  # does not hear itself
+    publish = talker.publisher("/sent", type(message), reliable=True)
+    until(lambda: talker.subscribers("/sent"))
+    publish(message)
     until(lambda: received)
-    assert received[0].header == scan.header
-    assert received[0].range_max == 10.0
-    np.testing.assert_array_equal(received[0].ranges, scan.ranges)
+    ((heard, sender),) = received
+    assert encode(heard) == encode(message)
+    until(lambda: listener.types("/sent") == {message.ros_type})
+    assert listener.types("/nothing") == set()
+    assert listener.name_of(sender, "/sent") == "/talker"
 
 
 def test_a_topic_has_one_type_and_a_closed_connection_raises_an_error(domain):

@@ -1,31 +1,52 @@
+"""Drives with a simulated rover on a course: endings, limits, faulty sensors, and logs."""
+
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from tensordict import TensorDictBase
 
-from rover_rl import RoverEnv
+from rover_rl import EnvConfig, Randomization, RoverEnv, Terrain, World, box
 from rover_rl.algos.deploy.drive_log import DriveLog, read_drives
 from rover_rl.algos.deploy.driving import Moment, drive_to
-from rover_rl.algos.driving import STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.evaluation.trajectory import count_reversals
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
-from rover_rl.sims.ros2.messages import LaserScan, Twist
-from rover_rl.worlds import get_world
+from rover_rl.sims.ros2 import RobotLostError
+from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
 from tests.algos.policy.memories import CountingPolicy
 from tests.sims.ros2.wire import SimulatedRobot, Wire
 
-START = (-22.4, -24.7, 0.3)
-GOAL = (-20.4, -24.2)
+AHEAD, BEHIND = 3.0, -1.0
+"""Positions of the walls ahead of and behind the start, along x, m."""
+WALLS = [box((AHEAD + 0.2, 0, 0.5), (0.4, 8, 1)), box((BEHIND - 0.2, 0, 0.5), (0.4, 8, 1))]
+COURSE = World("course", Terrain.flat((20, 20)), obstacles=WALLS)
+FRONT, TAIL = 0.265, 0.27
+"""Length of the rover ahead of and behind its center, m."""
+GOAL, BEYOND = (1.5, 0.3), (6.0, 0.0)
+"""A goal near the start, and one behind the wall."""
 
 
 @pytest.fixture
-def started(start_env) -> tuple[SimulatedRobot, RoverEnv]:
-    return start_env(get_world("inspect"), START)
+def start(start_env) -> Callable[..., tuple[SimulatedRobot, RoverEnv]]:
+    """Starts a robot on the course, and the environment that drives it."""
+    return partial(start_env, COURSE, (0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def started(start) -> tuple[SimulatedRobot, RoverEnv]:
+    return start()
 
 
 @pytest.fixture
@@ -33,8 +54,20 @@ def env(started) -> RoverEnv:
     return started[1]
 
 
+def straight(speed: float) -> Callable[[TensorDictBase], TensorDictBase]:
+    return lambda now: now.set("action", torch.tensor([[speed, 0.0]]))
+
+
 def stopped(wire: Wire) -> bool:
     return wire.sent["/cmd_vel"][-3:] == [Twist()] * 3
+
+
+def interrupt(moment: Moment) -> None:
+    raise KeyboardInterrupt
+
+
+def all_nan(scan: LaserScan) -> LaserScan:
+    return replace(scan, ranges=np.full_like(scan.ranges, math.nan))
 
 
 def test_a_drive_ends_and_stops_at_its_goal(started, wire):
@@ -43,10 +76,10 @@ def test_a_drive_ends_and_stops_at_its_goal(started, wire):
     assert drive_to(env, ScriptedPolicy(), GOAL, watch=moments.append) == "goal"
     assert stopped(wire)
     assert torch.dist(robot.position[:2], torch.tensor(GOAL)) < 0.6
-    assert moments[0].distance == pytest.approx(2.06, abs=0.1)
+    assert moments[0].distance == pytest.approx(math.hypot(*GOAL), abs=0.1)
     assert moments[-1].distance <= 0.5
     assert max(moment.speed for moment in moments) > 0.3
-    assert all(moment.latency >= 0 and moment.nearest > 0 for moment in moments)
+    assert all(moment.nearest > 0 for moment in moments)
     last = wire.sent["/cmd_vel"][-4]
     assert moments[-1].command == (last.linear.x, last.angular.z)
 
@@ -60,14 +93,14 @@ def test_an_obstacle_that_is_too_close_or_the_time_limit_ends_the_drive(env, wir
     assert [moment.seconds for moment in moments] == pytest.approx([0.05, 0.1, 0.15, 0.2])
 
 
-def test_a_drive_begins_when_who_stands_at_the_rover_has_gone(env, wire):
-    near = iter([0.15] * 40)
-
-    def someone_stands_there(scan: LaserScan) -> LaserScan:
-        return replace(scan, ranges=[next(near, scan.ranges[0]), *scan.ranges[1:]])
-
-    wire.tamper["/scan"] = someone_stands_there
-    moments: list[Moment] = []
+def test_a_drive_begins_when_who_stands_at_the_rover_has_gone_and_may_be_stopped_before(env, wire, tmp_path):
+    near = iter([0.15] * 80)
+    wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[next(near, scan.ranges[0]), *scan.ranges[1:]])
+    path, moments = tmp_path / "drive.jsonl", list[Moment]()
+    with DriveLog(path, "maze", "scripted", 60.0) as log, pytest.raises(KeyboardInterrupt):
+        drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=interrupt, log=log)
+    assert stopped(wire)
+    assert read_drives(path)[0].endings == [STOPPED]
     assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=moments.append) == "goal"
     waiting = [moment for moment in moments if moment.seconds == 0]
     assert len(waiting) > 1
@@ -75,21 +108,7 @@ def test_a_drive_begins_when_who_stands_at_the_rover_has_gone(env, wire):
     assert all(moment.nearest > 0.2 for moment in moments[len(waiting) :])
 
 
-def test_a_drive_that_is_stopped_while_it_waits_is_logged_as_stopped(env, wire, tmp_path):
-    def interrupt(moment: Moment) -> None:
-        assert moment.seconds == 0
-        raise KeyboardInterrupt
-
-    wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[0.15, *scan.ranges[1:]])
-    path = tmp_path / "drive.jsonl"
-    with DriveLog(path, "inspect", "scripted", 60.0) as log, pytest.raises(KeyboardInterrupt):
-        drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=interrupt, log=log)
-    assert stopped(wire)
-    (drives,) = read_drives(path)
-    assert drives.endings == [STOPPED]
-
-
-def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal_to_goal(env, wire):
+def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal_to_goal(env):
     policy = CountingPolicy()
     runner = PolicyRunner(policy)
 
@@ -102,7 +121,6 @@ def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal
     assert drive(runner) == [0] * 4 + [1] * 4 + [2] * 2
     assert drive(runner) == [3] * 4 + [4] * 4 + [5] * 2
     assert drive(policy) == [0] * 4 + [1] * 4 + [2] * 2
-    assert stopped(wire)
 
 
 def test_an_error_stops_the_rover(env, wire):
@@ -115,59 +133,136 @@ def test_an_error_stops_the_rover(env, wire):
 
 
 def test_other_backends_are_rejected():
-    env = RoverEnv(world_n="inspect")
-    with pytest.raises(ValueError, match=r"only backend 'ros2' has a live rover, got BulletSimulator"):
+    env = RoverEnv(world_n=COURSE, backend="warp")
+    with pytest.raises(ValueError, match=r"only backend 'ros2' has a live rover, got WarpSimulator"):
         drive_to(env, ScriptedPolicy(), GOAL)
     env.close()
 
 
-@pytest.fixture
-def log(env, tmp_path) -> Path:
-    """Log of three drives: one reached its goal, one was interrupted, one is incomplete."""
+def test_unusable_scans_stop_the_rover_before_a_wall_and_none_is_driven_with_them(wire, started):
+    robot, env = started
+
+    def watch(moment: Moment) -> None:
+        if robot.driven[-1] > 1.0:
+            wire.tamper["/scan"] = all_nan
+
+    for _ in range(2):
+        with pytest.raises(RobotLostError, match=r"/scan \(scan\): its messages cannot be used"):
+            drive_to(env, straight(1.0), BEYOND, watch=watch)
+        assert stopped(wire)
+        assert 1.0 < max(robot.driven) < 1.6  # stopped within 0.25 s at 1 m/s
+
+
+def test_a_rover_with_a_forward_lidar_does_not_back_up_nor_drive_a_policy_with_a_wider_view(start):
+    robot, env = start(view=math.pi)
+    with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
+        drive_to(env, straight(1.0), BEYOND)
+    assert max(robot.driven) < 0.01
+    # One that was trained with less drives it.
+    backward, moments = straight(-1.0), list[Moment]()
+    backward.made_for = EnvConfig(randomization=Randomization(lidar_view=(3.0, 6.0)))
+    assert drive_to(env, backward, (-6.0, 0.0), seconds=1.0, watch=moments.append) == TIME_LIMIT
+    assert all(moment.held and moment.command[0] == 0.0 for moment in moments)
+    assert min(robot.driven) > -0.01
+    drive_to(env, load_pretrained("moon-sac").make_actor(), (-6.0, 0.0), seconds=4.0, allow_unseen=True, clearance=0.2)
+    assert min(robot.driven) > BEHIND + TAIL
+    assert max(robot.driven) < AHEAD - FRONT
+
+
+def test_the_mask_follows_the_scan_of_a_live_rover(wire, start):
+    def blind_to_the_left(scan: LaserScan) -> LaserScan:
+        """Loses the last six of 65 readings from -90 to 90 degrees."""
+        return replace(scan, ranges=np.append(scan.ranges[:-6], np.full(6, np.nan, np.float32)))
+
+    wire.tamper["/scan"] = blind_to_the_left
+    _, env = start(view=math.pi, made_for=EnvConfig(sensors=("lidar_mask",)), unseen_range=math.inf)
+    observation = env.reset()
+    mask, lidar = observation["lidar_mask"][0], observation["lidar"][0]
+    # A reading is of four beams, from straight ahead to the left.
+    assert mask.tolist() == [1.0] * 6 + [0.75] + [0.0] * 17 + [1.0] * 8
+    assert (lidar[mask == 0] == 12.0).all()
+
+
+def clock_went_back(scan: LaserScan) -> LaserScan:
+    return replace(scan, header=Header(replace(scan.header.stamp, sec=scan.header.stamp.sec - 1000)))
+
+
+def pose_jumped(poses: PoseArray) -> PoseArray:
+    (pose,) = poses.poses
+    return replace(poses, poses=[replace(pose, position=replace(pose.position, y=pose.position.y + 4.0))])
+
+
+@pytest.mark.parametrize(
+    ("topic", "fault", "reason"),
+    [
+        ("/scan", clock_went_back, "its clock went back by"),
+        ("/rover/pose_array", pose_jumped, "its pose jumped by 4.0 m"),
+    ],
+)
+def test_a_restart_of_the_robot_ends_the_drive(wire, env, caplog, topic, fault, reason):
+    def watch(moment: Moment) -> None:
+        if moment.seconds > 0.4:
+            wire.tamper[topic] = fault
+
+    assert drive_to(env, straight(0.3), BEYOND, seconds=2.0, watch=watch) == RESTARTED
+    assert f"the robot seems to have been restarted: {reason}" in caplog.text
+    assert stopped(wire)
+
+
+def test_commands_are_within_their_limits_and_reversals_are_logged(wire, start, tmp_path):
+    _, env = start(max_speed=0.3, max_yaw_rate=1.5, max_acceleration=2.0, max_yaw_acceleration=20.0)
+    steps = iter(range(10**6))
+
+    def swerve(now: TensorDictBase) -> TensorDictBase:
+        return now.set("action", torch.tensor([[1.0, 1.0 if next(steps) // 4 % 2 else -1.0]]))
+
+    path = tmp_path / "drive.jsonl"
+    with DriveLog(path, "maze", "swerve", 60.0) as log:
+        drive_to(env, swerve, BEYOND, seconds=2.0, log=log)
+    *twists, _, _, _ = wire.sent["/cmd_vel"]  # stop commands are exempt
+    speeds, turns = np.array([(twist.linear.x, twist.angular.z) for twist in twists]).T
+    assert (speeds.max(), np.abs(turns).max()) == (0.3, 1.5)
+    assert np.abs(np.diff(speeds)).max() <= 2.0 * 0.05 + 1e-6
+    assert np.abs(np.diff(turns)).max() <= 20.0 * 0.05 + 1e-6
+    entries = [json.loads(line) for line in path.read_text().splitlines()]
+    turns = [entry["command"][1] for entry in entries if "command" in entry]
+    assert entries[-1]["reversals"] == count_reversals(turns) >= 5
+
+
+def test_a_log_is_evaluated(env, tmp_path):
+    """One drive has reached its goal, one was interrupted, one is incomplete, and one is of another policy."""
     path = tmp_path / "logs" / "drive.jsonl"
-
-    def interrupt(moment: Moment) -> None:
-        raise KeyboardInterrupt
-
-    with DriveLog(path, "inspect", "scripted", 60.0) as log:
+    with DriveLog(path, "maze", "scripted", 60.0) as log:
         drive_to(env, ScriptedPolicy(), GOAL, log=log)
         with pytest.raises(KeyboardInterrupt):
-            drive_to(env, ScriptedPolicy(), (-23.0, -24.0), watch=interrupt, log=log)
-        log.begin(env.rover_state, env.scan, (-23.0, -23.0))
-    return path
-
-
-def test_a_log_is_evaluated(log, env, tmp_path, capsys):
-    (drives,) = read_drives(log)
+            drive_to(env, ScriptedPolicy(), (0.0, 2.0), watch=interrupt, log=log)
+        log.begin(env.rover_state, env.scan, (0.0, 1.0))
+    with path.open("a") as file:
+        file.write('{"position": [1.0, ')  # an incomplete line
+    with DriveLog(path, "maze", "other", 60.0) as log:
+        drive_to(env, ScriptedPolicy(), (0.0, 2.0), clearance=20.0, patience=0.0, log=log)
+    drives, others = read_drives(path)
     assert (drives.name, drives.seconds, drives.endings) == ("scripted", 60.0, ["goal", STOPPED])
+    assert (others.name, others.endings) == ("other", [TOO_NEAR])
     assert drives.success_rate == 0.5
     assert 0.25 < drives.metrics["spl"].value <= 0.5
-    assert drives.trajectories[0].seconds > 1.5
-    assert main(["evaluate", str(log), "--out", str(tmp_path / "out")]) == 0
+    assert drives.trajectories[0].seconds > 1.0
+    assert main(["evaluate", str(path), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "paths-drive.png").is_file()
     written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert written[0]["endings"] == {"goal": 1, STOPPED: 1}
-    assert "scripted" in capsys.readouterr().out
-    with log.open("a") as file:
-        file.write('{"position": [1.0, ')  # an incomplete line
-    with DriveLog(log, "inspect", "other", 60.0) as more:
-        drive_to(env, ScriptedPolicy(), (-23.0, -24.0), clearance=20.0, patience=0.0, log=more)
-    first, second = read_drives(log)  # policies are evaluated separately
-    assert (first.endings, second.name, second.endings) == (["goal", STOPPED], "other", [TOO_NEAR])
 
 
 def test_times_are_the_rovers(tmp_path):
     """With a lidar at 10 Hz, each step lasts two control steps of the evaluation."""
-    path = tmp_path / "drive.jsonl"
-    lines = [{"format": "rover_rl drive, version 1", "world": "inspect", "policy": "mine", "robot": "rover_zero"}]
-    lines[0]["seconds"] = 60.0
+    header = {"format": "rover_rl drive, version 1", "world": "maze", "policy": "mine", "robot": "rover_zero"}
+    lines: list[dict] = [header | {"seconds": 60.0}]
     for step in range(11):
-        pose = {"position": [-22.0 + 0.1 * step, -24.0, 0.0], "angles": [0.0, 0.0, 0.0], "ranges": [None]}
+        pose = {"position": [0.1 * step, 0.0, 0.0], "angles": [0.0, 0.0, 0.0], "ranges": [None]}
         events = {"collision": step == 5, "reached": False, "dt": 0.1, "command": [1.0, 0.0]}
-        lines.append(pose | (events if step else {"goal": [-20.0, -24.0]}))
-    lines.append({"ending": "stuck"})
-    path.write_text("\n".join(map(json.dumps, lines)))
+        lines.append(pose | (events if step else {"goal": [2.0, 0.0]}))
+    path: Path = tmp_path / "drive.jsonl"
+    path.write_text("\n".join(map(json.dumps, [*lines, {"ending": "stuck"}])))
     (trajectory,) = read_drives(path)[0].trajectories
-    assert trajectory.seconds == pytest.approx(1.0)
-    assert trajectory.length == pytest.approx(1.0)
+    assert (trajectory.seconds, trajectory.length) == (pytest.approx(1.0), pytest.approx(1.0))
     assert trajectory.collision.nonzero().flatten().tolist() == [9]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,20 +19,12 @@ from rover_rl.envs.sensors.ray_images import Lidar3D
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
+from rover_rl.sims.ros2 import ground as live_ground
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.dds import DdsTransport
-from rover_rl.sims.ros2.ground import (
-    elevation_map_message,
-    lowest_quarter,
-    point_cloud_message,
-    read_elevation_map,
-    read_points,
-    sample,
-)
+from rover_rl.sims.ros2.ground import elevation_map_message, point_cloud_message, read_elevation_map, read_points
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.sensor_report import ElevationMap
 from rover_rl.worlds import get_world
-from tests.sims.ros2.processes import until
 from tests.sims.ros2.wire import Rover
 
 CENTER, CELL, SIZE = (3.0, -2.0), 0.5, (6, 4)
@@ -114,7 +105,7 @@ def test_a_tilted_map_is_read_along_the_vertical():
     turn = torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
     place, ahead = torch.tensor([5.0, -1.0, 2.0]), torch.tensor([0.0, 1.0, 2.0, 9.0])
     grid = place[:2] + ahead[:, None] * torch.tensor([math.cos(yaw), math.sin(yaw)])
-    heights = sample(flat, place, quaternion_product(turn, pitch), grid[None])[0]
+    heights = live_ground.sample(flat, place, quaternion_product(turn, pitch), grid[None])[0]
     expected = 2.0 + ahead * math.tan(-tilt) + 0.05 / math.cos(tilt)
     torch.testing.assert_close(heights[:3], expected[:3], atol=1e-4, rtol=0)
     assert heights[3].isnan()
@@ -170,10 +161,10 @@ def test_the_ground_of_a_cell_is_the_lower_quarter_of_its_points():
     ground = torch.cat((grid[1, 0] + offsets, torch.full((40, 1), 0.3)), -1)
     above, below = ground[:24] + torch.tensor([0.0, 0.0, 1.5]), ground[:3] - torch.tensor([0.0, 0.0, 4.0])
     elsewhere = torch.tensor([[5.0, 0.6, 0.7], [5.0, 3.0, 9.0], [5.3, 1.0, 9.0]])
-    heights = lowest_quarter(torch.cat((above, ground, below, elsewhere)), grid, yaw, 0.4)
+    heights = live_ground.lowest_quarter(torch.cat((above, ground, below, elsewhere)), grid, yaw, 0.4)
     assert (heights[1, 0], heights[2, 1]) == (pytest.approx(0.3), pytest.approx(0.7))
     assert heights.isnan().sum() == 4
-    assert lowest_quarter(torch.zeros(0, 3), grid, yaw, 0.4).isnan().all()
+    assert live_ground.lowest_quarter(torch.zeros(0, 3), grid, yaw, 0.4).isnan().all()
 
 
 def test_points_fall_in_the_pixel_of_their_direction():
@@ -311,20 +302,3 @@ def test_a_topic_without_usable_messages_stops_the_rover(wire, sensor, message, 
     with pytest.raises(RobotLostError, match=f"{text}.*; a stop command was sent"):
         env.step_commands(STOP)
     env.close()
-
-
-@pytest.mark.ros2
-def test_maps_and_clouds_of_a_dds_publisher_arrive(domain):
-    talker, listener = DdsTransport("talker", domain), DdsTransport("listener", domain)
-    received: dict[str, Any] = {}
-    for topic, message in (("/ground", map_of_slope("map")), ("/points", cloud_of_slope("lidar"))):
-        listener.subscribe(topic, type(message), partial(received.__setitem__, topic))
-        publish = talker.publisher(topic, type(message), reliable=True)
-        until(partial(talker.subscribers, topic))
-        publish(message)
-        until(lambda topic=topic: topic in received)
-        until(lambda topic=topic, message=message: listener.types(topic) == {message.ros_type})
-        assert ros.encode(received[topic]) == ros.encode(message)
-    assert listener.types("/nothing") == set()
-    talker.close()
-    listener.close()

@@ -68,8 +68,6 @@ def test_colors_are_read_whatever_their_encoding():
     [
         (DEPTH.read, np.ones((2, 2), "<f4"), "rgb8", {}, r"one of \['32FC1', '16UC1', 'mono16'\], got 'rgb8'"),
         (DEPTH.read, np.ones((2, 2), "<f4"), "32FC1", {"height": 3}, "2 x 3 pixels has 16 bytes, in rows of 8"),
-        (DEPTH.read, np.ones((2, 2), "<f4"), "32FC1", {"step": 4}, "2 x 2 pixels has 16 bytes, in rows of 4"),
-        (DEPTH.read, np.ones((2, 2), "<f4"), "32FC1", {"width": 0}, "0 x 2 pixels"),
         (COLOR.read, PIXELS, "32FC1", {}, r"one of \['rgb8', .* 'mono8'\], got '32FC1'"),
         (COLOR.read, PIXELS, "rgb8", {"data": np.zeros(100, np.uint8)}, "image of 7 x 5 pixels has 100 bytes"),
     ],
@@ -122,7 +120,6 @@ def test_compressed_depths_are_read():
     ("kind", "topic", "encoding", "data", "message"),
     [
         ("colors", "/compressed", "jpeg", file(PIXELS, "JPEG")[:-40], "a whole JPEG or PNG"),
-        ("colors", "/compressed", "jpeg", file(PIXELS, "GIF"), "a whole JPEG or PNG"),
         ("colors", "/compressed", "png", file(GRAY.astype(np.uint16)), "must have 8 bits a channel, got 'png'"),
         ("depth", "/compressed", "jpeg", file(GRAY, "JPEG"), "must be a PNG of 16UC1 or 32FC1, got 'jpeg'"),
         ("depth", "/compressed", "16UC1; png", file(GRAY), "must have 16 bits a pixel"),

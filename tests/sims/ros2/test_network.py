@@ -57,6 +57,7 @@ def teleop(environment) -> Iterator[Peer]:
     """A node of rclpy."""
     with closing(Peer(find_peer(), environment, "node")) as node:
         yield node
+        node.end()  # else the robot would wait for it
 
 
 @pytest.fixture

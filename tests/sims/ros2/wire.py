@@ -33,16 +33,10 @@ STEP = 0.05
 class Wire:
     """In-process transport: a published message reaches its subscribers in the publishing thread.
 
-    Attributes:
-        receivers: callbacks of the subscriptions, by topic.
-        sent: published messages, by topic.
-        robots: number of publishers that :meth:`publishers` reports.
-        kinds, received: types that are published, and those that are subscribed to, by topic.
-        ears: callbacks that hear what other nodes send, by topic.
-        tamper: function that modifies the messages of a topic, by topic.
-        rovers: functions that step the rovers, which then publish.
-        closed: whether the transport is closed.
-        now: time in s. It also stands for the module ``time``.
+    It also stands for the module ``time``: ``now`` is the time in s. By topic, it has the callbacks of subscriptions
+    (``receivers``) and of those who overhear others (``ears``), the messages that were ``sent``, the types of
+    publishers (``kinds``) and of subscribers (``received``), and functions that ``tamper`` with messages. ``rovers``
+    are functions that step the rovers, which then publish; ``robots`` is what :meth:`publishers` reports.
     """
 
     def __init__(self) -> None:

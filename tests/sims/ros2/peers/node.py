@@ -57,6 +57,10 @@ class Node:
     def subscriptions(self, topic: str) -> list[list[str]]:
         return [_endpoint(each) for each in self._node.get_subscriptions_info_by_topic(topic)]
 
+    def end(self) -> None:
+        rclpy.shutdown()
+        self._node.destroy_node()
+
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
             rclpy.spin(self._node)
