@@ -22,14 +22,8 @@ def clearance_on_grid(
 ) -> Tensor:
     """Returns the horizontal distance from the points of a grid to the nearest obstacle near the ground.
 
-    Args:
-        terrain, obstacles: those of a world.
-        xs: x of the columns, at equal distances, float64 ``[columns]``, m.
-        ys: y of the rows, float64 ``[rows]``, m.
-        limit: largest distance of interest, m.
-
-    Returns:
-        Distances, 0 inside an obstacle and at most ``limit``, float64 ``[rows, columns]``, m.
+    ``xs`` of the columns, at equal distances, and ``ys`` of the rows are float64, m. Distances are 0 inside an obstacle
+    and at most ``limit``, float64 ``[rows, columns]``, m.
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.native.warp import wp

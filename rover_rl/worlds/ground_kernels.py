@@ -141,9 +141,8 @@ def measure_clearance(
 ):
     """Distances (m) from cells to the nearest of several convex polygons; thread ``j`` does row j.
 
-    ``outlines`` are the vertices of all polygons, counter-clockwise, and ``starts`` the index of each polygon's first
-    vertex, and the number of all. ``circles`` are the center and the radius of a circle around each polygon. On input,
-    ``clearance`` is ``limit``, the largest distance of interest.
+    ``starts`` are the indices of each polygon's first vertex among ``outlines``, counter-clockwise, and the number of
+    all. ``circles`` are around each. On input, ``clearance`` is ``limit``, the largest distance of interest.
     """
     j = wp.tid()
     y = ys[j]

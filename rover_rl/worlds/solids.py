@@ -18,13 +18,10 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """How the vertices of a solid are joined, which boxes, for example, have in common.
+    """Numbers of vertices and planes of a solid, and how they are joined, which boxes, for example, have in common.
 
-    Args:
-        vertices, planes: how many there are.
-        faces: triangles as indices into the vertices, counter-clockwise from outside, ``[F, 3]``.
-        outline: indices of the vertices of the outline from above, counter-clockwise, ``[K]``. ``None``: that depends
-            on the vertices.
+    ``faces`` are triangles ``[F, 3]`` as indices of vertices, and ``outline`` those of the outline from above, both
+    counter-clockwise from outside. It depends on the vertices if it is ``None``.
     """
 
     vertices: int

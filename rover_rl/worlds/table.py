@@ -133,12 +133,6 @@ class WorldTable(Sequence[World]):
 class SlotTable:
     """A list of values for each slot, in one tensor. Values and lists of different sizes are padded.
 
-    Args:
-        shape: shape of a value. It grows with the values.
-        dtype: type of the values.
-        device: device of the table.
-        padding: value of the padding.
-
     Attributes:
         values: values, ``[slots, capacity, *shape]``. All of these numbers grow as needed.
         lengths: number of values of each slot, int64 ``[slots]``.

@@ -152,10 +152,6 @@ class World:
         """Returns the height of the ground (m) at points ``xy [..., 2]``, without obstacles: ``[...]``."""
         return self.terrain.height_at(xy)
 
-    def normal_at(self, xy: Tensor) -> Tensor:
-        """Returns the upward unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
-        return self.terrain.normal_at(xy)
-
     def inside(self, points: Tensor) -> Tensor:
         """Returns which of ``points [..., 3]`` (m) are below the ground or inside an obstacle: bool ``[...]``."""
         return (points[..., 2] < self.height_at(points[..., :2])) | Solids.of(self.obstacles).contains(points)

@@ -24,7 +24,7 @@ def heights(world, area) -> np.ndarray:
 
 def slopes(world, area=None, step: float = 0.1) -> np.ndarray:
     """Slopes of the ground in an area, by default the task area, degrees."""
-    return np.degrees(np.arccos(world.normal_at(points(area or world.spawn_range, step))[:, 2].numpy()))
+    return np.degrees(np.arccos(world.terrain.normal_at(points(area or world.spawn_range, step))[:, 2].numpy()))
 
 
 @pytest.mark.parametrize(("name", "least"), [("hills", 0.05), ("ramps", 0.01), ("inspect", None), ("moon", None)])

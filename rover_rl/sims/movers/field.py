@@ -152,12 +152,9 @@ class MoverField:
             getattr(self._theirs, name).copy_(values)
 
     def reset(self, mask: Tensor, keys: Tensor, rovers: Tensor) -> None:
-        """Begins the episodes of rows.
+        """Begins the episodes of the rows of ``mask`` (bool ``[N, 1]``).
 
-        Args:
-            mask: rows, bool ``[N, 1]``.
-            keys: random keys of the episodes, int64 ``[N, 1]``.
-            rovers: where the rovers start, ``[N, 2]``, m.
+        They have random ``keys`` (int64 ``[N, 1]``), and their ``rovers`` start at points ``[N, 2]``, m.
         """
         keys = keys if self.keys is None else self.keys
         self._keys, self._steps = torch.where(mask, keys, self._keys), self._steps.masked_fill(mask, 0)
@@ -175,10 +172,7 @@ class MoverField:
     def advance(self, active: Tensor | None, rovers: Rovers, driving: Tensor | None = None) -> None:
         """Moves the movers of the rows of ``active`` (bool ``[N, 1]``; ``None``: all) by one step.
 
-        Args:
-            active: rows in which time passes.
-            rovers: rovers before the step, to which movers may react.
-            driving: rovers of groups that drive, bool ``[N, 1]``; ``None``: all.
+        They may react to ``rovers``, as these are before the step. Of groups, those of ``driving`` drive on.
         """
         if self._others is not None:
             self._show_rovers(self._others.advance(driving))
@@ -192,10 +186,9 @@ class MoverField:
         self._place(rows)
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
+        """Returns the horizontal distance from points ``[N, 2]`` to the nearest mover, and its speed, m and m/s.
 
-        Returns:
-            Distances to the surface, 0 inside, ``inf`` without movers, ``[N, 1]``, m; and speeds, ``[N, 1]``, m/s.
+        Distances ``[N, 1]`` are those to its surface: 0 inside, and ``inf`` without movers.
         """
         least, speed = self._nearest_mover(points)
         if self._others is None:

@@ -46,15 +46,10 @@ class NearParts:
 def find_near(
     parts: Parts, rows: slice, position: np.ndarray, reach: float, dt: float, speed: float = MAX_ROVER_SPEED
 ) -> NearParts:
-    """Returns the parts of movers near rovers.
+    """Returns the parts of movers near rovers in a step of ``dt`` (s), at whose end the parts are.
 
-    Args:
-        parts: parts of the movers of all rows, at the end of the control step.
-        rows: consecutive rows.
-        position: positions of their rovers at the start of the step, ``[n, 3]``, m.
-        reach: radius of a sphere around the position of a rover that contains it, m.
-        dt: duration of the step, s.
-        speed: highest speed of a point of a rover, m/s.
+    The rovers are in consecutive ``rows`` and were at ``position [n, 3]`` (m) at its start. ``reach`` (m) is the radius
+    of a sphere around that contains one, and ``speed`` (m/s) the highest one of its points.
     """
     end, velocity, half = (getattr(parts, name)[rows].double().numpy() for name in ("position", "velocity", "half"))
     start = end - velocity * dt

@@ -6,16 +6,8 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.worlds.generators.layouts import (
-    DEFAULT,
-    gentle_cells,
-    in_square,
-    is_connected,
-    relief,
-    scaled,
-    smoothstep,
-    square,
-)
+from rover_rl.worlds.generators import layouts
+from rover_rl.worlds.generators.layouts import scaled, smoothstep, square
 from rover_rl.worlds.terrain import Terrain
 from rover_rl.worlds.world import World
 
@@ -37,17 +29,17 @@ ERODED = np.ones((3, 3), dtype=bool)
 """Cells around a cell that must be gentle, too: half a rover in each direction."""
 
 
-def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
+def hills(seed: int = 0, difficulty: float = layouts.DEFAULT) -> World:
     """Creates hills: rolling ground with steep faces, which a rover has to drive around.
 
     Ground steeper than 25 degrees is not passable. With the difficulty, faces get higher and steeper, ramps between the
     levels rarer, and the ground between the faces rougher. At least 60 % of the gentle ground of the task area is
     connected. The lidar sees a face from below, and not from above.
     """
-    rng, task = np.random.default_rng(seed), in_square(HALF_TASK, CELL, round(SIDE / CELL))
+    rng, task = np.random.default_rng(seed), layouts.in_square(HALF_TASK, CELL, round(SIDE / CELL))
     while True:
         heights = _ground(rng, difficulty)
-        if is_connected(binary_erosion(gentle_cells(heights, CELL), ERODED), task, CONNECTED, SPACIOUS):
+        if layouts.is_connected(binary_erosion(layouts.gentle_cells(heights, CELL), ERODED), task, CONNECTED, SPACIOUS):
             break
     terrain = Terrain(torch.from_numpy(heights), CELL)
     return World("hills", terrain, spawn_range=square(HALF_TASK), bounds=square(HALF_BOUNDS))
@@ -55,7 +47,8 @@ def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
 
 def _ground(rng: np.random.Generator, difficulty: float) -> np.ndarray:
     shape = (round(SIDE / CELL) + 1,) * 2
-    rolling, level, gentle = (relief(rng, shape, CELL, lengths) for lengths in ((5.0, 20.0), (6.0, 16.0), (4.0, 12.0)))
+    wavelengths = ((5.0, 20.0), (6.0, 16.0), (4.0, 12.0))
+    rolling, level, gentle = (layouts.relief(rng, shape, CELL, lengths) for lengths in wavelengths)
     ramps = smoothstep((gentle - scaled(difficulty, *RAMPS)) / 0.6)
     width = FACE + (RAMP - FACE) * ramps
     # The middle of an edge stays where it is, however wide the edge.

@@ -5,23 +5,5 @@ from rover_rl.worlds.movers.mover import Box, Capsule, Cylinder, Mover, Part, Pe
 from rover_rl.worlds.movers.walks import Cross, Orca, SocialForce, Walk, Wander
 from rover_rl.worlds.movers.waypoints import Waypoints
 
-__all__ = [
-    "Box",
-    "Capsule",
-    "Cross",
-    "Cylinder",
-    "Motion",
-    "MotionInput",
-    "Mover",
-    "MoverState",
-    "Orca",
-    "Part",
-    "Person",
-    "Rovers",
-    "Shape",
-    "SocialForce",
-    "Walk",
-    "WallDistances",
-    "Wander",
-    "Waypoints",
-]
+__all__ = ["Cross", "Motion", "MotionInput", "MoverState", "Orca", "Rovers", "SocialForce", "Walk", "WallDistances"]
+__all__ += ["Box", "Capsule", "Cylinder", "Mover", "Part", "Person", "Shape", "Wander", "Waypoints"]

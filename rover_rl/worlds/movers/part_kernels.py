@@ -75,7 +75,7 @@ def place(
     begins: bool,
     dt: float,
 ) -> None:
-    """Places parts on the ground, in place.
+    """Places the parts of the movers in ``rows`` (bool ``[N, 1]``) on the ground, in place. Others are at rest.
 
     Args:
         parts: parts, whose position, orientation, velocity and yaw rate change.
@@ -83,8 +83,7 @@ def place(
         local: mover, center, orientation and swing of the parts in the frames of their movers, ``[N, P, ...]``.
         state: where the movers are.
         swing: how far legs are ahead, relative to their amplitude, ``[N, M]``.
-        terrains: terrains of the rows.
-        rows: rows whose movers move, bool ``[N, 1]``.
+        terrains, rows: terrains of all rows, and rows whose movers move.
         begins: whether their episodes begin, so that parts are at rest.
         dt: duration of a step, s.
     """
@@ -95,13 +94,9 @@ def place(
 
 
 def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Tensor) -> Tensor:
-    """Returns the ranges of rays, where they meet a mover the distance to it, float32 ``[N, K]``, m.
+    """Returns the ranges of rays in the world frame, where they meet a mover the distance to it, float32 ``[N, K]``, m.
 
-    Args:
-        parts: solids of the movers.
-        origins: starts of the rays in the world frame, ``[N, K, 3]``, m.
-        directions: directions in the world frame, of any length but 0, ``[N, K, 3]``.
-        ranges: distances to what does not move, ``[N, K]``, m.
+    Rays have starts ``[N, K, 3]`` (m), directions of any length but 0, and the distances to what does not move, m.
     """
     ranges = ranges.clone()
     rays = (wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions))

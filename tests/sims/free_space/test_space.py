@@ -89,7 +89,7 @@ def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground():
     assert (centers.amin(0) - free.cell / 2 >= low + ROVER.radius - 1e-5).all()
     assert (centers.amax(0) + free.cell / 2 <= high - ROVER.radius + 1e-5).all()
     nudged = centers + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centers.shape))
-    assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
+    assert world.terrain.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
 @pytest.mark.parametrize("name", ["moon", "maze"])
