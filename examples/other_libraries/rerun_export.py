@@ -14,8 +14,14 @@ import rerun
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.video.recording import curves_of, record_endless
 from rover_rl.algos.video.views import lidar_beams
-from rover_rl.sims.rendering.robot_surface import robot_surface
-from rover_rl.sims.rendering.surfaces import Surface, forms_of, ground_surface, obstacles_surface, part_surface
+from rover_rl.sims.rendering.surfaces import (
+    Surface,
+    forms_of,
+    ground_surface,
+    obstacles_surface,
+    part_surface,
+    robot_surface,
+)
 
 SECONDS = 20
 FILE = "drive.rrd"

@@ -18,8 +18,7 @@ from rover_rl.algos.video.views import lidar_beams
 from rover_rl.robots import Robot
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.rendering.daylight import solid, world_meshes
-from rover_rl.sims.rendering.robot_surface import robot_surface
-from rover_rl.sims.rendering.surfaces import Form, Surface, forms_of, part_surface, post_surface
+from rover_rl.sims.rendering.surfaces import Form, Surface, forms_of, part_surface, post_surface, robot_surface
 from rover_rl.view.cameras import MODES, ROOT, Cameras
 from rover_rl.worlds import World, hull
 from rover_rl.worlds.movers.parts import Parts

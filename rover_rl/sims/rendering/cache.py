@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rover_rl.sims.rendering.renderer import Renderer
     from rover_rl.worlds.movers.parts import Parts
 
-
 MAX_SIDE = 8192
 """Largest width and height of an image, pixels."""
 
@@ -37,19 +36,11 @@ class RendererCache:
         goal: Tensor | None = None,
         movers: Parts | None = None,
     ) -> Tensor:
-        """Renders a rover at a pose, with a post at its goal: uint8 ``[height, width, 3]``.
+        """Renders a rover from behind (``"chase"``) or above (``"top"``): uint8 ``[height, width, 3]``.
 
-        Args:
-            world: world of the rover.
-            pose: position (m) and unit quaternion (x, y, z, w) of the base frame, ``[7]``, on any device.
-            view: ``"chase"`` (from behind) or ``"top"`` (from above).
-            width, height: size of the image, pixels.
-            goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
-            movers: parts of the movers around the rover, one row. ``None`` draws none.
-
-        Raises:
-            ValueError: if the view is unknown, the size is out of range, or the URDF has a visual shape that cannot be
-                rendered.
+        ``pose`` is position (m) and quaternion (x, y, z, w) of the base frame, ``[7]``, ``goal`` that of a goal,
+        ``[2]``, m, and ``movers`` are parts, one row. Raises ``ValueError`` if the view is unknown, the size out of
+        range, or a visual shape cannot be rendered.
         """
         check_at_least(1, MAX_SIDE, width=width, height=height)
         # Importing them compiles nothing, but takes a second.
@@ -63,5 +54,5 @@ class RendererCache:
         return renderer.render_from(camera, position, turn, width, height, goal, movers)
 
     def close(self) -> None:
-        """Releases all renderers. Idempotent; rendering after this creates new ones."""
+        """Releases all renderers. Idempotent."""
         self._renderers.clear()

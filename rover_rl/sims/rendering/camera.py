@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
@@ -25,9 +26,7 @@ _CHASE_DISTANCES = torch.tensor((2.55, 1.7, 1.1), dtype=torch.float64)
 """Distances of the chase view's camera from the rover, m. It comes nearer where none of the angles will do."""
 _ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=torch.float64)
 """Elevation angles of the chase view, rad. The camera uses the first at which no obstacle hides the rover."""
-_BODY_POINTS = torch.tensor(
-    [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (0.1, 0.3)], dtype=torch.float64
-)
+_BODY_POINTS = torch.tensor(list(product((-0.3, 0.3), (-0.3, 0.3), (0.1, 0.3))), dtype=torch.float64)
 """Points of the rover that should be visible, forward, left and up from its origin, m."""
 FREE_FRACTION = 0.98
 """Fraction of a line of sight that must be free, less than 1 because its end may lie on an obstacle."""
@@ -70,8 +69,7 @@ class Camera:
         The chase camera moves up when an obstacle hides a part of the rover, and nearer, such as below a low ceiling.
         If that does not help, it sees as much as it can. Raises ``ValueError`` for an unknown view.
         """
-        position = position.double()
-        up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
+        position, up = position.double(), torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
         if view == "top":
             north = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
             return cls(position + _TOP_HEIGHT * up, position, north, sight)
@@ -106,5 +104,5 @@ class Camera:
 
 
 def focal_length(height: int) -> float:
-    """Returns the focal length (pixels) of images of the given height (pixels)."""
+    """Focal length of images of a height, both in pixels."""
     return height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))

@@ -22,14 +22,10 @@ FAR_BELOW = (0.0, 0.0, -1e6)
 
 
 class ColorCaster:
-    """Tells the colors that rays see in the worlds of the rows of a batch.
+    """Tells the colors that rays see in the worlds of the rows of a batch, among their movers.
 
     They are those of films: ground with its grid, obstacles, movers, other rovers of a group, the post of the goal,
     sky, sun, shadows and haze, but not the rover itself. The scenery of a world is built when a row first needs it.
-
-    Args:
-        worlds: world of each row.
-        movers: movers of the rows.
     """
 
     def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
@@ -66,7 +62,6 @@ class ColorCaster:
         return colors
 
     def _enter(self, slot: int, world: World) -> None:
-        """Puts the scenery of a world and the shapes of its movers into a slot."""
         if world not in self._built:
             self._built[world] = TracedWorld(world, self._wp_device)
         scenery = wp.array([self._built[world].scenery], dtype=Scenery, device=self._wp_device)

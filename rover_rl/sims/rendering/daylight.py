@@ -23,10 +23,8 @@ CELL = 0.25
 """Largest cell of flat ground, m: its vertices hold the shadows."""
 SKY_RADIUS = 400.0
 """Radius of the dome of the sky, m."""
-_DEPTH = 3.0
-"""Depth below the edge at which the land around begins under the terrain, m."""
-_REACH = 300.0
-"""Distance up to which the land goes on around the terrain, m."""
+_DEPTH, _REACH = 3.0, 300.0
+"""Depth below the edge at which the land around begins under the terrain, and how far it goes on, m."""
 
 
 def solid(surface: Surface, brightness: np.ndarray | None = None) -> trimesh.Trimesh:
@@ -59,7 +57,7 @@ def world_meshes(world: World) -> dict[str, trimesh.Trimesh]:
 
 
 def _mottle(points: np.ndarray) -> np.ndarray:
-    """Returns the brightness of soil at points ``[V, 3]`` (m): smooth noise of several sizes around 1."""
+    """Brightness of soil at points ``[V, 3]`` (m): smooth noise of several sizes around 1."""
     noise = np.random.default_rng(0).uniform(-1, 1, (64, 64))
     total = np.ones(len(points))
     for size, strength in ((6.0, 0.05), (1.7, 0.05), (0.45, 0.04)):
@@ -79,13 +77,8 @@ def _land(world: World) -> trimesh.Trimesh:
     rings = [(half * 0.99, _DEPTH), (half, 0.02), (half + 40, 0.02), (half + _REACH, 0.02)]
     parts = [np.column_stack((center + corners * ring, np.full(4, level - depth))) for ring, depth in rings]
     vertices = np.concatenate(parts)
-    faces = [
-        face
-        for ring in range(len(rings) - 1)
-        for side in range(4)
-        for a, b in [(4 * ring + side, 4 * ring + (side + 1) % 4)]
-        for face in ((a, a + 4, b + 4), (a, b + 4, b))
-    ]
+    sides = [(4 * ring + side, 4 * ring + (side + 1) % 4) for ring in range(len(rings) - 1) for side in range(4)]
+    faces = [face for a, b in sides for face in ((a, a + 4, b + 4), (a, b + 4, b))]
     share = np.repeat((0.0, 0.0, 0.5, 1.0), 4)[:, None]
     colors = (1 - share) * np.array(GROUND) + share * np.array(HORIZON)
     normals = np.tile((0.0, 0.0, 1.0), (len(vertices), 1))

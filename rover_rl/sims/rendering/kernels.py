@@ -20,23 +20,15 @@ SUN_RIGHT = wp.normalize(wp.cross(SUN_DIRECTION, wp.vec3(0.0, 0.0, 1.0)))
 SUN_UP = wp.cross(SUN_RIGHT, SUN_DIRECTION)
 SUN_SIZE = 0.025
 """Angular size of the sun, rad: larger than the real one, for softer edges of shadows."""
-SUNLIGHT = wp.vec3(1.36, 1.24, 1.04)
-"""Light of the sun on a surface that faces it."""
-SKYLIGHT = wp.vec3(0.36, 0.42, 0.51)
-"""Light of the sky on a surface that faces up."""
-GROUNDLIGHT = wp.vec3(0.24, 0.21, 0.18)
-"""Light of the ground on a surface that faces down."""
-GROUND_COLOR = wp.vec3(*(c * c for c in GROUND))
-HORIZON_COLOR = wp.vec3(*(c * c for c in HORIZON))
-ZENITH_COLOR = wp.vec3(*(c * c for c in ZENITH))
+SUNLIGHT, SKYLIGHT, GROUNDLIGHT = wp.vec3(1.36, 1.24, 1.04), wp.vec3(0.36, 0.42, 0.51), wp.vec3(0.24, 0.21, 0.18)
+"""Light of the sun, the sky and the ground on surfaces that face them."""
+GROUND_COLOR, HORIZON_COLOR, ZENITH_COLOR = (wp.vec3(*(c * c for c in color)) for color in (GROUND, HORIZON, ZENITH))
 GLOW = wp.vec3(0.16, 0.12, 0.06)
 """Light around the sun."""
 HAZE_DISTANCE = 45.0
 """Distance at which 63% of the light comes from the haze, m."""
-LINE_WIDTH = 0.02
-"""Width of the lines of the grid on the ground, m."""
-LINE_SHADE = 0.22
-"""Share of the light that lines absorb."""
+LINE_WIDTH, LINE_SHADE = 0.02, 0.22
+"""Width of the lines of the grid on the ground, m, and share of the light that they absorb."""
 EDGE_CONTRAST = 0.08
 """Difference of displayed colors, 0 to 1, above which a pixel lies on an edge."""
 

@@ -11,9 +11,8 @@ from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.sims.rendering import kernels
 from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
-from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.scenes import DEVICE, TracedShapes, TracedWorld, launch
-from rover_rl.sims.rendering.surfaces import forms_of, post_surface
+from rover_rl.sims.rendering.surfaces import forms_of, post_surface, robot_surface
 from rover_rl.worlds import World
 from rover_rl.worlds.movers.parts import Parts
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rover_rl.worlds.movers.mover import Person, Shape
+from rover_rl.worlds.movers.mover import Person
 from rover_rl.worlds.world import World
 
 GROUND = (0.66, 0.57, 0.47)
@@ -13,28 +13,20 @@ OBSTACLE = (0.50, 0.57, 0.65)
 """Color of obstacles. Each is a little darker or brighter."""
 GOAL = (0.10, 0.75, 0.25)
 """Color of the post of the goal."""
-CLOTHES = (0.47, 0.30, 0.66)
-"""Color of the trunks of people."""
-LEGS = (0.20, 0.18, 0.27)
-"""Color of their legs."""
-SKIN = (0.76, 0.58, 0.46)
-"""Color of their heads."""
+CLOTHES, LEGS, SKIN = (0.47, 0.30, 0.66), (0.20, 0.18, 0.27), (0.76, 0.58, 0.46)
+"""Colors of the trunks, the legs and the heads of people."""
 MOVER = (0.80, 0.24, 0.22)
 """Color of other movers."""
 UNPAINTED = (0.70, 0.70, 0.72)
 """Color of the rover's visual shapes for which neither the URDF nor the mesh file states one."""
-HORIZON = (0.87, 0.88, 0.88)
-"""Color of the sky at the horizon, and of the haze."""
-ZENITH = (0.30, 0.52, 0.80)
-"""Color of the sky overhead."""
+HORIZON, ZENITH = (0.87, 0.88, 0.88), (0.30, 0.52, 0.80)
+"""Colors of the sky: at the horizon, also of the haze, and overhead."""
 SUN = (-0.62, 0.42, 0.66)
 """Direction to the sun in the world frame."""
 GRID = 1.0
 """Distance between the lines on the ground, m."""
-POST_RADIUS = 0.08
-"""Radius of the post of the goal, m."""
-POST_LENGTH = 1.2
-"""Length of the post of the goal, m."""
+POST_RADIUS, POST_LENGTH = 0.08, 1.2
+"""Size of the post of the goal, m."""
 
 
 class Look(NamedTuple):
@@ -46,11 +38,8 @@ class Look(NamedTuple):
 
 def looks_of(world: World, count: int) -> list[Look]:
     """Returns the look of ``count`` parts: those of other rovers of a group, then those of a world's movers."""
-    looks = [look for mover in world.movers for look in _looks(mover.shape)]
+    looks = []
+    for shape in (mover.shape for mover in world.movers):
+        person = [Look(LEGS), Look(LEGS), Look(CLOTHES, True)]
+        looks += person if isinstance(shape, Person) else [Look(MOVER)] * len(shape.parts())
     return [*[Look(MOVER)] * (count - len(looks)), *looks][:count]
-
-
-def _looks(shape: Shape) -> list[Look]:
-    if isinstance(shape, Person):
-        return [Look(LEGS), Look(LEGS), Look(CLOTHES, True)]
-    return [Look(MOVER) for _ in shape.parts()]

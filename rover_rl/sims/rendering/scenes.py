@@ -20,10 +20,8 @@ from rover_rl.worlds import World
 
 DEVICE = "cpu"
 """Device of films, the same on every machine, so that pictures are the same too."""
-MAX_THREADS = 8
-"""Largest number of threads."""
-BANDS_PER_THREAD = 4
-"""Number of parts of a launch per thread, as some parts of a picture take longer than others."""
+MAX_THREADS, BANDS_PER_THREAD = 8, 4
+"""Largest number of threads, and of parts of a launch per thread, as some parts of a picture take longer."""
 SMALL = 4096
 """Number of elements up to which threads take longer to start than to work."""
 
@@ -33,11 +31,8 @@ def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> Non
     threads = min(os.cpu_count() or 1, MAX_THREADS)
     count = BANDS_PER_THREAD * threads if math.prod(size) > SMALL else 1
     ends = np.linspace(0, size[0], count + 1).astype(int).tolist()
-    bands = [
-        wp.launch(kernel, (last - first, *size[1:]), [first, *inputs], device=DEVICE, record_cmd=True)
-        for first, last in pairwise(ends)
-        if last > first
-    ]
+    sizes = [(first, (last - first, *size[1:])) for first, last in pairwise(ends) if last > first]
+    bands = [wp.launch(kernel, part, [first, *inputs], device=DEVICE, record_cmd=True) for first, part in sizes]
     if count == 1:
         bands[0].launch()
         return
@@ -47,12 +42,14 @@ def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> Non
 
 
 def array(values: Any, dtype: Any, device: Any = DEVICE) -> wp.array:
-    """Copies values to an array of a device, by default that of films."""
     return wp.array(np.asarray(values), dtype=dtype, device=device)
 
 
 class TracedShape:
-    """A surface on a device. ``shape`` is what kernels read, as long as this object lives."""
+    """A surface on a device: ``shape`` is what kernels read, as long as this object lives.
+
+    ``reach`` is the radius of a sphere around the origin that contains it, m.
+    """
 
     def __init__(self, surface: Surface, device: Any = DEVICE, ground_faces: int = 0) -> None:
         points, normals = (array(values, wp.vec3, device) for values in (surface.vertices, surface.normals))
@@ -62,7 +59,6 @@ class TracedShape:
         colors = np.column_stack((surface.colors**2, np.arange(len(surface.faces)) < ground_faces))
         self.shape.mesh, self.shape.colors = self._mesh.id, array(colors, wp.vec4, device)
         self.reach = float(np.linalg.norm(surface.vertices, axis=1).max())
-        """Radius of a sphere around the origin that contains the surface, m."""
 
 
 class TracedWorld(TracedShape):
@@ -96,17 +92,14 @@ class TracedShapes:
 
     @property
     def reaches(self) -> list[float]:
-        """Radius of a sphere around the origin of each shape that contains it, m."""
+        """``reach`` of each shape, m."""
         return [one.reach for one in self._shapes]
 
     def bodies(self, poses: Tensor, numbers: Tensor, reaches: Tensor, rows: Tensor | None = None) -> tuple[Any, Any]:
         """Returns bodies for the kernels, and their tree, which must live as long.
 
-        Args:
-            poses: position (m) and quaternion of each, ``[B, 7]``.
-            numbers: number of the shape of each, int32 ``[B]``.
-            reaches: radius of a sphere around each, ``[B]``, m.
-            rows: row of each, int32 ``[B]``, for a tree with a branch for each row.
+        ``poses`` are ``[B, 7]``: position (m) and quaternion. ``numbers`` are those of their shapes, int32 ``[B]``,
+        ``reaches`` radii of spheres around them, ``[B]``, m. With ``rows``, the tree has a branch for each row.
         """
         if self._array is None:
             shapes = [one.shape for one in self._shapes]

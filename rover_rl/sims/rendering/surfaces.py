@@ -1,4 +1,4 @@
-"""Colored triangle meshes of the ground, the obstacles, the goal and the parts of movers."""
+"""Colored triangle meshes of the ground, the obstacles, the goal, the parts of movers and robots."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 import trimesh
+from scipy.spatial.transform import Rotation
 from trimesh.graph import smooth_shade
 
+from rover_rl.robots import Robot
+from rover_rl.robots.shapes import Frame, Shape
+from rover_rl.robots.urdf.meshes import load_mesh
 from rover_rl.sims.rendering import scenery
 from rover_rl.sims.rendering.scenery import Look, looks_of
 from rover_rl.worlds import Terrain, World
@@ -32,13 +37,9 @@ SHOULDERS, HEAD = 0.32, 0.11
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangle mesh with smooth normals and colors.
+    """Triangle mesh: vertices ``[V, 3]`` (m) with unit normals, faces ``[F, 3]``, counter-clockwise from outside.
 
-    Attributes:
-        vertices: float64 ``[V, 3]``, m.
-        faces: triangles as indices of vertices, counter-clockwise from outside, int64 ``[F, 3]``.
-        normals: unit normal of each vertex, float64 ``[V, 3]``.
-        colors: color of each triangle, 0 to 1, float64 ``[F, 3]``.
+    Each triangle has a color, 0 to 1, ``[F, 3]``.
     """
 
     vertices: np.ndarray
@@ -49,16 +50,15 @@ class Surface:
     @classmethod
     def join(cls, parts: Sequence[Surface]) -> Surface:
         starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-        return cls(
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-            np.concatenate([part.normals for part in parts]),
-            np.concatenate([part.colors for part in parts]),
+        faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+        vertices, normals, colors = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("vertices", "normals", "colors")
         )
+        return cls(vertices, faces, normals, colors)
 
     @classmethod
     def of_solid(cls, mesh: trimesh.Trimesh, color: Sequence[float]) -> Surface:
-        """Creates a surface of one color that is smooth but for sharp edges."""
+        """Surface of one color that is smooth but for sharp edges."""
         shaded = smooth_shade(mesh, angle=MAX_ANGLE)
         colors = np.tile(color, (len(shaded.faces), 1))
         return cls(np.array(shaded.vertices), np.array(shaded.faces), np.array(shaded.vertex_normals), colors)
@@ -140,6 +140,51 @@ def _figure(radius: float, height: float, color: Sequence[float]) -> Surface:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=head)
     ball.apply_translation((0, 0, height / 2 - head))
     return Surface.join([Surface.of_solid(trunk, color), Surface.of_solid(ball, scenery.SKIN)])
+
+
+def robot_surface(robot: Robot) -> Surface:
+    """Creates the surface of a robot in its base frame, with all joint angles at zero.
+
+    Raises ``ValueError`` if a mesh file cannot be read.
+    """
+    try:
+        return Surface.join([part for shape in robot.visuals or _own_shapes(robot) for part in _parts(shape)])
+    except ValueError as error:
+        raise ValueError(f"robot {robot.name!r} cannot be rendered: {error}") from error
+
+
+def _own_shapes(robot: Robot) -> list[Shape]:
+    """Boxes and wheels of a robot without visual shapes."""
+    axle = Rotation.from_rotvec((np.pi / 2, 0, 0)).as_matrix()
+    shapes = [Shape("box", Frame(np.array(box.center), np.eye(3)), box.size) for box in robot.boxes]
+    kind, sizes = ("cylinder" if robot.wheels.width else "sphere"), (robot.wheels.radius, robot.wheels.width)
+    return shapes + [Shape(kind, Frame(np.array(hub), axle), sizes) for hub in robot.wheels.hubs]
+
+
+def _parts(shape: Shape) -> list[Surface]:
+    """Creates the surfaces of a shape. A mesh file may hold several of different colors."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = shape.frame.rotation, shape.frame.position
+    meshes = load_mesh(Path(shape.file), shape.sizes) if shape.kind == "mesh" else [_primitive(shape)]
+    return [Surface.of_solid(mesh.apply_transform(matrix), shape.color or _own_color(mesh)) for mesh in meshes]
+
+
+def _primitive(shape: Shape) -> trimesh.Trimesh:
+    if shape.kind == "box":
+        return trimesh.creation.box(shape.sizes)
+    if shape.kind == "cylinder":
+        radius, length = shape.sizes
+        return trimesh.creation.cylinder(radius, length, sections=SEGMENTS)
+    return trimesh.creation.icosphere(subdivisions=3, radius=shape.sizes[0])
+
+
+def _own_color(mesh: trimesh.Trimesh) -> tuple[float, ...]:
+    """Returns the main color that a mesh file states, or :data:`~rover_rl.sims.rendering.scenery.UNPAINTED`."""
+    visual: Any = mesh.visual
+    if not visual.defined:
+        return scenery.UNPAINTED
+    painted = visual.material if visual.kind == "texture" else visual
+    return tuple(painted.main_color[:3] / 255)
 
 
 def _vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:

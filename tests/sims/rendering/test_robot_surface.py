@@ -9,9 +9,8 @@ import pytest
 import trimesh
 
 from rover_rl.robots import Robot, get_robot
-from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.scenery import UNPAINTED
-from rover_rl.sims.rendering.surfaces import Surface
+from rover_rl.sims.rendering.surfaces import Surface, robot_surface
 
 ROVER = get_robot("rover_zero")
 RED, BLUE = (0.8, 0.2, 0.2), (0.2, 0.2, 0.8)
