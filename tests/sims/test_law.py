@@ -16,13 +16,10 @@ FRICTION = 0.5
 LIMIT = coulomb.friction_angle(FRICTION)
 LEVEL_MESH = maneuvers.incline(maneuvers.NEARLY_LEVEL, size=12.0)
 """Level ground of triangles, large enough for all maneuvers here."""
-GROUNDS = pytest.mark.parametrize("ground", [maneuvers.PLANE, LEVEL_MESH], ids=["on a plane", "on triangles"])
 EVERY_SECOND = torch.arange(16) % 2 == 0
-HALVES = pytest.mark.parametrize("gentle", [EVERY_SECOND, ~EVERY_SECOND], ids=["even", "odd"])
 
 
 def assert_all_close(values: torch.Tensor, expected: float, *, tolerance: float) -> None:
-    """Asserts that the value in every direction is within an absolute tolerance."""
     assert values.shape == (16,)
     torch.testing.assert_close(values.double(), torch.full((16,), expected).double(), atol=tolerance, rtol=0.0)
 
@@ -32,8 +29,9 @@ def around_the_limit(gentle: torch.Tensor, below: float = 1.0) -> torch.Tensor:
     return torch.where(gentle, LIMIT - below, LIMIT + 1.0)
 
 
-@GROUNDS
-@pytest.mark.parametrize("command", [(0.0, 2.0), (0.5, 1.0)], ids=str)
+@pytest.mark.parametrize(
+    ("ground", "command"), [(maneuvers.PLANE, (0.0, 2.0)), (LEVEL_MESH, (0.5, 1.0))], ids=["on a plane", "on triangles"]
+)
 def test_turns_at_the_rate_at_which_friction_balances(backend, ground, command) -> None:
     """All treads slip sideways in a turn; the yaw rate is that at which forces and moments of friction balance.
 
@@ -44,7 +42,7 @@ def test_turns_at_the_rate_at_which_friction_balances(backend, ground, command) 
     assert_all_close(maneuvers.turning_rate(backend, ground, *command, seconds=1.0), law, tolerance=0.05 * law)
 
 
-@HALVES
+@pytest.mark.parametrize("gentle", [EVERY_SECOND, ~EVERY_SECOND], ids=["even", "odd"])
 def test_climbs_slopes_up_to_the_friction_angle(backend, gentle) -> None:
     """Spinning wheels push uphill with ``mu m g cos s`` against ``m g sin s``: up to tan s = 0.5, s = 26.57 degrees."""
     assert pytest.approx(26.565, abs=1e-3) == LIMIT
@@ -52,8 +50,9 @@ def test_climbs_slopes_up_to_the_friction_angle(backend, gentle) -> None:
     assert torch.equal(climbs, gentle)
 
 
-@HALVES
-@pytest.mark.parametrize("turned", [0.0, math.pi / 2], ids=["facing up", "across"])
+@pytest.mark.parametrize(
+    ("gentle", "turned"), [(EVERY_SECOND, 0.0), (~EVERY_SECOND, math.pi / 2)], ids=["facing up", "across"]
+)
 def test_stands_on_slopes_up_to_the_friction_angle(backend, gentle, turned) -> None:
     """Held wheels carry ``mu m g cos s`` at most, in any direction, against ``m g sin s``: up to 26.57 degrees.
 
@@ -64,29 +63,16 @@ def test_stands_on_slopes_up_to_the_friction_angle(backend, gentle, turned) -> N
     assert torch.equal(stands, gentle)
 
 
-@pytest.mark.parametrize("slope", [20.0])
-def test_accelerates_uphill_with_what_friction_leaves(backend, slope) -> None:
-    """With all wheels spinning, ``a = g (mu cos s - sin s)``: 3.13 m/s^2 on 10 degrees, 1.25 m/s^2 on 20 degrees.
+@pytest.mark.parametrize(("motion", "slope", "expected"), [("climbing", 20.0, 1.254), ("sliding", 35.0, 1.609)])
+def test_accelerates_on_a_slope_with_what_friction_leaves(backend, motion, slope, expected) -> None:
+    """Up with all wheels spinning, ``a = g (mu cos s - sin s)``, and down with locked wheels across the slope.
 
     The error is relative to the part of friction, ``mu g cos s``.
     """
-    law = coulomb.climbing_acceleration(FRICTION, slope)
-    assert law == pytest.approx({10.0: 3.127, 20.0: 1.254}[slope], abs=1e-3)
+    law, found = (getattr(module, f"{motion}_acceleration") for module in (coulomb, maneuvers))
+    assert law(FRICTION, slope) == pytest.approx(expected, abs=1e-3)
     by_friction = FRICTION * coulomb.GRAVITY * math.cos(math.radians(slope))
-    found = maneuvers.climbing_acceleration(with_friction(backend, FRICTION), slope)
-    assert_all_close(found, law, tolerance=0.05 * by_friction)
-
-
-def test_slides_down_sideways_with_what_friction_leaves(backend) -> None:
-    """Across a slope of 35 degrees with locked wheels, ``a = g (sin s - mu cos s) = 1.61 m/s^2``.
-
-    The error is relative to the part of friction, ``mu g cos s``.
-    """
-    law = coulomb.sliding_acceleration(FRICTION, 35.0)
-    assert law == pytest.approx(1.609, abs=1e-3)
-    by_friction = FRICTION * coulomb.GRAVITY * math.cos(math.radians(35.0))
-    found = maneuvers.sliding_acceleration(with_friction(backend, FRICTION), 35.0)
-    assert_all_close(found, law, tolerance=0.05 * by_friction)
+    assert_all_close(found(with_friction(backend, FRICTION), slope), expected, tolerance=0.05 * by_friction)
 
 
 def test_keeps_its_height_while_driving_across_a_slope(backend) -> None:
@@ -95,8 +81,9 @@ def test_keeps_its_height_while_driving_across_a_slope(backend) -> None:
     assert_all_close(drift, 0.0, tolerance=1.0)
 
 
-@GROUNDS
-@pytest.mark.parametrize("friction", [0.15, 0.3])
+@pytest.mark.parametrize(
+    ("ground", "friction"), [(maneuvers.PLANE, 0.3), (LEVEL_MESH, 0.15)], ids=["on a plane", "on triangles"]
+)
 def test_brakes_by_friction_alone_with_locked_wheels(backend, ground, friction) -> None:
     """The distance is ``v^2 / (2 mu g)``: 0.34 m from 1 m/s for a coefficient of 0.15, and 0.17 m for 0.3."""
     distance, speed = maneuvers.braking(backend, ground, friction)

@@ -56,13 +56,15 @@ AROUND = [0.0, 0.25 * math.pi, 0.5 * math.pi, math.pi]
 PLANE = World("plane", Terrain.flat((20, 20)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("world", "headings", "axes"), [(slope(15.0), AROUND, 2), (PLANE, [0.3], 3)])
-def test_stands_still_for_600_steps(backend, world, headings, axes):
-    poses = [(1.5 * k, 0.0, yaw) for k, yaw in enumerate(headings)]
-    states = drive(placed(backend, world, poses), (0.0, 0.0), 600)
+def test_stands_still_for_ten_seconds_without_settling(backend, world, headings, axes):
+    simulator = placed(backend, world, [(1.5 * k, 0.0, yaw) for k, yaw in enumerate(headings)])
+    placed_at, states = simulator.state(), drive(simulator, (0.0, 0.0), 200)
+    assert (states[19].position - placed_at.position).norm(dim=-1).max() < 0.005
+    turned = quaternion_to_euler(states[19].orientation) - quaternion_to_euler(placed_at.orientation)
+    assert torch.remainder(turned + 1, 2 * math.pi).sub(1).abs().max() < 0.01
     moved = (states[-1].position - states[0].position)[:, :axes].norm(dim=-1)
-    assert moved.max() < 0.0009
+    assert moved.max() < 0.0004
 
 
 def test_flipped_rover_reports_its_orientation(backend):
@@ -82,21 +84,10 @@ def test_rovers_pass_through_one_another(backend):
 
 def test_walls_stop_the_rover(backend):
     world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
-    last = drive(placed(backend, world, ORIGIN), (1.0, 0.0), 80)[-1]
+    last = drive(placed(backend, world, ORIGIN), (1.0, 0.0), 60)[-1]
     # The front of the wheels is 0.2635 m ahead of the base frame.
     tolerance = 0.01 if backend == "mujoco" else 0.05
     assert last.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=tolerance)
-
-
-def test_resting_pose_needs_no_settling(backend):
-    simulator = placed(backend, slope(15), [(0.0, 0.0, 0.7)])
-    before = simulator.state()
-    after = drive(simulator, (0.0, 0.0), 20)[-1]
-    assert (after.position - before.position).norm() < 0.005
-    assert (quaternion_to_euler(after.orientation) - quaternion_to_euler(before.orientation)).abs().max() < 0.01
-
-
-# Warp alone
 
 
 def test_rover_tips_over_at_the_static_stability_angle():

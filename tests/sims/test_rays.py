@@ -47,7 +47,7 @@ def test_ranges_are_those_of_geometry(world: World, origin: Any, directions: Any
     assert ranges[0].tolist() == pytest.approx(expected, rel=1e-6, abs=0)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(
     seed=st.integers(0, 2**31),
     # Starts and directions on lines, corners and diagonals of the grid, too.
@@ -78,18 +78,7 @@ def test_a_ray_ends_where_it_meets_the_ground_and_not_before(
         assert end[2].item() == pytest.approx(hills.height_at(end[:2]).item(), abs=2e-4)
 
 
-def test_each_row_is_in_its_own_world_and_independent_of_the_others() -> None:
-    generator = torch.Generator().manual_seed(1)
-    origins = torch.rand(6, 40, 3, generator=generator) * 4 + torch.tensor([-3.0, -2.0, 0.6])
-    directions = torch.randn(6, 40, 3, generator=generator)
-    worlds = [FLAT, BOX, SLOPE, BOX, FLAT, SLOPE]
-    together = RayCaster(WorldTable(worlds)).cast(origins, directions)
-    for row, world in enumerate(worlds):
-        alone = RayCaster(WorldTable([world])).cast(origins[row : row + 1], directions[row : row + 1])
-        assert torch.equal(together[row], alone[0])
-
-
-def test_rows_change_worlds() -> None:
+def test_each_row_is_in_its_own_world_which_may_change() -> None:
     table = WorldTable([FLAT, FLAT], spare=0)
     caster = RayCaster(table)
     origins, down = torch.tensor([[[3.0, 0.0, 5.0]]] * 2), torch.tensor([[[0.0, 0.0, -1.0]]] * 2)

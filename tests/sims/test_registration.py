@@ -60,6 +60,9 @@ def test_a_registered_class_of_settings():
     assert substeps("registered-class") == 4
     assert substeps("registered-class", physics="coarse") == 2
     assert substeps(CustomSettings(6)) == 6
+    env = RoverEnv(world_n=FLAT, num_envs=2, backend="registered-class")
+    assert torch.isfinite(env.rollout(3)["pose"]).all()
+    env.close()
 
 
 def test_backends_by_import_path():
@@ -67,15 +70,6 @@ def test_backends_by_import_path():
     register_backend("registered-path", f"{here}:CustomSettings")
     assert substeps("registered-path") == substeps(f"{here}:CustomSettings") == 4
     assert substeps(f"{here}:TWELVE") == 12
-
-
-def test_an_environment_uses_a_registered_backend():
-    register_backend("registered-for-env", CustomSettings)
-    env = RoverEnv(world_n=FLAT, num_envs=2, backend="registered-for-env")
-    assert env.simulator.settings.substeps == 4
-    td = env.rollout(3)
-    assert torch.isfinite(td["pose"]).all()
-    env.close()
 
 
 @pytest.mark.parametrize(("name", "part"), [("registered-number", 4), ("registered-function-of-a-number", lambda: 4)])

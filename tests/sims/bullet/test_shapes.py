@@ -35,15 +35,15 @@ def size(client: int, shape: int) -> np.ndarray:
     return np.subtract(high, low)
 
 
-@pytest.mark.parametrize("kind", ["hull", "mesh"])
-def test_shapes_leak_no_python_objects(client, kind):
+def test_shapes_leak_no_python_objects(client):
     vertices, faces = square(4.0)
-    make = {"hull": lambda: make_hull(client, vertices), "mesh": lambda: make_mesh(client, vertices, faces)}[kind]
-    make()
+    make_hull(client, vertices)
+    make_mesh(client, vertices, faces)
     gc.collect()
     before = sys.getallocatedblocks()
-    for _ in range(5):
-        make()
+    for _ in range(3):
+        make_hull(client, vertices)
+        make_mesh(client, vertices, faces)
     gc.collect()
     # Without the reused lists, PyBullet leaks a list for each of the 1,600 vertices.
     assert sys.getallocatedblocks() - before < 200
@@ -57,20 +57,13 @@ def test_a_shape_does_not_contain_vertices_of_the_previous_larger_shape(client):
         np.testing.assert_allclose(size(client, make_hull(client, corners)), (side, side, 1), atol=0.1)
 
 
-def test_rays_hit_the_triangles_of_a_mesh(client):
-    vertices, faces = Terrain([[0.0, 1.0], [0.0, 1.0]], cell=1.0, origin=(0.0, 0.0)).mesh()
-    pybullet.createMultiBody(0, make_mesh(client, vertices.numpy(), faces.numpy()), physicsClientId=client)
-    ((*_, hit, _),) = pybullet.rayTestBatch([[0.25, 0.5, 2]], [[0.25, 0.5, -2]], physicsClientId=client)
-    np.testing.assert_allclose(hit, (0.25, 0.5, 0.25), atol=1e-6)
-
-
 def test_concurrent_threads_create_correct_shapes():
     sides = [1.0, 2.0, 3.0, 4.0]
 
     def mesh_sizes(side: float) -> list[float]:
         client = pybullet.connect(pybullet.DIRECT)
         vertices, faces = square(side, points=60)
-        sizes = [size(client, make_mesh(client, vertices, faces))[0] for _ in range(20)]
+        sizes = [size(client, make_mesh(client, vertices, faces))[0] for _ in range(8)]
         disconnect([client])
         return sizes
 

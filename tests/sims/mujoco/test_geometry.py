@@ -59,7 +59,7 @@ def test_wheels_rest_on_the_triangles_of_the_terrain():
     assert (gaps.sort(dim=-1).values[:, 1] < 0.001).all()
 
 
-@pytest.mark.parametrize("name", ["maze", "moon", "inspect"])
+@pytest.mark.parametrize("name", ["maze", "inspect"])
 def test_scans_match_those_of_bullet(name):
     world = get_world(name)
     cells = free_space(world, ROVER).spawn_cells

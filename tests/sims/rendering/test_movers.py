@@ -52,7 +52,6 @@ def is_violet(colors: Tensor) -> Tensor:
     return (blue > 1.2 * red) & (red > 1.2 * green)
 
 
-@pytest.mark.parametrize("backend", ["bullet", "mujoco", "warp"])
 def test_a_mover_is_seen_in_every_simulator(backend: str) -> None:
     bare, met = (picture(world(shape), "chase", backend)[0] for shape in (None, Box(0.5, 0.5, 1.0)))
     assert is_red(bare).sum() == 0
@@ -102,11 +101,3 @@ def test_a_mover_that_would_fill_the_picture_is_left_out() -> None:
     bare, near = (picture(world(shape, -2.1, 0.0), "chase")[0] for shape in (None, Person()))
     assert is_violet(near).sum() == 0
     assert torch.equal(bare, near)
-
-
-def test_a_mover_hides_another_one() -> None:
-    front = Mover(Waypoints([(0.0, 2.0, 0.0, 0.0)]), Box(0.2, 2.0, 2.0))
-    behind = Mover(Waypoints([(0.0, 4.0, 0.0, 0.0)]), Person())
-    alone, both = (World("two", Terrain.flat((20.0, 20.0)), movers=movers) for movers in ([behind], [front, behind]))
-    assert is_violet(picture(alone, "chase")[0]).sum() > 100
-    assert is_violet(picture(both, "chase")[0]).sum() == 0

@@ -64,8 +64,7 @@ def test_an_obstacle_hides_the_goal():
     assert is_green(render(wall, goal=(5.0, 0.0))).sum() == 0
 
 
-@pytest.mark.parametrize("view", ["chase", "top"])
-@pytest.mark.parametrize("size", [(640, 480), (300, 600)])
+@pytest.mark.parametrize(("view", "size"), [("chase", (320, 240)), ("top", (150, 300))])
 def test_points_of_the_post_are_where_the_camera_projects_them(view, size):
     at, goal = pose(1.0, 2.0, yaw=0.7), (3.2, 3.4)
     image = render(at=at, view=view, goal=goal, size=size)
@@ -80,8 +79,7 @@ def test_points_of_the_post_are_where_the_camera_projects_them(view, size):
         assert center == pytest.approx(columns.float().mean(), abs=1)
 
 
-@pytest.mark.parametrize("view", ["chase", "top"])
-@pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0, 0, 2.0), (0.3, -0.3, -1.0)])
+@pytest.mark.parametrize(("view", "roll", "pitch", "yaw"), [("chase", 0, 0, 2.0), ("top", 0.3, -0.3, -1.0)])
 def test_the_rover_turns_with_its_pose(view, roll, pitch, yaw):
     size = (640, 480)
     at = pose(1.0, -1.0, 0.2, roll, pitch, yaw)
@@ -117,13 +115,6 @@ def test_the_sky_is_above_the_horizon_and_hills_are_shaded():
     assert red[60:, :40].std() > 2 * render().float()[60:, :40, 0].std()
 
 
-@pytest.mark.parametrize("size", [(1, 1), (7, 64)])
-def test_images_have_the_size_asked_for(size):
-    image = RendererCache(ROVER).render(FLAT, pose(), "chase", *size)
-    assert image.shape == (size[1], size[0], 3)
-    assert image.dtype == torch.uint8
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -140,12 +131,12 @@ def test_sizes_out_of_range_and_unknown_views_are_rejected(options, message):
 def test_the_same_pose_gives_the_same_bytes_with_any_number_of_threads(monkeypatch):
     at, goal = pose(0.5, 0.5, 0.01, 0.05, 0.1, 0.8), torch.tensor((2.0, 2.0))
     images = []
-    for threads in (1, 1, 5):
+    for threads in (1, 5):
         monkeypatch.setattr(scenes, "MAX_THREADS", threads)
         monkeypatch.setattr(scenes.os, "cpu_count", lambda: 8)
         images.append(RendererCache(ROVER).render(FLAT, at, "chase", 97, 71, goal))
-    assert torch.equal(images[0], images[1])
-    assert torch.equal(images[0], images[2])
+    assert (images[0].shape, images[0].dtype) == ((71, 97, 3), torch.uint8)
+    assert torch.equal(*images)
 
 
 def test_pictures_need_neither_pybullet_nor_mujoco_nor_opengl():

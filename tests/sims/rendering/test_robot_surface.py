@@ -51,8 +51,9 @@ def test_rover_zero_has_its_shapes_at_their_places():
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0)
 
 
-@pytest.mark.parametrize("suffix", ["obj", "stl"])
-@pytest.mark.parametrize("file", ["parts/block.{}", "package://my_rover/urdf/parts/block.{}"])
+@pytest.mark.parametrize(
+    ("file", "suffix"), [("parts/block.{}", "obj"), ("package://my_rover/urdf/parts/block.{}", "stl")]
+)
 def test_mesh_files_are_loaded_scaled_and_placed(tmp_path, suffix, file):
     folder = tmp_path / "my_rover" / "urdf"
     (folder / "parts").mkdir(parents=True)

@@ -24,7 +24,7 @@ from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.worlds import World, get_world
 
 ROVER = get_robot("rover_zero")
-WORLDS = ("inspect", "moon", "maze", "maze:3")
+WORLDS = ("inspect", "moon", "maze")
 
 
 def poses(world: World, count: int) -> tuple[np.ndarray, Rotation]:
@@ -85,11 +85,10 @@ def warp_scan(
     return ranges.numpy()
 
 
-@pytest.mark.parametrize("beams", [20, 640])
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize(("name", "beams"), [("inspect", 20), ("moon", 640), ("maze", 640)])
 def test_ranges_do_not_depend_on_the_order_of_the_lanes(name, beams):
     world = get_world(name)
-    position, rotation = poses(world, 128)
+    position, rotation = poses(world, 64)
     expected = warp_scan(world, position, rotation, beams, lanes=2)
     assert np.isfinite(expected).any()
     for lanes in (4, 32):
@@ -124,12 +123,10 @@ def test_agrees_with_bullet_rays(name):
     assert ((found == 0).all(1) == (expected == 0).all(1)).all()
 
 
-@pytest.mark.parametrize("beams", [20])
-@pytest.mark.parametrize("name", WORLDS)
-def test_ranges_do_not_depend_on_the_number_of_beams(name, beams):
-    world = get_world(name)
+def test_ranges_do_not_depend_on_the_number_of_beams():
+    world = get_world("moon")
     position, rotation = poses(world, 64)
-    few, many = (warp_scan(world, position, rotation, count) for count in (beams, 8 * beams))
+    few, many = (warp_scan(world, position, rotation, count) for count in (20, 160))
     reach = ROVER.lidar_range
     wrong = np.abs(np.minimum(few, reach) - np.minimum(many[:, ::8], reach)) > 0.01
     assert wrong.mean() <= 0.001

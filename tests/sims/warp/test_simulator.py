@@ -6,19 +6,23 @@ import pytest
 import torch
 
 from rover_rl import make_env
+from rover_rl.native.warp import wp
 from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.warp.kernels import placing
 from rover_rl.worlds import Terrain, World, get_world
 from tests.sims.driven import ROVER, drive, in_world, placed
+
+HOPPER = 90
+"""Compute capability 9.0 (H100, H200)."""
 
 
 def test_results_do_not_depend_on_the_number_of_threads():
     rollouts = []
     for threads in (1, 2, 3):
-        env = make_env(
-            backend=WarpSettings(threads=threads), world_n=["inspect", "maze", "moon"], num_envs=100, seed=1, length=30
-        )
+        worlds = ["inspect", "maze", "moon"]
+        env = make_env(backend=WarpSettings(threads=threads), world_n=worlds, num_envs=100, seed=1, length=15)
         torch.manual_seed(0)
-        rollouts.append(env.rollout(80, break_when_any_done=False))
+        rollouts.append(env.rollout(25, break_when_any_done=False))
         env.close()
         env.close()
     assert rollouts[0]["next", "done"].any()
@@ -29,9 +33,8 @@ def test_results_do_not_depend_on_the_number_of_threads():
 def test_several_threads_scan_for_a_rover():
     scans = []
     for lanes in (1, 8):
-        env = make_env(
-            backend=WarpSettings(threads=2, lidar_lanes=lanes), world_n=["inspect", "maze"], num_envs=40, seed=1
-        )
+        settings = WarpSettings(threads=2, lidar_lanes=lanes)
+        env = make_env(backend=settings, world_n=["inspect", "maze"], num_envs=40, seed=1)
         td = env.reset()
         for _ in range(5):
             td = env.step(td.set("action", torch.tensor([[0.8, 0.3]] * 40)))["next"]
@@ -45,13 +48,13 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
     """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
     for name in ("moon", "maze"):
         world = get_world(name)
-        env = make_env(backend="warp", world_n=name, num_envs=48, seed=0, lidar_beams=32, length=400)
+        env = make_env(backend="warp", world_n=name, num_envs=32, seed=0, lidar_beams=32, length=400)
         td = env.reset()
         generator = torch.Generator().manual_seed(0)
         space = env.action_spec.space
-        for step in range(200):
+        for step in range(100):
             if step % 10 == 0:
-                action = space.low + (space.high - space.low) * torch.rand(48, 2, generator=generator)
+                action = space.low + (space.high - space.low) * torch.rand(32, 2, generator=generator)
             _, td = env.step_and_maybe_reset(td.set("action", action))
             position = env.base_env.rover_state.position
             assert torch.isfinite(position).all()
@@ -78,3 +81,13 @@ def test_ridge_between_the_wheels_carries_the_rover():
     # The belly is 65 mm above the base frame's origin.
     assert state.position[0, 2] + 0.065 > 0.30 - 0.02
     assert torch.isfinite(state.orientation).all()
+
+
+@pytest.mark.slow
+def test_kernels_compile_for_a_gpu(tmp_path):
+    """On every machine. What they do there is tested in tests/gpu."""
+    wp.compile_aot_module(placing, arch=HOPPER, module_dir=str(tmp_path), use_ptx=True)
+    (code,) = tmp_path.glob("*.ptx")
+    text = code.read_text()
+    assert f".target sm_{HOPPER}" in text
+    assert ".entry place_" in text
