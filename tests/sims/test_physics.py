@@ -41,16 +41,6 @@ def test_turns_within_its_angular_acceleration_limit_and_odometry_reports_the_wh
     assert yaw_rate(states[20:]).item() < 1.1
 
 
-def test_climbs_and_descends_15_degrees(backend):
-    headings = torch.tensor([0.0, math.pi / 4, math.pi])
-    simulator = placed(backend, slope(15), torch.stack((0 * headings, 0 * headings, headings), -1))
-    states = drive(simulator, (1.0, 0.0), 80)
-    way = states[-1].position - states[39].position
-    torch.testing.assert_close(way.norm(dim=-1), torch.full((3,), 40 * DT), rtol=0.05, atol=0)
-    gained = 40 * DT * math.sin(math.radians(15)) * headings.cos()
-    torch.testing.assert_close(way[:, 2], gained, atol=0.06, rtol=0)
-
-
 AROUND = [0.0, 0.25 * math.pi, 0.5 * math.pi, math.pi]
 """Headings on a slope: ahead, diagonally, across and backwards."""
 PLANE = World("plane", Terrain.flat((20, 20)))
@@ -77,9 +67,9 @@ def test_flipped_rover_reports_its_orientation(backend):
 
 
 def test_rovers_pass_through_one_another(backend):
-    together = placed(backend, FLAT, [*ORIGIN, *ORIGIN, (1.0, 0.0, math.pi)])
-    several = drive(together, [(1.0, 0.0), (1.0, 0.5), (1.0, 0.0)], 40)[-1]
-    assert torch.equal(several.position[0], drive(placed(backend, FLAT, ORIGIN), (1.0, 0.0), 40)[-1].position[0])
+    together = placed(backend, FLAT, [*ORIGIN, *ORIGIN, (0.7, 0.0, math.pi)])
+    several = drive(together, [(1.0, 0.0), (1.0, 0.5), (1.0, 0.0)], 20)[-1]
+    assert torch.equal(several.position[0], drive(placed(backend, FLAT, ORIGIN), (1.0, 0.0), 20)[-1].position[0])
 
 
 def test_walls_stop_the_rover(backend):

@@ -12,7 +12,7 @@ from rover_rl import make_env
 from rover_rl.sims import RoverState, Simulator, make_scanner
 from rover_rl.worlds import Terrain, World, box, get_world
 from tests.extras import BACKENDS
-from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed
+from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed, slope
 
 WARP_AND_MUJOCO = BACKENDS[1:]
 FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "stamp")
@@ -39,12 +39,14 @@ def test_backend_implements_the_simulator_interface(backend):
         assert getattr(state, name).shape == (3, width)
         assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
     torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
+    ranges = make_scanner(simulator, [FLAT] * 3, ROVER, beams=8).scan()
+    assert (ranges.shape, ranges.dtype) == ((3, 8), torch.float32)
     if "contacts" in simulator.features:
         assert (state.contact.shape, state.contact.dtype) == ((3, 1), torch.bool)
 
 
 def test_environments_match_their_specs_with_rows_in_several_worlds(backend):
-    env = make_env(backend=backend, world_n=["arena", "maze"], num_envs=5, seed=0, lidar_beams=32)
+    env = make_env(backend=backend, world_n=[FLAT, "maze"], num_envs=5, seed=0, lidar_beams=32)
     check_env_specs(env, break_when_any_done="both")
     env.close()
 
@@ -91,7 +93,8 @@ def test_no_time_passes_for_inactive_rows(backend):
 
 
 def test_rows_equal_single_rovers_bit_for_bit(backend):
-    worlds = [get_world("moon")] * 9 + [get_world("maze")] * 4 + [get_world("moon")] * 3
+    ramp = slope(10, size=16)
+    worlds = [ramp] * 9 + [get_world("maze")] * 4 + [ramp] * 3
     generator = torch.Generator().manual_seed(0)
     poses = torch.rand(16, 3, generator=generator) * 6 - 3
     commands = torch.rand(12, 16, 2, generator=generator) * torch.tensor([0.5, 2.0]) + torch.tensor([0.5, -1.0])
@@ -118,15 +121,6 @@ def test_results_do_not_depend_on_held_steps(backend):
         held.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
         (state,) = drive(free, (0.5, 0.5), 1)
     assert torch.equal(held.state().position[1], state.position[0])
-
-
-def test_rows_may_be_in_different_worlds(backend):
-    worlds = [FLAT, FLAT, WALLED]
-    simulator = placed(backend, worlds, torch.zeros(3, 3))
-    ranges = make_scanner(simulator, worlds, ROVER, beams=8).scan()
-    assert (ranges.shape, ranges.dtype) == ((3, 8), torch.float32)
-    assert torch.isinf(ranges[:2, 0]).all()
-    assert ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
 
 
 @pytest.mark.parametrize("backend", WARP_AND_MUJOCO)
