@@ -70,7 +70,7 @@ class Course(NamedTuple):
 def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
     """A world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
 
-    The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
+    The areas for starts and goals, which the environment needs, are free ground left of the course.
     """
     low = np.floor(points.min(0)) - _MARGIN
     columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1

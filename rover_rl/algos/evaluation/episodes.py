@@ -43,7 +43,6 @@ STORED_WORLDS = ("inspect", "moon", "maze")  # worlds with a stored set
 STORED = 256  # number of episodes in a stored set
 PER_WORLD = 4  # default number of episodes in each world of a range
 MIN_PATH = 2.0  # smallest length of the shortest path of an episode, m
-FOLDER = Path(__file__).with_name("episode_sets")  # folder of the stored sets
 _FEW_WORLDS = 16  # number of worlds below which episodes are drawn in this process
 _MAX_DRAWS = 100  # largest number of draws per requested episode
 _SEEDS_OF_A_WORLD = 2**32  # distance of the first draws of two worlds with consecutive seeds
@@ -196,7 +195,7 @@ def portable(world: str | World) -> str | World:
 def _draw_in(
     place: tuple[str | World, int], *, robot: Robot, count: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Starts, goals and lengths of the shortest paths in a world, drawn from a seed on, both in ``place``."""
+    """Starts, goals and lengths of the shortest paths in the world of ``place``, drawn from its seed on."""
     world, seed, task, device = get_world(place[0]), place[1], TaskConfig(), torch.device("cpu")
     placing = (WorldTable([world] * count), robot, task.min_goal_distance)
     placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
@@ -217,9 +216,9 @@ def _draw_in(
 def stored_episodes(world: str) -> EpisodeSet:
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
-    data = json.loads((FOLDER / f"{world}.json").read_text())
-    columns = ("start", "goal", "shortest")
-    start, goal, shortest = (torch.tensor([row[key] for row in data["episodes"]]) for key in columns)
+    data = json.loads((Path(__file__).parent / "episode_sets" / f"{world}.json").read_text())
+    keys = ("start", "goal", "shortest")
+    start, goal, shortest = (torch.tensor([row[key] for row in data["episodes"]]) for key in keys)
     return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
 
 

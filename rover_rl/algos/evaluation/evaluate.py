@@ -64,8 +64,7 @@ def evaluate(
     """Evaluates a policy on episodes with a time limit, with one goal each or endless.
 
     If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
-    any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows:
-    copies of the last row fill them up. Each rover stays in a world.
+    any other episodes: the policy is called with at least 32 rows, as matrix products of few rows round differently.
 
     With ``env.agents``, the rovers of that many consecutive episodes drive at once in the same world; draw such
     episodes with ``draw_episodes(..., agents=...)``. A rover whose episode has ended stays where it is until those of
@@ -87,8 +86,7 @@ def evaluate(
             never does: its counter is never incremented.
 
     Raises:
-        ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
-            in groups of ``env.agents`` in the same world.
+        ValueError: for a number out of range, or a policy or episodes that do not fit the environment.
     """
     config = environment_for(policy, env)
     action_repeat = repeat = default_action_repeat(policy, action_repeat, config.control_dt)
@@ -226,10 +224,9 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
 
 class _Schedule(Schedule):
-    """Distribution of episodes over rovers, each of which stays in one world and takes the next one there.
+    """Distribution of episodes over rovers, each of which stays in one world: ``number`` is that of the one it drives.
 
-    Worlds take turns. With ``in_order``, all episodes have a rover, in their order. ``number`` is the index of the
-    episode that each rover drives.
+    Worlds take turns. With ``in_order``, all episodes have a rover, in their order.
     """
 
     driving: Tensor

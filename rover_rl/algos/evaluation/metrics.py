@@ -22,10 +22,8 @@ from rover_rl.algos.evaluation.trajectory import Trajectory, count_runs
 from rover_rl.envs.rewards import STANDSTILL
 
 ROUGH_TILT = math.radians(10)
-"""Smallest tilt of the rover, in any direction, on rough ground, rad. Rough ground makes up most of inspect, a tenth of
-moon, and nothing of maze. The original environment defines rough ground by an acceleration above 15 m/s^2, which a
-wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
-10 m/s^2."""
+"""Smallest tilt of the rover on rough ground, rad: most of inspect is rough, a tenth of moon, nothing of maze.
+The original environment asks for an acceleration above 15 m/s^2, which a wheeled rover does not reach at 1 m/s."""
 RISK = 0.5  #: Distance from the rover's origin to that of a mover below which the rover is at risk, m.
 PERSONAL = 1.2  #: Distance between rover and mover below which the rover intrudes on the mover's space, m.
 FREEZING = 2.0  #: Distance between rover and mover within which a rover that stands still counts as frozen, m.

@@ -44,7 +44,6 @@ class Evaluation:
         episodes: starts and goals, in the order of the trajectories.
         action_repeat: number of steps that each action was held for.
         seconds: time limit of an episode, s.
-        env: environment.
         imperfection: name of that of the sensors; empty if none was asked for.
         jam: whether a long collision ended an endless episode.
     """
@@ -226,10 +225,7 @@ def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, fl
 
 @dataclass(frozen=True)
 class StoredEvaluation:
-    """An evaluation with one goal per episode, as ``evaluation.json`` holds it.
-
-    ``seconds`` is the time limit of an episode, s, and ``durations`` are those of the episodes, s.
-    """
+    """An evaluation with one goal per episode, as ``evaluation.json`` holds it: time limit and durations are in s."""
 
     policy: str
     episodes: EpisodeSet

@@ -45,9 +45,8 @@ State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
 class Moment:
     """State of ``N`` rovers at a time (s) of a video: scans ``[N, beams]`` and current goals ``[N, 2]``, m.
 
-    ``goals`` and ``episodes`` count those that each has reached and started. ``endings`` are those of all episodes so
-    far, ``event`` is the last one of the first rover, and its time (s). ``movers`` are the parts of those around the
-    first rover; the others meet movers of their own.
+    ``goals`` and ``episodes`` count those that each has reached and ended. ``endings`` are those of all episodes so
+    far, ``event`` is the last one of the first rover, and its time (s). ``movers`` are those around the first rover.
     """
 
     seconds: float
@@ -67,8 +66,6 @@ class Recording:
 
     Attributes:
         moments: states at the start and after each step.
-        world: world of all rovers.
-        robot: robot model.
         ray_angles: direction of each lidar beam in the rover's frame, ``[beams]``, rad.
         dt: duration of a step, s.
         ending: how the episode ended; empty in endless mode.

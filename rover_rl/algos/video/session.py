@@ -63,11 +63,7 @@ class Pose:
 
 
 class Session:
-    """Environment, policy and the records of their steps. One thread uses it.
-
-    Args:
-        env: environment, with a reward or without.
-        policy: policy that drives; ``None`` acts at random.
+    """Environment, policy (``None`` acts at random) and the records of their steps. One thread uses it.
 
     Attributes:
         row: rover that is followed.

@@ -210,14 +210,12 @@ def crossed(track_movers: bool | float) -> Evaluation:
     return evaluate(standing, draw_episodes(CROSSING, 1), track_movers=track_movers, seconds=4.0, env=WARP)
 
 
-def test_a_picture_names_movers_if_there_are_any(tmp_path: Path) -> None:
+def test_a_picture_names_movers_if_their_track_is_kept(tmp_path: Path) -> None:
     for track in (True, False):
         draw_paths([crossed(track)], tmp_path / "paths.svg")
         named = "<!-- mover at the end, its last 3 s -->" in (tmp_path / "paths.svg").read_text()
         assert named == track
-
-
-def test_the_first_steps_of_an_episode_have_the_first_part_of_its_track() -> None:
+    # The first steps of an episode have the first part of its track.
     whole, part = (crossed(track).trajectories[0] for track in (True, 3.0))
     assert torch.equal(whole.until(40, "contact").movers.position, whole.movers.position[:41])
     assert torch.equal(part.until(40, "contact").movers.position, whole.movers.position[20:41])

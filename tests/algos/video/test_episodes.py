@@ -51,9 +51,10 @@ def test_an_episode_is_driven_as_in_the_evaluation(tmp_path: Path) -> None:
     assert stored.endings == before.endings
     assert {"goal", "time limit"} <= set(stored.endings)
     options = {"seconds": stored.seconds, "action_repeat": stored.action_repeat, "env": stored.env}
-    for episode in (5, 8):
-        episodes = stored.to_drive(episode)
-        (drive,) = record_episodes(ScriptedPolicy(), episodes, [episode - episodes.offset], **options)
+    wanted, episodes = (5, 8), stored.to_drive(8)
+    assert len(stored.to_drive(5)) == len(episodes) == 9
+    drives = record_episodes(ScriptedPolicy(), episodes, wanted, **options)
+    for episode, drive in zip(wanted, drives, strict=True):
         positions = torch.cat([moment.rover.position for moment in drive.moments])
         assert torch.equal(positions, before.trajectories[episode].position)
         assert drive.ending == before.endings[episode]
