@@ -30,7 +30,8 @@ from rover_rl.algos.driving import CONTACT
 from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
-from rover_rl.cli.policies import EnvOptions, resolve_policies
+from rover_rl.algos.policy.names import resolve_policies
+from rover_rl.cli.policies import EnvOptions
 from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from rover_rl.worlds import boxes, cylinders

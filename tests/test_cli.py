@@ -13,12 +13,12 @@ import rover_rl
 from rover_rl.algos.config import SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.names import NO_POLICY
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film_to_goal
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
-from rover_rl.cli.policies import NO_POLICY
 from rover_rl.cli.train import train_defaults
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.imperfections import imperfect

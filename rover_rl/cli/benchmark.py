@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 import tyro
 
-from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions, resolve_policies
+from rover_rl.algos.policy.names import resolve_policies
+from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions
 from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:

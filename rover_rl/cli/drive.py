@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.live import Live
 
 from rover_rl import checks
+from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
 from rover_rl.cli.help_text import FLAT
-from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, ResolvedPolicy, read_env, resolve_policy
+from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.names import Name

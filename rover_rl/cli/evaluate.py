@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
+from rover_rl.algos.policy.names import NO_POLICY, ResolvedPolicy, resolve_policies
+from rover_rl.cli.policies import LOG, SEVERAL_POLICIES, EnvOptions
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.files import check_outputs

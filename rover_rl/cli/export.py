@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from rover_rl.cli.policies import ROBOT_OPTIONS, load_checkpoint
+from rover_rl.algos.policy.names import load_policy, policy_name
+from rover_rl.cli.policies import ROBOT_OPTIONS
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
@@ -42,7 +43,7 @@ class Export:
         suffix = SUFFIXES[self.format]
         if self.out is not None and self.out.suffix != suffix:
             raise ValueError(f"the name of a file of the format {self.format} must end in {suffix}, got {self.out}")
-        checkpoint, name = load_checkpoint(self.policy)
+        checkpoint, name = load_policy(self.policy), policy_name(self.policy)
         if self.robot is not None:
             checkpoint = checkpoint.for_robot(with_options(self.robot, self.robot_options))
         out = self.out or Path(name).with_suffix(suffix)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions, ResolvedPolicy, resolve_policy
+from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions
 from rover_rl.cli.replays import check_page
 from rover_rl.files import check_outputs
 

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.film import POLICY, how_it_ended
-from rover_rl.cli.policies import LOG, resolve_policy
+from rover_rl.cli.policies import LOG
 from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:

@@ -1,120 +1,29 @@
-"""Policies as named on the command line, and options of the environment that they drive in."""
+"""Options of the command line that name policies, and of the environment that they drive in."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from rover_rl.algos.config_files import read_yaml
-from rover_rl.algos.policy.names import BASELINES, PRETRAINED, is_baseline, load_policy, make_baseline
+from rover_rl.algos.policy.names import BASELINES, NAMES
 from rover_rl.envs.config import EnvConfig, GuardConfig, env_from_plain
-from rover_rl.registry import perhaps
 from rover_rl.robots.options import RobotOptions, with_options
 
 if TYPE_CHECKING:
-    from rover_rl.algos.config import TrainingConfig
-    from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.algos.policy.checkpoint import Checkpoint
+    from rover_rl.algos.policy.runner import Policy
 
-ONNX = ".onnx"
-"""Suffix of exported ONNX policies."""
 LOG = ".jsonl"
 """Suffix of the logs of ``rover-rl drive``."""
-SB3 = ".zip"
-"""Suffix of policies that Stable-Baselines3 saved."""
-RANDOM = "random"
-"""Name of the policy that acts at random."""
-_NAMES = f"pretrained:NAME, {', '.join(BASELINES)}, module:attribute or {RANDOM}"
-ONE_POLICY = f"Folder of a run, checkpoint, ONNX file, .zip of Stable-Baselines3, {_NAMES}."
+ONE_POLICY = f"Folder of a run, checkpoint, ONNX file, .zip of Stable-Baselines3, {NAMES}."
 """Help of an argument that names a policy."""
-SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Stable-Baselines3, {_NAMES}."
+SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Stable-Baselines3, {NAMES}."
 """Help of an argument that names several policies."""
 LIVE_POLICY = f"Policy: run folder, checkpoint, ONNX file, pretrained:NAME, module:attribute, {', '.join(BASELINES)}."
 """Help of an argument that names a policy for a live rover, which does not act at random."""
-NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {_NAMES}"
-"""Error message if an argument that names several policies is missing."""
-
-
-@dataclass(frozen=True)
-class ResolvedPolicy:
-    """A policy that an argument of the command line names."""
-
-    name: str
-    """Name of the policy in tables."""
-    module: Policy | None
-    """The policy; ``None`` acts at random."""
-    worlds: tuple[str, ...]
-    """Worlds to drive in; if empty, the policy drives in the worlds of the other policies."""
-    folder: Path | None = None
-    """Folder of the checkpoint; ``None`` if the policy has none."""
-    config: TrainingConfig | None = None
-    """Settings that the policy was trained with; ``None`` if it was not trained."""
-
-
-def resolve_policies(words: Sequence[str], worlds: tuple[str, ...], robot: str | None = None) -> list[ResolvedPolicy]:
-    """Resolves several words, each once. Policies of the same name are named by their words."""
-    if not words:
-        raise ValueError(NO_POLICY)
-    policies = {word: resolve_policy(word, worlds, robot) for word in dict.fromkeys(words)}
-    names = Counter(policy.name for policy in policies.values())
-    return [policy if names[policy.name] == 1 else replace(policy, name=word) for word, policy in policies.items()]
-
-
-def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None) -> ResolvedPolicy:
-    """Resolves one word: see :data:`ONE_POLICY`. ``robot`` is that of a baseline.
-
-    The policy drives in ``worlds``; if empty, in the ones that it was trained in, and for a range of seeds in one world
-    that was not in the training.
-    """
-    if word == RANDOM:
-        return ResolvedPolicy(word, None, worlds)
-    if is_baseline(word):
-        return ResolvedPolicy(word, make_baseline(word, robot), worlds)
-    if word.endswith(ONNX):
-        from rover_rl.algos.deploy.export import OnnxPolicy
-
-        policy = OnnxPolicy(Path(word))
-        return ResolvedPolicy(Path(word).stem, policy, worlds or _unseen(policy.config), config=policy.config)
-    if word.endswith(SB3):
-        from rover_rl.algos.policy.sb3_policy import SB3Policy
-
-        return ResolvedPolicy(Path(word).stem, SB3Policy(Path(word)), worlds)
-    checkpoint, name = load_checkpoint(word)
-    config, folder = checkpoint.config, None if word.startswith(PRETRAINED) else _folder(word)
-    return ResolvedPolicy(name, checkpoint.make_actor(), worlds or _unseen(config), folder, config)
-
-
-def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
-    """Loads the checkpoint that a word of the command line names, and returns it with its name."""
-    from rover_rl.algos.pretrained import pretrained_names
-
-    if word.startswith(PRETRAINED):
-        return load_policy(word), word.removeprefix(PRETRAINED)
-    if not Path(word).exists():
-        # The name of a pretrained policy, with a typing error or without its prefix.
-        names = get_close_matches(word.rpartition(":")[2], pretrained_names(), n=1)
-        similar = f", perhaps {PRETRAINED + names[0]!r}" if names else perhaps(word, [*BASELINES, RANDOM])
-        raise FileNotFoundError(f"no checkpoint at {word}{similar}")
-    return load_policy(word), _folder(word).resolve().name
-
-
-def _unseen(config: TrainingConfig) -> tuple[str, ...]:
-    """Returns the worlds of the training, or for a range one that was not in it."""
-    from rover_rl.names import unseen
-
-    return tuple(map(unseen, config.env.world_names))
-
-
-def _folder(word: str) -> Path:
-    return Path(word) if Path(word).is_dir() else Path(word).parent
-
-
 ROBOT_OPTIONS = tyro.conf.arg(name="robot")
 """The options of a robot have its prefix: ``--robot scout.urdf --robot.max-speed 2``."""
 BACKEND = (

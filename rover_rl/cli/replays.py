@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rover_rl.cli.policies import ResolvedPolicy
+from rover_rl.algos.policy.names import ResolvedPolicy
 from rover_rl.files import check_writable
 from rover_rl.progress import ProgressDisplay, redirected_progress
 

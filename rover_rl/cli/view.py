@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from rover_rl.algos.policy.names import RANDOM, resolve_policy
 from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
-from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, RANDOM, EnvOptions, resolve_policy
+from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions
 from rover_rl.cli.replays import drives_of_evaluation, drives_of_log
 
 if TYPE_CHECKING:

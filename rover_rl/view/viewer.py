@@ -23,7 +23,7 @@ from torchrl.envs import EnvBase
 from rover_rl.algos.config import RunConfig
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import CHECKPOINT
-from rover_rl.algos.policy.names import BASELINES, PRETRAINED, make_baseline, make_policy
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, RANDOM, make_baseline, resolve_policy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
@@ -45,12 +45,11 @@ PANELS_EVERY = 6  # number of frames after which the panels change
 TRAINING_EVERY = 2.0  # time after which the files of a training are read again, s
 MAX_STEPPING = 0.06  # time from which on a simulation that is too slow leaves out time to keep the page smooth, s
 MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches up on at most, s
-RANDOM = "random"  # name of the policy that acts at random
 BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
 
 
 def named_policy(name: str) -> Policy | None:
-    return None if name == RANDOM else make_policy(name)
+    return resolve_policy(name).module
 
 
 class Viewer(Page):

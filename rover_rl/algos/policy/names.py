@@ -5,16 +5,24 @@ The command line, its help and its error messages read this table: a new baselin
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rover_rl.registry import Registry, is_path
+from rover_rl.names import unseen
+from rover_rl.registry import Registry, is_path, perhaps
 
 if TYPE_CHECKING:
+    from rover_rl.algos.config import TrainingConfig
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import RobotLike
 
 PRETRAINED = "pretrained:"  # prefix of the names of pretrained policies
+RANDOM = "random"  # name of the policy that acts at random
 BASELINES = {
     "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
@@ -26,7 +34,73 @@ BASELINES = {
     "expert": "rover_rl.algos.policy.expert:MapExpert",
 }
 """Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
+NAMES = f"pretrained:NAME, {', '.join(BASELINES)}, module:attribute or {RANDOM}"
+"""Names of policies, for help and error messages."""
+NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {NAMES}"
 _REGISTRY = Registry("baseline", BASELINES)
+
+
+@dataclass(frozen=True)
+class ResolvedPolicy:
+    """A policy by name.
+
+    Attributes:
+        name: name of the policy in tables.
+        module: the policy; ``None`` acts at random.
+        worlds: worlds to drive in; if empty, those of the other policies.
+        folder: folder of its checkpoint; ``None`` if it has none.
+        config: settings of its training; ``None`` if it was not trained.
+    """
+
+    name: str
+    module: Policy | None
+    worlds: tuple[str, ...] = ()
+    folder: Path | None = None
+    config: TrainingConfig | None = None
+
+
+def resolve_policies(
+    names: Sequence[str], worlds: tuple[str, ...] = (), robot: RobotLike | None = None
+) -> list[ResolvedPolicy]:
+    """Resolves several names, each once: see :func:`resolve_policy`. Policies that are called the same keep theirs.
+
+    Raises ``ValueError`` without any name.
+    """
+    if not names:
+        raise ValueError(NO_POLICY)
+    policies = {name: resolve_policy(name, worlds, robot) for name in dict.fromkeys(names)}
+    count = Counter(policy.name for policy in policies.values())
+    return [policy if count[policy.name] == 1 else replace(policy, name=name) for name, policy in policies.items()]
+
+
+def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | None = None) -> ResolvedPolicy:
+    """Makes or loads a policy.
+
+    Args:
+        name: ``random``, a baseline, ``module:attribute``, an ONNX file, a ``.zip`` of Stable-Baselines3, or what
+            :func:`load_policy` loads.
+        worlds: worlds that it drives in. Default: those of its training, and for a range of seeds one beyond it.
+        robot: robot of a baseline.
+    """
+    if name == RANDOM:
+        return ResolvedPolicy(name, None, worlds)
+    if is_baseline(name):
+        return ResolvedPolicy(name, make_baseline(name, robot), worlds)
+    path, folder, module = Path(name), None, None
+    if path.suffix == ".zip":
+        from rover_rl.algos.policy.sb3_policy import SB3Policy
+
+        return ResolvedPolicy(path.stem, SB3Policy(path), worlds)
+    if path.suffix == ".onnx":
+        from rover_rl.algos.deploy.export import OnnxPolicy
+
+        module = OnnxPolicy(path)
+        config, called = module.config, path.stem
+    else:
+        checkpoint, called = load_policy(name), policy_name(name)
+        config, module = checkpoint.config, checkpoint.make_actor()
+        folder = None if name.startswith(PRETRAINED) else _folder(path)
+    return ResolvedPolicy(called, module, worlds or tuple(map(unseen, config.env.world_names)), folder, config)
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
@@ -37,22 +111,33 @@ def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
     return _REGISTRY.call(name, _REGISTRY.find(name), *(() if robot is None else (robot,)))
 
 
+def is_baseline(name: str) -> bool:
+    """Whether a name is that of a baseline, or the ``"module:attribute"`` of a policy of one's own."""
+    return name in BASELINES or (is_path(name) and not name.startswith(PRETRAINED))
+
+
 def load_policy(name: str) -> Checkpoint:
     """Loads a trained policy: ``pretrained:NAME``, the folder of a run, or a checkpoint file.
 
     Raises ``FileNotFoundError`` if there is none, and ``ValueError`` for an unknown name or another file.
     """
     from rover_rl.algos.policy.checkpoint import Checkpoint
-    from rover_rl.algos.pretrained import load_pretrained
+    from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 
-    return load_pretrained(name.removeprefix(PRETRAINED)) if name.startswith(PRETRAINED) else Checkpoint.load(name)
+    if name.startswith(PRETRAINED):
+        return load_pretrained(name.removeprefix(PRETRAINED))
+    if not Path(name).exists():
+        # The name of a pretrained policy, with a typing error or without its prefix.
+        names = get_close_matches(name.rpartition(":")[2], pretrained_names(), n=1)
+        similar = f", perhaps {PRETRAINED + names[0]!r}" if names else perhaps(name, [*BASELINES, RANDOM])
+        raise FileNotFoundError(f"no checkpoint at {name}{similar}")
+    return Checkpoint.load(name)
 
 
-def is_baseline(name: str) -> bool:
-    """Whether a name is that of a baseline, or the ``"module:attribute"`` of a policy of one's own."""
-    return name in BASELINES or (is_path(name) and not name.startswith(PRETRAINED))
+def policy_name(name: str) -> str:
+    """Returns what a policy that :func:`load_policy` loads is called in tables, such as the name of its run."""
+    return name.removeprefix(PRETRAINED) if name.startswith(PRETRAINED) else _folder(Path(name)).resolve().name
 
 
-def make_policy(name: str) -> Policy:
-    """Creates a baseline policy, or that of a trained one by name: see :func:`load_policy`."""
-    return make_baseline(name) if is_baseline(name) else load_policy(name).make_actor()
+def _folder(path: Path) -> Path:
+    return path if path.is_dir() else path.parent

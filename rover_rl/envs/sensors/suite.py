@@ -85,13 +85,12 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
     found: dict[str, Sensor] = {}
     for each in sensors:
-        word = Name.parse(each) if isinstance(each, str) else Name(str(each))
-        name, settings = word.part, word.settings
-        part = _REGISTRY.find(name) if isinstance(each, str) else each
+        name = Name.parse(each) if isinstance(each, str) else Name(str(each))
+        part = _REGISTRY.find(name.part) if isinstance(each, str) else each
         if callable(part) and not isinstance(part, Sensor):
-            part = _REGISTRY.call(name, part, **settings)
-        elif settings:
-            raise ValueError(f"sensor {name!r} has its settings already, and takes none, got {each!r}")
+            part = _REGISTRY.call(name.part, part, **name.settings)
+        elif name.settings:
+            raise ValueError(f"sensor {name.part!r} has its settings already, and takes none, got {each!r}")
         if not isinstance(part, Sensor):
             raise ValueError(f"a sensor must be a Sensor, or a function or class that makes one, got {part!r}")
         if part.name in _TAKEN or part.name in found:

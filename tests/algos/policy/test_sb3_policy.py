@@ -15,8 +15,8 @@ import stable_baselines3 as sb3
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.algos.policy.sb3_policy import SB3Policy
-from rover_rl.cli.policies import resolve_policy
 from rover_rl.envs.sb3 import SB3VecEnv
 
 ON_POLICY = {"n_steps": 4}
