@@ -12,9 +12,8 @@ import matplotlib.pyplot as plt
 import torch
 
 from rover_rl import make_env
-from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, Seen, SegmentationCamera
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.envs.sensors.ray_images import DepthCamera, Seen, SegmentationCamera
 
 # %%
 # Four sensors

@@ -21,8 +21,7 @@ from benchmarks.gpu.profiled import map_work
 from benchmarks.gpu.speed import driving
 from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
-from rover_rl.envs.seen_map.mover_kernels import close_ways
-from rover_rl.envs.seen_map.route_kernels import plan_routes
+from rover_rl.envs.seen_map.route_kernels import close_ways, plan_routes
 from rover_rl.envs.seen_map.scan_kernels import add_scans
 from rover_rl.native.warp import wp
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import along_heading, reading_angles, reading_directions
-from rover_rl.envs.sensors.lidar_mask import known_readings
-from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.standard import known_readings, taken_at
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 

@@ -138,8 +138,8 @@ class RoverEnv(EnvBase):
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
-        rig = base.Rig(self.fleet, config.lidar, self.control_dt, config.randomization)
-        self.observer = base.Observer(self.sensors, rig)
+        setup = base.SensorSetup(self.fleet, config.lidar, self.control_dt, config.randomization)
+        self.observer = base.Observer(self.sensors, setup)
 
     @tensordicts.with_torch_defaults
     def _set_seed(self, seed: int | None) -> None:
@@ -247,9 +247,8 @@ class RoverEnv(EnvBase):
         return self._pack(self._every if active is None else active.squeeze(-1), reward=reward)
 
     def _sense(self, state: stages.StepState) -> None:
-        noise, scan_step = self.config.randomization, None if self.delays is None else self.delays.scan_step
-        pooling = self._simulation.pooling
-        state.sensed = self.observer.sense(noise, state.truth, state.keys, state.steps, pooling, scan_step)
+        scan_step, pooling = None if self.delays is None else self.delays.scan_step, self._simulation.pooling
+        state.sensed = self.observer.sense(state.truth, state.keys, state.steps, scan_step, pooling)
         state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed
         state.world_steps = self._episodes.world_steps if self._row_worlds.is_drawn else None
         for stage in self._simulation.stages:

@@ -18,9 +18,8 @@ import torch
 from rover_rl.checks import MAX_COUNT
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, Lidar3D
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D
 from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.movers.field import shown_parts

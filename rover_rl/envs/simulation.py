@@ -80,8 +80,7 @@ class Simulation:
         others = OtherRovers(robot, config.agents, len(fleet), dt, self._device) if config.agents > 1 else None
         self.movers = MoverField(worlds.table, dt, robot.radius, live is not None, others)
         self._rover_radius = robot.radius
-        self.surroundings = Surroundings(worlds.table, self.movers)
-        self.surroundings.live = live
+        self.surroundings = Surroundings(worlds.table, self.movers, live)
         if self.has_movers:
             lidar = MoverScanner(lidar, self.movers, simulator, fleet)
         self._lidar = in_view(lidar, fleet)

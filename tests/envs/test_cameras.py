@@ -12,11 +12,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
-from rover_rl.algos.policy.images import UNITS, ImageFeatures
-from rover_rl.algos.policy.networks import make_action_critic, make_actor, make_critic, mirrored
+from rover_rl.algos.policy.networks import UNITS, ImageFeatures, make_action_critic, make_actor, make_critic, mirrored
 from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.sensors.cameras import DepthCamera, Lidar3D, Seen, SegmentationCamera
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.envs.sensors.ray_images import DepthCamera, Lidar3D, Seen, SegmentationCamera
 from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
 from tests.extras import BACKENDS
 from tests.sims.movers.test_seen import cast
@@ -183,12 +182,12 @@ def test_heights_are_noisy_and_have_holes():
         (lambda: DepthCamera(field_of_view=4.0), "field_of_view must be between 0 and pi"),
         (lambda: SegmentationCamera(noise=0.1), "a segmentation has no noise, but lost pixels"),
         (lambda: DepthCamera(min_range=9.0), "min_range must be from 0 to below max_range=8.0, got 9.0"),
-        (lambda: DepthCamera(dropout=1.5), "dropout between 0 and 1, got 0.0 and 1.5"),
+        (lambda: DepthCamera(dropout=1.5), "dropout must be at least 0 and at most 1, got 1.5"),
         (lambda: Lidar3D(field_of_view=7.0), "field_of_view must be positive and at most 2 pi"),
         (lambda: Lidar3D(elevation=(0.3, 0.1)), "elevation must be two ascending angles"),
         (lambda: HeightScan(size=(8, 0)), "columns must be"),
         (lambda: HeightScan(spacing=0.0), "spacing must be positive"),
-        (lambda: HeightScan(holes=-0.1), "holes between 0 and 1"),
+        (lambda: HeightScan(holes=-0.1), "holes must be at least 0"),
         (lambda: RoverEnv(num_envs=1, sensors=[DepthCamera(), DepthCamera()]), "cannot add 'depth'"),
     ],
 )

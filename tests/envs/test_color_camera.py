@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv, Terrain, World, box
-from rover_rl.algos.policy.images import UNITS, ImageFeatures
+from rover_rl.algos.policy.networks import UNITS, ImageFeatures
 from rover_rl.envs.encoding import ObservationEncoder
-from rover_rl.envs.sensors.color_camera import ColorCamera
-from rover_rl.envs.sensors.ray_images import Seen, SegmentationCamera
+from rover_rl.envs.sensors.cameras import ColorCamera, Seen, SegmentationCamera
 from rover_rl.robots import get_robot
 from rover_rl.rotations import rotate
 from rover_rl.sims.rendering.camera import FIELD_OF_VIEW, Camera, Sight

@@ -10,7 +10,7 @@ import torch
 from rover_rl import Bounds, Randomization, RoverEnv, Sensor
 from rover_rl.envs.config import EnvConfig, LidarConfig, LimitsConfig, PoseConfig
 from rover_rl.envs.imperfections import IMPERFECTIONS, imperfect
-from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.rotations import wrap_angle
 
 ROWS, STEPS = 4, 16

@@ -9,8 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from rover_rl import LidarConfig, Randomization, RoverEnv
-from rover_rl.envs.sensors.lidar_mask import LidarMask
-from rover_rl.envs.sensors.standard import hidden_beams
+from rover_rl.envs.sensors.standard import LidarMask, hidden_beams
 
 PARTIAL = Randomization(
     lidar_view=(math.pi, 2 * math.pi), dead_sectors=2, dead_sector_width=(0.2, 0.5), lidar_min_range=(0.4, 0.8)

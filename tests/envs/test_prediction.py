@@ -12,7 +12,7 @@ from torch import Tensor
 from rover_rl import Randomization, RoverEnv
 from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.envs.imperfections import imperfect
-from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.rotations import wrap_angle
 from rover_rl.worlds import Terrain, World
 

@@ -9,7 +9,7 @@ import torch
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.cameras import ColorCamera
 from tests.gpu.driven import ROUGH, drive, environment
 
 ROVERS = 192

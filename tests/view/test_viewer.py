@@ -27,7 +27,7 @@ from rover_rl.algos.video.recording import Recording, record_endless
 from rover_rl.algos.video.session import Pose
 from rover_rl.cli import main, training_page
 from rover_rl.cli.training_page import TrainingPage, open_viewer
-from rover_rl.envs.sensors.color_camera import ColorCamera
+from rover_rl.envs.sensors.cameras import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.view import Viewer
 from rover_rl.view.controls import TURN

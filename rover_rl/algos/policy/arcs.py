@@ -5,9 +5,7 @@ L. A. Shepp describe without obstacles ("Optimal paths for a car that goes both 
 of Mathematics 145, 1990). Here, it begins the arc from whose end the way to the place is the shortest, of a few
 curvatures, forward and backward, as long as the body touches nothing on them. The free length of an arc is exact for
 a rectangular body and points. Nothing is remembered: a robot that drives goes on in its direction unless a change of
-direction is worth its cost.
-
-All functions take robots of different size, a row each.
+direction is worth its cost. All functions take robots of different size, a row each.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from torch import Tensor
 
 from rover_rl.envs.config import HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.scan_pose import seen_from_now
+from rover_rl.envs.sensors.standard import seen_from_now
 from rover_rl.robots.robot import FULL_VIEW
 from rover_rl.rotations import angle_of
 
@@ -56,13 +54,12 @@ def hit_points(
         lidar: lidar readings, ``[..., points]``, m.
         lidar_offset: distance of the lidar in front of the base, m.
         middle: where in its segment a reading is taken to come from, a share of the segment.
-        scan_pose: where the scan was taken, ``[..., 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
+        scan_pose: where the scan was taken, ``[..., 6]``: see :class:`~rover_rl.envs.sensors.standard.ScanPose`.
             ``None``: where the rover is.
     """
     points = lidar.shape[-1]
     angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)
-    x, y = lidar * angles.cos() + lidar_offset, lidar * angles.sin()
-    return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)
+    return seen_from_now(lidar * angles.cos() + lidar_offset, lidar * angles.sin(), scan_pose)
 
 
 class Body(NamedTuple):
@@ -99,22 +96,18 @@ class Body(NamedTuple):
         )
 
 
-class Arcs(NamedTuple):
-    """Arcs of the pivot, the same for all robots, ``[A]`` each: gear (1 forward, -1 backward) and curvature (1/R)."""
+def all_arcs(device: torch.device) -> tuple[Tensor, Tensor]:
+    """Returns the arcs of the pivot, the same for all robots, ``[A]`` each: gear (1 forward, -1 back), curvature (1/R).
 
-    gear: Tensor
-    curvature: Tensor
-
-    @classmethod
-    def all(cls, device: torch.device) -> Arcs:
-        """Returns straight lines, left and right arcs, forward and backward, in the order of :func:`free_lengths`."""
-        bends = [0.0, *(side / radius for radius in RADII for side in (1.0, -1.0))]
-        gears = torch.tensor([1.0, -1.0], device=device).repeat(len(bends))
-        return cls(gears, torch.tensor(bends, device=device).repeat_interleave(2))
+    They are straight lines, left and right arcs, forward and backward, in the order of :func:`free_lengths`.
+    """
+    bends = [0.0, *(side / radius for radius in RADII for side in (1.0, -1.0))]
+    gears = torch.tensor([1.0, -1.0], device=device).repeat(len(bends))
+    return gears, torch.tensor(bends, device=device).repeat_interleave(2)
 
 
 def free_lengths(x: Tensor, y: Tensor, body: Body, margin: float) -> Tensor:
-    """Returns the lengths of :class:`Arcs` that are free of points for robots, ``[N, A]``, m.
+    """Returns the lengths of :func:`all_arcs` that are free of points for robots, ``[N, A]``, m.
 
     On an arc around a center C, a point turns around C in the frame of the body, at a distance d. It enters the
     rectangle through the side at C or the front, ``min(acos((R - w) / d), asin(F / d))`` ahead of the pivot, or through
@@ -183,11 +176,8 @@ def drive_to(
 
 
 def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities: Tensor, body: Body) -> Tensor:
-    """Returns the actions of robots that drive to places among points, ``[N, 2]``: see :func:`drive_to`.
-
-    ``x`` and ``y`` are the points in the base frame, ``[N, P]``, m.
-    """
-    arcs = Arcs.all(x.device)
+    """Does what :func:`drive_to` does among points in the base frame, ``x`` and ``y [N, P]``, m."""
+    gears, bends = all_arcs(x.device)
     # Until the wheels have turned, the robot goes on as it does: the arcs begin where it is then.
     speed = velocities[:, :1]
     lead = (LONGEST_LEAD / speed.abs().clamp(min=1e-3)).clamp(max=LEAD)
@@ -200,17 +190,17 @@ def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities:
     longest = body.radius.clamp(min=LONGEST)
     ends = torch.tensor(ENDS, device=x.device) * longest  # [N, E]
     driven = torch.minimum(ends[:, None], free[..., None])  # [N, A, E]
-    curvature = arcs.curvature / body.radius  # [N, A]
-    effort = torch.where(arcs.gear > 0, FORWARD, body.reverse)[..., None]
-    cost = effort * driven + _way(driven, arcs.gear, curvature, place, length, x, y, body)
-    cost = cost + 0.05 * arcs.curvature.abs()[:, None] * driven
+    curvature = bends / body.radius  # [N, A]
+    effort = torch.where(gears > 0, FORWARD, body.reverse)[..., None]
+    cost = effort * driven + _way(driven, gears, curvature, place, length, x, y, body)
+    cost = cost + 0.05 * bends.abs()[:, None] * driven
     near = free_lengths(x, y, body, MARGIN)[..., None] < driven
     cost = cost + MARGIN_COST * near
-    switches = (speed.abs() > MOVING) & (speed.sign() != arcs.gear)
+    switches = (speed.abs() > MOVING) & (speed.sign() != gears)
     cost = cost + SWITCH * switches[..., None]
     cost, _ = (cost + _BLOCKED * (driven < 0.03)).min(-1)
     best = cost.argmin(-1, keepdim=True)
-    gear, bend = arcs.gear[best], curvature.gather(-1, best)
+    gear, bend = gears[best], curvature.gather(-1, best)
     room = free.gather(-1, best)
     fastest = torch.where(gear > 0, body.max_speed, body.max_speed.clamp(max=FASTEST_BACK))
     pace = torch.minimum(room / BRAKING, (2 * DECELERATION * room.clamp(min=0)).sqrt())
@@ -223,7 +213,7 @@ def drive_among(place: Tensor, length: Tensor, x: Tensor, y: Tensor, velocities:
 
 
 def _length(x: Tensor, y: Tensor) -> Tensor:
-    """Returns the length of vectors: torch.hypot, which ONNX does not have."""
+    # torch.hypot, which ONNX does not have.
     return (x.square() + y.square()).sqrt()
 
 

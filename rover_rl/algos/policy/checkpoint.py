@@ -34,11 +34,7 @@ class Checkpoint:
         return self.config.env
 
     def for_robot(self, robot: RobotLike) -> Checkpoint:
-        """Returns the policy with the settings of one robot.
-
-        Raises:
-            ValueError: if the policy was made for another robot, or there is none of that name.
-        """
+        """Returns the policy with the settings of one robot. Raises ``ValueError`` if it was made for another one."""
         env = replace(self.env, robot=robot)
         require_match(self.env, env)
         return replace(self, config=replace(self.config, env=env))
@@ -49,16 +45,13 @@ class Checkpoint:
             self.write(temporary)
 
     def write(self, path: Path) -> None:
-        """Writes the checkpoint directly to ``path``, without a temporary file."""
         write_archive(path, _FORMAT, {"config": plain(self.config), "steps": self.steps, "actor": self.actor})
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
         """Loads a checkpoint from a file or a run's folder. No code in the file is executed.
 
-        Raises:
-            FileNotFoundError: if there is no checkpoint.
-            ValueError: if the file is no checkpoint, is damaged, or holds weights that are not finite.
+        Raises ``FileNotFoundError``, and ``ValueError`` for a file that is damaged or whose weights are not finite.
         """
         path = Path(path)
         path = path / CHECKPOINT if path.is_dir() else path

@@ -49,7 +49,6 @@ from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
 from rover_rl.envs.mover_tracker import MoverTracker
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import covering_discs
-from rover_rl.robots.turning import YAW_GAIN as YAW_GAIN
 from rover_rl.robots.turning import estimated_yaw_gain
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.settings import CONTROL_DT
@@ -109,10 +108,9 @@ class Trajectories(NamedTuple):
 class DynamicWindowPolicy(TensorDictModuleBase):
     """Dynamic-window planner (DWA): see :mod:`rover_rl.algos.policy.dwa`.
 
-    For a robot that does not turn in place, it samples curvatures in the place of yaw rates.
-
-    The policy reads ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``. Its attribute
-    ``made_for`` is the environment that it drives in, with ``robot`` and ``lidar``.
+    For a robot that does not turn in place, it samples curvatures in the place of yaw rates. The policy reads
+    ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``. ``made_for`` is the
+    environment that it drives in, with ``robot`` and ``lidar``.
 
     Args:
         robot: name of a robot, or a robot, whose footprint, acceleration limits and lidar position are used.
@@ -128,12 +126,11 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float | None = None
     ) -> None:
         super().__init__()
-        yaw_gain = estimated_yaw_gain(get_robot(robot)) if yaw_gain is None else yaw_gain
-        if not 0 < yaw_gain < math.inf:
-            raise ValueError(f"yaw_gain must be a positive number, got {yaw_gain}")
         self.in_keys, self.out_keys = ["lidar", "target", "velocities"], ["action"]
-        self.made_for = EnvConfig(robot=robot, lidar=lidar)
-        self._robot, self._gain = get_robot(robot), yaw_gain
+        self.made_for, self._robot = EnvConfig(robot=robot, lidar=lidar), get_robot(robot)
+        self._gain = estimated_yaw_gain(self._robot) if yaw_gain is None else yaw_gain
+        if not 0 < self._gain < math.inf:
+            raise ValueError(f"yaw_gain must be a positive number, got {self._gain}")
         centers, radius = covering_discs(self._robot, EXCESS)
         self._scale = passage_scale(self._robot)
         self._discs, self._radius = tuple(centers.tolist()), radius + SAFETY + ROOM * (self._scale - 1)
@@ -149,7 +146,6 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         return torch.cat([self._plan(*part) for part in parts])
 
     def _plan(self, lidar: Tensor, target: Tensor, velocities: Tensor, *moving: Tensor) -> Tensor:
-        """Returns the actions of some rows. For ``moving``, see :meth:`_moving_clearance`."""
         points, sampled = self.points(lidar), self.trajectories(velocities)
         clearance, readings, now = self._clearances(points, sampled)
         if moving:
@@ -184,50 +180,43 @@ class DynamicWindowPolicy(TensorDictModuleBase):
 
         Speed and yaw rate change at the limits of the drive until they reach the sampled ones.
         """
-        if not self._robot.drive.turns_in_place:
-            return self._arcs(velocities)
-        v0, w0 = velocities[:, :1], velocities[:, 1:] * self._gain
-        drive = self._robot.drive
-        yaw_acceleration = drive.max_angular_acceleration * self._gain
+        drive, (v0, w0) = self._robot.drive, velocities.split(1, -1)
+        v = v0.new_tensor(SPEEDS).mul(drive.max_speed).expand(len(v0), -1)
+        time = torch.arange(1, POSES + 1, dtype=v0.dtype, device=v0.device) * (HORIZON / POSES)
+        path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
+        sample = self._turns if drive.turns_in_place else self._arcs
+        yaw_rate, heading, x, y = sample(v, path, w0 * self._gain, time)
+        pairs = [value.expand_as(x).flatten(1, 2) for value in (path, x, y, heading)]
+        return Trajectories(v[..., None].expand_as(yaw_rate).flatten(1), yaw_rate.flatten(1), time, *pairs)
+
+    def _turns(self, v: Tensor, path: Tensor, w0: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns yaw rates within reach, ``[N, V, W]``, with which rovers drive, headings, and x and y."""
+        yaw_acceleration = self._robot.drive.max_angular_acceleration * self._gain
         share = torch.linspace(0, 1, YAW_RATES, dtype=w0.dtype, device=w0.device)
         reach = (-yaw_acceleration, yaw_acceleration)
         low, high = ((w0 + side * WINDOW).clamp(-MAX_YAW_RATE, MAX_YAW_RATE) for side in reach)
         w = torch.cat((low + (high - low) * share, torch.zeros_like(w0).clamp(low, high)), -1)
-        v = w0.new_tensor(SPEEDS).mul(drive.max_speed).expand(len(w0), -1)
-        time = torch.arange(1, POSES + 1, dtype=w0.dtype, device=w0.device) * (HORIZON / POSES)
-        path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
         heading = _ramp(w0[..., None], w[..., None], yaw_acceleration, time)[:, None]
         # Each piece between two poses is driven at the mean of their headings.
         step = path.diff(dim=-1, prepend=torch.zeros_like(path[..., :1]))
         mean = heading - heading.diff(dim=-1, prepend=torch.zeros_like(heading[..., :1])) / 2
         x, y = (step * mean.cos()).cumsum(-1), (step * mean.sin()).cumsum(-1)
-        pairs = [value.expand_as(x).flatten(1, 2) for value in (path, x, y, heading)]
-        speed, yaw_rate = (value.flatten(1) for value in torch.broadcast_tensors(v[..., None], w[:, None]))
-        return Trajectories(speed, yaw_rate, time, *pairs)
+        return w[:, None].expand(-1, v.shape[1], -1), heading, x, y
 
-    def _arcs(self, velocities: Tensor) -> Trajectories:
-        """Samples arcs of a robot that does not turn in place: of all curvatures that its drive takes."""
-        drive, wheels, v0 = self._robot.drive, self._robot.wheels, velocities[:, :1]
+    def _arcs(self, v: Tensor, path: Tensor, w0: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns the same of a robot that does not turn in place: arcs of all curvatures that its drive takes."""
+        drive, wheels = self._robot.drive, self._robot.wheels
         sharpest, pivot = 1 / drive.min_radius(wheels), drive.pivot(wheels)
-        curvature = torch.linspace(-sharpest, sharpest, YAW_RATES, dtype=v0.dtype, device=v0.device)[:, None]
-        v = v0.new_tensor(SPEEDS).mul(drive.max_speed).expand(len(v0), -1)
-        time = torch.arange(1, POSES + 1, dtype=v0.dtype, device=v0.device) * (HORIZON / POSES)
-        path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
+        curvature = torch.linspace(-sharpest, sharpest, YAW_RATES, dtype=v.dtype, device=v.device)[:, None]
         heading = path * curvature
         # The chord of an arc has the mean of its headings. The pivot is on the arc, and not the base frame.
         chord = path * torch.sinc(heading / (2 * math.pi))
         x = chord * (heading / 2).cos() + pivot * (1 - heading.cos())
         y = chord * (heading / 2).sin() - pivot * heading.sin()
-        pairs = [value.expand_as(x).flatten(1, 2) for value in (path, x, y, heading)]
-        turns = v[..., None] * curvature[:, 0]
-        return Trajectories(v[..., None].expand_as(turns).flatten(1), turns.flatten(1), time, *pairs)
+        return v[..., None] * curvature[:, 0], heading, x, y
 
     def _clearances(self, points: Tensor, sampled: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns distances to the nearest of ``points [N, P, 2]``, m.
-
-        They are the clearance of the body and the expected lowest lidar reading in each pose, ``[N, S, K]``, and the
-        current clearance of the body, ``[N]``.
-        """
+        """Returns distances to the nearest of ``points [N, P, 2]``, m: of body and lidar in poses, of the body now."""
         offsets = (*self._discs, self._robot.lidar_position[0])
         cos, sin = sampled.heading.cos(), sampled.heading.sin()
         x = torch.stack([sampled.x + offset * cos for offset in offsets], -1)
@@ -245,10 +234,7 @@ class DynamicWindowPolicy(TensorDictModuleBase):
     def _score(
         self, sampled: Trajectories, points: Tensor, goal: Tensor, arrived: Tensor, clearance: Tensor, readings: Tensor
     ) -> Tensor:
-        """Returns the weighted sum of the critics for each trajectory, ``[N, S]``.
-
-        What is beyond the pose in which a trajectory has ``arrived [N, S, K]`` at the goal does not count.
-        """
+        """Returns the weighted sum of the critics for each trajectory, ``[N, S]``, until it has ``arrived``."""
         x, y, heading, arrives = sampled.x[..., -1], sampled.y[..., -1], sampled.heading[..., -1], arrived[..., -1]
         look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD * self._scale)
         free = ((sampled.path[..., -1] + _free_lane(x, y, heading, points, self._half_lane)) / look_ahead).clamp(0, 1)
@@ -287,18 +273,7 @@ class MovingDynamicWindowPolicy(DynamicWindowPolicy):
     A trajectory is rejected if the body touches where a track will be at the time of a pose, at constant velocity.
     Readings that belong to such a track are no obstacles at rest.
 
-    The policy reads ``lidar``, ``target``, ``velocities``, ``pose`` and ``imu``, and remembers tracks.
-
-    Args:
-        robot: name of a robot, or a robot.
-        lidar: lidar that the policy reads.
-        yaw_gain: yaw rate of the body relative to that of the wheel odometry.
-
-    Attributes:
-        trained_action_repeat: number of steps from one decision to the next.
-
-    Raises:
-        ValueError: for an unknown robot, or a ``yaw_gain`` that is not positive.
+    The policy also reads ``pose`` and ``imu``, and remembers tracks. It decides every ``trained_action_repeat`` steps.
     """
 
     trained_action_repeat = 2

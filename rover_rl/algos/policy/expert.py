@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.arcs import drive_to
-from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
+from rover_rl.algos.policy.baselines import Lane, drive_towards
 from rover_rl.algos.policy.grid_planner import AHEAD, SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
@@ -25,8 +25,8 @@ from rover_rl.worlds.world import Worlds
 # Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them
 # points into a lane that is one cell wide.
 DIRECTIONS = 64
-LOOK_AHEAD = (0.2, 0.4)  # distances at which each candidate heading is evaluated, m
-LOOK_AHEAD_NARROW = (0.15, 0.3)  # the same in narrow passages, m
+# Distances at which each candidate heading is evaluated, anywhere and in narrow passages, m.
+LOOK_AHEAD, LOOK_AHEAD_NARROW = (0.2, 0.4), (0.15, 0.3)
 BLOCKED = 50.0  # penalty on the path length for a point that is not free, m
 CREEP = 0.4  # speed in narrow passages, m/s
 ALIGNED = 0.3  # angle to the direction of a narrow passage at which the expert stands still to turn, rad
@@ -39,8 +39,6 @@ BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
 MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
 STRIDE = 0.4  # length of the steps along the path to the place that arcs lead to, m
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
-
-
 READ = ("pose", "imu", "target", "lidar", "velocities", "outcome")
 """Entries of an observation that the expert reads, beside ``scan_pose`` where scans can be late."""
 
@@ -48,27 +46,25 @@ READ = ("pose", "imu", "target", "lidar", "velocities", "outcome")
 class PrivilegedExpert:
     """Expert that follows the shortest free path, which it computes from the map and the pose.
 
-    A robot that does not turn in place follows it in arcs, forward and backward.
-
-    A policy without the map and the pose can imitate it: see ``imitation`` in
-    :class:`~rover_rl.algos.config.PPOConfig`. ``worlds`` are usually ``RoverEnv.pool``. Observations must contain
-    ``pose``, ``imu``, ``target``, ``lidar``, ``velocities`` and ``outcome``, and are on the ``device``.
+    A robot that does not turn in place follows it in arcs, forward and backward. A policy without the map and the pose
+    can imitate it: see ``imitation`` in :class:`~rover_rl.algos.config.PPOConfig`. ``worlds`` are usually
+    ``RoverEnv.pool``. Observations must contain :data:`READ`, and are on the ``device``.
     """
 
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
-        self._distances = PathDistances(worlds, robot, device, CAUTION)
-        angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
-        self._lane, self._lidar = lane_of(robot), robot.lidar_position[0]
-        self._robot = robot
-        self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
+        self._distances, self._robot, self._lane = PathDistances(worlds, robot, device, CAUTION), robot, Lane.of(robot)
+        self._angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
+        self._directions = torch.stack((self._angles.cos(), self._angles.sin()), -1)
 
     def action(self, observation: TensorDictBase) -> Tensor:
         """Returns actions ``[N, ..., 2]`` for observations ``[N, ...]``: forward speed (m/s), heading offset (rad)."""
-        shape = observation.batch_size
         rows = observation.select(*READ, SCAN_POSE, strict=False).flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
-        if not self._robot.drive.turns_in_place:
-            return self._in_arcs(rows, position, fields).reshape(*shape, 2)
+        act = self._turning if self._robot.drive.turns_in_place else self._in_arcs
+        return act(rows, position, fields).reshape(*observation.batch_size, 2)
+
+    def _turning(self, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
+        """Returns the actions of robots that turn in place, ``[M, 2]``."""
         direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
         ahead = torch.cat((direction.cos(), direction.sin()), -1)
@@ -76,15 +72,11 @@ class PrivilegedExpert:
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
-        scan = rows["lidar"], self._lidar, self._lane, rows.get(SCAN_POSE, None)
-        careful = drive_towards(turn, *scan)
-        sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
+        scan, sloped = (rows["lidar"], self._lane, rows.get(SCAN_POSE, None)), tilt.norm(dim=-1, keepdim=True) > SLOPE
         on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], *scan)
-        careful = torch.where(sloped, on_slope, careful)
-        through = _pass_through(
-            wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped, self._lane.turn
-        )
-        return torch.where(narrow, through, careful).reshape(*shape, 2)
+        careful = torch.where(sloped, on_slope, drive_towards(turn, *scan))
+        passage = wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw)
+        return torch.where(narrow, _pass_through(passage, sloped, self._lane.turn), careful)
 
     def _in_arcs(self, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
         """Returns the actions of robots that do not turn in place, ``[M, 2]``: to a place on the path ahead."""
@@ -124,8 +116,7 @@ class MapExpert(TensorDictModuleBase):
             # Of its arcs, the expert drops those on which the body would touch what the lidar sees.
             lidar = replace(lidar, points=lidar.beams)
         self.made_for = EnvConfig(robot=robot, lidar=lidar)
-        self.in_keys = [*READ]
-        self.out_keys = ["action"]
+        self.in_keys, self.out_keys = [*READ], ["action"]
         self._expert: PrivilegedExpert | None = None
 
     def enter(self, env: RoverEnv) -> None:
@@ -137,15 +128,13 @@ class MapExpert(TensorDictModuleBase):
         return tensordict.set("action", self._expert.action(tensordict))
 
 
-def _drive_on_slope(
-    turn: Tensor, rate: Tensor, lidar: Tensor, lidar_offset: float, lane: Lane, scan_pose: Tensor | None
-) -> Tensor:
+def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor, lane: Lane, scan_pose: Tensor | None) -> Tensor:
     """Returns the actions ``[M, 2]`` of a rover on a slope, where it slides while it turns on the spot.
 
     ``turn [M, 1]`` is the angle to the direction of the path, rad, and ``rate [M, 1]`` the wheels' yaw rate, rad/s.
     """
     overshoot = OVERSHOOT * rate * rate.abs()
-    speed, offset = drive_towards(turn - overshoot, lidar, lidar_offset, lane, scan_pose).split(1, -1)
+    speed, offset = drive_towards(turn - overshoot, lidar, lane, scan_pose).split(1, -1)
     tail = wrap_angle(turn + math.pi)
     speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed.clamp(min=SLOPE_SPEED))
     speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)

@@ -47,29 +47,23 @@ AHEAD = 1.5  # distance along the route to which arcs lead, in smallest radii
 class GridPlanner(TensorDictModuleBase):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
 
-    A robot that does not turn in place follows it in arcs, forward and backward: see
-    :func:`~rover_rl.algos.policy.grid_planner.follow_in_arcs`.
+    A robot that does not turn in place follows it in arcs, forward and backward: see :func:`follow_in_arcs`.
 
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
     The policy reads ``lidar``, ``imu`` and ``route``, for a robot that does not turn in place ``velocities``, and where
     scans can be late ``scan_pose``. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment
-    that it drives in, with ``robot``, one lidar reading for each beam, and episodes that end when the body touches an
-    obstacle.
+    that it drives in: see :func:`beams_and_contacts`.
     """
 
     trained_action_repeat = 4
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__()
-        self._robot = get_robot(robot)
+        self._robot, self.made_for = get_robot(robot), beams_and_contacts(robot)
         self.in_keys = ["lidar", "imu", ROUTE] + ([] if self._robot.drive.turns_in_place else ["velocities"])
         self.out_keys = ["action"]
-        lidar = LidarConfig()
-        # In narrow gaps, readings are below the contract's threshold.
-        task = TaskConfig(collision_from="contact", collision_window=0)
-        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
@@ -81,14 +75,20 @@ class GridPlanner(TensorDictModuleBase):
 
 
 class MovingGridPlanner(GridPlanner):
-    """The :class:`GridPlanner` with routes around what moves.
-
-    It also reads :class:`~rover_rl.envs.sensors.movers.Movers`.
-    """
+    """The :class:`GridPlanner` with routes around what moves: :class:`~rover_rl.envs.sensors.movers.Movers`."""
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__(robot)
         self.in_keys.append(MOVERS)
+
+
+def beams_and_contacts(robot: RobotLike) -> EnvConfig:
+    """Returns an environment with one lidar reading for each beam, whose episodes end when the body touches something.
+
+    In narrow gaps, readings are below the contract's threshold.
+    """
+    lidar, task = LidarConfig(), TaskConfig(collision_from="contact", collision_window=0)
+    return EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
 
 
 def follow_in_arcs(
@@ -97,18 +97,8 @@ def follow_in_arcs(
     """Computes the action of robots that cannot turn in place, which follow their routes in arcs.
 
     It begins the arc from which the way to a place on the route ahead is the shortest. From a slope that is too steep,
-    it backs down straight.
-
-    Args:
-        lidar: lidar readings, ``[N, points]``, m.
-        imu: pitch, roll and yaw, ``[N, 3]``, rad.
-        route: route, ``[N, 5]``.
-        velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
-        robot: values of the sensor ``robot``, ``[N, 1]`` each.
-        scan_pose: where the scan was taken, ``[N, 6]``. ``None``: where the rover is.
-
-    Returns:
-        Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
+    it backs down straight. Arguments and action are those of :func:`follow`, ``[N, ...]``, with ``velocities [N, 2]``,
+    forward speed (m/s) and yaw rate of the wheels, and values of the sensor ``robot``, ``[N, 1]`` each.
     """
     place = way_point(route, AHEAD * robot.min_radius)
     action = drive_to(place, route[:, 4:], lidar, velocities, robot, scan_pose)
@@ -134,7 +124,6 @@ class Follower(NamedTuple):
 
     @classmethod
     def of(cls, robot: Robot) -> Follower:
-        """Returns that of a robot."""
         outline = robot.footprint
         return cls(outline.front, outline.back, outline.half_width, robot.lidar_position[0], turn_gain(robot))
 
@@ -148,9 +137,7 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower, scan_pose
     slope that is too steep, it backs down straight.
 
     Args:
-        lidar: lidar readings, ``[..., points]``, m.
-        imu: pitch, roll and yaw, ``[..., 3]``, rad.
-        route: route, ``[..., 5]``.
+        lidar, imu, route: entries of the observation, ``[..., n]``.
         robot: robots whose footprint must stay free, and which turn in place.
         scan_pose: where the scan was taken, ``[..., 6]``. ``None``: where the rover is.
 
@@ -175,16 +162,10 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower, scan_pose
     return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)
 
 
-def _corners(route: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    columns = [*route.split(1, -1)]
-    return columns[:2], columns[2:4]
-
-
 def way_point(route: Tensor, ahead: Tensor | float) -> Tensor:
     """Returns the place on routes ``[N, 5]`` at most ``ahead`` (m) along them, in the base frame: ``[N, 2]``, m."""
-    first, second = (distance * torch.cat((angle.cos(), angle.sin()), -1) for distance, angle in _corners(route))
-    left = (ahead - route[:, :1]).clamp(min=0)
-    leg = second - first
-    share = (left / leg.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1)
-    near = first * (ahead / route[:, :1].clamp(min=1e-6)).clamp(max=1)
-    return near + share * leg
+    far, angle, far_second, angle_second, _ = route.split(1, -1)
+    first = far * torch.cat((angle.cos(), angle.sin()), -1)
+    leg = far_second * torch.cat((angle_second.cos(), angle_second.sin()), -1) - first
+    share = ((ahead - far).clamp(min=0) / leg.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1)
+    return first * (ahead / far.clamp(min=1e-6)).clamp(max=1) + share * leg

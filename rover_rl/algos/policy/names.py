@@ -34,6 +34,8 @@ BASELINES = {
     "expert": "rover_rl.algos.policy.expert:MapExpert",
 }
 """Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
+FILES = {".onnx": "rover_rl.algos.deploy.export:OnnxPolicy", ".zip": "rover_rl.algos.policy.sb3_policy:SB3Policy"}
+"""Classes of policies in files that are no checkpoints, by suffix."""
 NAMES = f"pretrained:NAME, {', '.join(BASELINES)}, module:attribute or {RANDOM}"
 """Names of policies, for help and error messages."""
 NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {NAMES}"
@@ -62,10 +64,7 @@ class ResolvedPolicy:
 def resolve_policies(
     names: Sequence[str], worlds: tuple[str, ...] = (), robot: RobotLike | None = None
 ) -> list[ResolvedPolicy]:
-    """Resolves several names, each once: see :func:`resolve_policy`. Policies that are called the same keep theirs.
-
-    Raises ``ValueError`` without any name.
-    """
+    """Resolves several names, each once: see :func:`resolve_policy`. Policies that are called the same keep theirs."""
     if not names:
         raise ValueError(NO_POLICY)
     policies = {name: resolve_policy(name, worlds, robot) for name in dict.fromkeys(names)}
@@ -86,28 +85,20 @@ def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | N
         return ResolvedPolicy(name, None, worlds)
     if is_baseline(name):
         return ResolvedPolicy(name, make_baseline(name, robot), worlds)
-    path, folder, module = Path(name), None, None
-    if path.suffix == ".zip":
-        from rover_rl.algos.policy.sb3_policy import SB3Policy
-
-        return ResolvedPolicy(path.stem, SB3Policy(path), worlds)
-    if path.suffix == ".onnx":
-        from rover_rl.algos.deploy.export import OnnxPolicy
-
-        module = OnnxPolicy(path)
-        config, called = module.config, path.stem
+    path = Path(name)
+    if path.suffix in FILES:
+        module = _REGISTRY.find(FILES[path.suffix])(path)
+        config, called, folder = getattr(module, "config", None), path.stem, None
     else:
         checkpoint, called = load_policy(name), policy_name(name)
         config, module = checkpoint.config, checkpoint.make_actor()
         folder = None if name.startswith(PRETRAINED) else _folder(path)
-    return ResolvedPolicy(called, module, worlds or tuple(map(unseen, config.env.world_names)), folder, config)
+    trained = () if config is None else tuple(map(unseen, config.env.world_names))
+    return ResolvedPolicy(called, module, worlds or trained, folder, config)
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
-    """Creates a baseline policy, or one of your own (``"module:attribute"``), for a robot or the default one.
-
-    Raises ``ValueError`` for an unknown name.
-    """
+    """Creates a baseline policy, or one of your own (``"module:attribute"``), for a robot or the default one."""
     return _REGISTRY.call(name, _REGISTRY.find(name), *(() if robot is None else (robot,)))
 
 

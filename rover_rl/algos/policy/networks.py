@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -13,11 +14,10 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torch.distributions import AffineTransform, ComposeTransform
 from torchrl.data import Bounded
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import MLP, ConvNet, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
 from rover_rl.algos.config import MemoryKind, TrainingConfig
-from rover_rl.algos.policy.images import ImageFeatures
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
 from rover_rl.envs.config import ActionConfig, LidarConfig
@@ -34,6 +34,9 @@ DRIVER = "driver"
 """Entry of a batch of decisions: mean that the prior of a policy adds, before squashing, ``[..., 2]``."""
 BOUNDS_KEYS = ("low", "high")
 """Entries of the bounds of an action by robot."""
+# Channels and kernel sizes of convolutions over an image, each of which halves rows and columns, and the number of
+# features after them.
+CHANNELS, KERNELS, UNITS = (16, 32, 32), (5, 3, 3), 64
 
 
 def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
@@ -70,7 +73,6 @@ class EncodedNetwork(nn.Module):
         self.encoder, self.body, self.privileged = encoder, body, privileged
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Returns the output of ``body`` for the entries of the observation and of the privileged observation."""
         count = len(self.encoder.keys)
         features = self.encoder(*entries[:count])
         if self.privileged is not None:
@@ -107,7 +109,7 @@ class ActorNetwork(EncodedNetwork):
 
 
 class PrivilegedEncoder(nn.Module):
-    """Encodes the privileged observation as ``features`` numbers of about [-1, 1], for critics.
+    """Encodes the privileged observation as ``features [..., features]`` of about [-1, 1], for critics.
 
     Without position and heading, by which a critic would know one map by heart, and which mirror images contradict.
     """
@@ -122,7 +124,6 @@ class PrivilegedEncoder(nn.Module):
         self.register_buffer("_reach", reach, persistent=False)
 
     def forward(self, *entries: Tensor) -> Tensor:
-        """Encodes the entries named in ``keys``, in this order: ``[..., features]``."""
         entry = {key[-1]: value for key, value in zip(self.keys, entries, strict=True)}
         path = entry["path_distance"]
         factors = [2 * (entry[key] - 1) for key in ("friction", "chassis_mass", "motor_torque")]
@@ -130,17 +131,6 @@ class PrivilegedEncoder(nn.Module):
         parts += [Target().encode(entry["target"])]
         parts += [path / 5 - 1, path.log1p() - 1, entry["local_map"] / self._reach, *factors, entry["latency"] / 3]
         return torch.cat(parts, -1)
-
-
-class _InBounds(nn.Module):
-    _middle: Tensor
-    _half: Tensor
-
-    def __init__(self, action: Bounded) -> None:
-        super().__init__()
-        middle, half = middle_and_half(action)
-        self.register_buffer("_middle", middle, persistent=False)
-        self.register_buffer("_half", half, persistent=False)
 
 
 def encoder_of(config: TrainingConfig) -> ObservationEncoder:
@@ -176,21 +166,19 @@ def make_actor(
 ) -> ProbabilisticActor:
     """Creates a stochastic policy: a tanh-squashed normal distribution within the action's bounds.
 
+    It reads an observation and writes ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of
+    the distribution, except under ``set_exploration_type(ExplorationType.RANDOM)``, as in collectors.
+
     Args:
         encoder: encoder of the observation; ``None``: an encoder of the default entries.
         hidden: number of units of each hidden layer.
         action: bounds of the action; ``None``: the contract's.
         max_std: largest standard deviation of the normal distribution, before squashing.
         device: device of the policy; ``None``: the CPU.
-        memory: kind of memory between the hidden layers and the last layer. With a memory, the policy reads and writes
-            a state: see ``rover_rl.algos.policy.recurrent``.
-        memory_size: number of units of the memory.
-        prior: driver to whose action the policy adds. It goes with no memory. ``None``: the policy starts from nothing.
+        memory, memory_size: kind and number of units of a memory between the hidden layers and the last one. With it,
+            the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
+        prior: driver to whose action the policy adds, if it has no memory. ``None``: the policy starts from nothing.
         by_robot: whether the bounds are those of the robot of each row, which the observation tells. Without memory.
-
-    Returns:
-        A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of the
-        distribution, except under ``set_exploration_type(ExplorationType.RANDOM)``, as in collectors.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -252,7 +240,6 @@ class NormalParameters(nn.Module):
         self.max_std = max_std
 
     def forward(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns mean and standard deviation, ``[..., n]`` each, from ``[..., 2 n]``."""
         loc, scale = parameters.chunk(2, -1)
         return loc, self.MIN_STD + (self.max_std - self.MIN_STD) * scale.sigmoid()
 
@@ -288,17 +275,64 @@ def make_action_critic(
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 
-class _ActionCritic(_InBounds):
+class _ActionCritic(nn.Module):
+    _middle: Tensor
+    _half: Tensor
+
     def __init__(self, encoder: ObservationEncoder, hidden: Sequence[int], spec: Bounded) -> None:
-        super().__init__(spec)
+        super().__init__()
+        middle, half = middle_and_half(spec)
+        self.register_buffer("_middle", middle, persistent=False)
+        self.register_buffer("_half", half, persistent=False)
         self._mlp = _body(encoder, encoder.features + spec.shape[-1], hidden, 1, gain=1.0)
 
     def forward(self, features: Tensor, action: Tensor) -> Tensor:
         return self._mlp(torch.cat((features, (action - self._middle) / self._half), -1))
 
 
+class ImageFeatures(nn.Module):
+    """Replaces each image among encoded features by :data:`UNITS` features: see :attr:`rover_rl.Sensor.image`.
+
+    Features ``[..., n]`` become ``[..., n + added]``. Those after the encoder's stay. At least one of the encoder's
+    sensors has images.
+
+    Example:
+        >>> encoder = ObservationEncoder(("target", "heights"))
+        >>> ImageFeatures(encoder)(torch.zeros(1, encoder.features)).shape
+        torch.Size([1, 69])
+    """
+
+    def __init__(self, encoder: ObservationEncoder) -> None:
+        super().__init__()
+        sensors = {key: encoder.sensors[key] for key in encoder.keys}
+        self._sizes = {key: sensor.features for key, sensor in sensors.items()}
+        shapes = {key: sensor.image for key, sensor in sensors.items() if sensor.image}
+        self.networks = nn.ModuleDict({key: _convolutions(self._sizes[key], shape) for key, shape in shapes.items()})
+        self.added = sum(UNITS - self._sizes[key] for key in shapes)
+
+    def forward(self, features: Tensor) -> Tensor:
+        sizes = [*self._sizes.values()]
+        *parts, rest = features.split([*sizes, features.shape[-1] - sum(sizes)], -1)
+        entries = zip(self._sizes, parts, strict=True)
+        read = [self.networks[key](part) if key in self.networks else part for key, part in entries]
+        return torch.cat((*read, rest), -1)
+
+
+def _convolutions(features: int, shape: tuple[int, int]) -> nn.Module:
+    channels, paddings = features // (shape[0] * shape[1]), [kernel // 2 for kernel in KERNELS]
+    sizes: dict[str, Any] = {
+        "num_cells": list(CHANNELS),
+        "kernel_sizes": list(KERNELS),
+        "strides": 2,
+        "paddings": paddings,
+    }
+    convolutions = ConvNet(in_features=channels, **sizes, activation_class=nn.ReLU)
+    count = convolutions(torch.zeros(1, channels, *shape)).shape[-1]
+    return nn.Sequential(nn.Unflatten(-1, (channels, *shape)), convolutions, nn.Linear(count, UNITS), nn.ReLU())
+
+
 def _body(encoder: ObservationEncoder, features: int, hidden: Sequence[int], outputs: int, gain: float) -> nn.Module:
-    """Creates an MLP for the features of an encoder and others after them, with convolutions over their images."""
+    # The features of the encoder may be followed by others.
     if not any(encoder.sensors[key].image for key in encoder.keys):
         return _mlp(features, hidden, outputs, gain)
     images = ImageFeatures(encoder)
@@ -317,8 +351,7 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
 
 def mirrored_map(local_map: Tensor) -> Tensor:
     """Returns the mirror image of the local map ``[..., distances * bearings]``: bearing b becomes -b."""
-    image = local_map.unflatten(-1, (len(MAP_DISTANCES), MAP_BEARINGS)).flip(-1).roll(1, -1)
-    return image.flatten(-2)
+    return local_map.unflatten(-1, (len(MAP_DISTANCES), MAP_BEARINGS)).flip(-1).roll(1, -1).flatten(-2)
 
 
 _MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {

@@ -41,15 +41,8 @@ class OrcaPolicy(TensorDictModuleBase):
 
     The policy reads ``lidar``, ``pose``, ``imu``, ``target`` and ``velocities``, and remembers tracks.
 
-    Args:
-        robot: name of a robot, or a robot, whose radius and lidar position are used.
-
-    Attributes:
-        made_for: environment that the policy drives in, with ``robot`` and a lidar of 128 readings.
-        trained_action_repeat: number of steps from one decision to the next.
-
-    Raises:
-        ValueError: for an unknown robot.
+    ``made_for`` is the environment that it drives in, with ``robot`` and a lidar of 128 readings. It decides every
+    ``trained_action_repeat`` steps.
     """
 
     trained_action_repeat = 2
@@ -74,10 +67,8 @@ class OrcaPolicy(TensorDictModuleBase):
         return tensordict.set("action", action).set(("next", "tracks"), state)
 
     def _velocity(self, lidar: Tensor, target: Tensor, velocities: Tensor, moving: Tracks) -> Tensor:
-        x, y = (
-            (lidar * wave).masked_fill(moving.readings | (lidar >= LIDAR.max_range - 1e-3), _FAR)
-            for wave in _waves(lidar)
-        )
+        gone = moving.readings | (lidar >= LIDAR.max_range - 1e-3)
+        x, y = ((lidar * wave).masked_fill(gone, _FAR) for wave in _waves(lidar.shape[-1], lidar))
         fixed = torch.stack((x + self._robot.lidar_position[0], y + self._robot.lidar_position[1]), -1)
         present = moving.position.masked_fill(~moving.moves[..., None], _FAR)
         position = torch.cat((present, fixed), 1)
@@ -134,13 +125,11 @@ def half_planes(
     return own[:, None] + change, normal
 
 
-def _waves(lidar: Tensor) -> tuple[Tensor, Tensor]:
-    points = lidar.shape[-1]
-    angles = torch.arange(points, dtype=lidar.dtype, device=lidar.device) * (2 * math.pi / points)
+def _waves(count: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    angles = torch.arange(count, dtype=like.dtype, device=like.device) * (2 * math.pi / count)
     return angles.cos(), angles.sin()
 
 
 def _candidates(most: float, like: Tensor) -> Tensor:
     speeds = torch.linspace(0, most, SPEEDS, dtype=like.dtype, device=like.device)
-    angles = torch.arange(DIRECTIONS, dtype=like.dtype, device=like.device) * (2 * math.pi / DIRECTIONS)
-    return (speeds[:, None, None] * torch.stack((angles.cos(), angles.sin()), -1)).flatten(0, 1)
+    return (speeds[:, None, None] * torch.stack(_waves(DIRECTIONS, like), -1)).flatten(0, 1)

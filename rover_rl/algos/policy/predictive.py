@@ -19,7 +19,6 @@ Example:
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
-from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike, TaskConfig
+from rover_rl.algos.policy.grid_planner import beams_and_contacts
+from rover_rl.envs.config import HeadingGains, RobotLike
 from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
 from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
@@ -56,16 +56,9 @@ class PredictivePolicy(TensorDictModuleBase):
 
     The policy reads ``pose``, ``imu``, ``target``, ``velocities``, ``movers`` and ``seen_distances``.
 
-    Args:
-        robot: name of a robot, or a robot.
-        yaw_gain: yaw rate of the body relative to that of the wheel odometry; ``None``: an estimate from the drive.
-
-    Attributes:
-        made_for: environment that the policy drives in, with ``robot``, one lidar reading for each beam, and episodes
-            that end when the body touches an obstacle.
-
-    Raises:
-        ValueError: for an unknown robot.
+    ``made_for`` is the environment that it drives in, with one lidar reading for each beam, and episodes that end when
+    the body touches an obstacle. ``yaw_gain`` is the yaw rate of the body relative to that of the wheel odometry;
+    ``None``: an estimate from the drive.
     """
 
     trained_action_repeat = 2
@@ -73,11 +66,8 @@ class PredictivePolicy(TensorDictModuleBase):
 
     def __init__(self, robot: RobotLike = "rover_zero", yaw_gain: float | None = None) -> None:
         super().__init__()
-        lidar, task = LidarConfig(), TaskConfig(collision_from="contact", collision_window=0)
-        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
-        self.in_keys = ["pose", "imu", "target", "velocities", MOVERS, SEEN_DISTANCES]
-        self.out_keys = ["action"]
-        self._robot = get_robot(robot)
+        self.made_for, self._robot = beams_and_contacts(robot), get_robot(robot)
+        self.in_keys, self.out_keys = ["pose", "imu", "target", "velocities", MOVERS, SEEN_DISTANCES], ["action"]
         self._gain = estimated_yaw_gain(self._robot) if yaw_gain is None else yaw_gain
         self._speed = min(self._robot.drive.max_speed, action_bounds(self.made_for.bounded_action).high[0])
         self._dt = min(LAYER_DT, LAYER_WAY / self._speed)
@@ -91,7 +81,7 @@ class PredictivePolicy(TensorDictModuleBase):
         (count, _), options, cells = pose.shape, launch_options(pose.device), int(kernels.SIZE)
         plans = kernels.Plans()
         plans.origins = _pairs(pose[:, :2] - cells // 2 * float(kernels.CELL))
-        plans.goals = _pairs(goal_positions(pose, imu, target))
+        plans.goals = _pairs(goal_positions(pose, imu, *target.split(1, -1)))
         plans.goal_radius, plans.dt, plans.speed = PLANNED * GOAL_RADIUS, self._dt, self._speed
         plans.blocked = max(BLOCKED, self._robot.footprint.half_width + MARGIN)
         plans.costs = wp.from_torch(pose.new_zeros(count, int(kernels.LAYERS) + 1, cells**2))
@@ -103,18 +93,13 @@ class PredictivePolicy(TensorDictModuleBase):
         for layer in reversed(range(int(kernels.LAYERS))):
             wp.launch(kernels.sweep, (count, cells**2), [layer, steps, around, plans], **options)
         turns, speeds = int(kernels.TURNS), int(kernels.SPEEDS)
-        around = self._around(
-            tensordict, [n * float(kernels.DRIVE_DT) for n in range(int(kernels.FIRST + kernels.SECOND) + 1)]
-        )
+        instants = [n * float(kernels.DRIVE_DT) for n in range(int(kernels.FIRST + kernels.SECOND) + 1)]
+        around = self._around(tensordict, instants)
         plans.goal_radius = DRIVEN * GOAL_RADIUS
         states = torch.cat((pose[:, :2], imu[:, 2:], velocities[:, :1], velocities[:, 1:] * self._gain), -1)
         results = pose.new_zeros(count, speeds * turns)
-        wp.launch(
-            kernels.drive,
-            (count, speeds * turns),
-            [states.contiguous(), self._body(), around, plans, results],
-            **options,
-        )
+        drives = [states.contiguous(), self._body(), around, plans, results]
+        wp.launch(kernels.drive, (count, speeds * turns), drives, **options)
         best = results.argmin(-1)
         speed = self._speed * (2 * (best // turns) / (speeds - 1) - 1)
         yaw_rate = MAX_YAW_RATE * (2 * (best % turns) / (turns - 1) - 1)

@@ -4,109 +4,62 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 
-SIZE = wp.constant(96)
-"""Number of cells along a side of the window around a rover."""
-CELL = wp.constant(0.2)
-"""Side length of a cell, m."""
-LAYERS = wp.constant(40)
-"""Number of instants of a plan, besides that of its beginning."""
-REACHED = wp.constant(4.0)
-"""Distance added to that up to which a plan matters at an instant, in cells."""
-EASY = wp.constant(0.34)
-"""Distance beyond that of a blocked cell from which on an obstacle costs nothing, m."""
-UNEASE = wp.constant(1.5)
-"""Extra cost of a second right beside an obstacle, s."""
-COLLISION = wp.constant(20.0)
-"""Cost of a blocked cell, s."""
+SIZE, CELL = wp.constant(96), wp.constant(0.2)  # number of cells along a side of the window, and their side, m
+LAYERS = wp.constant(40)  # number of instants of a plan, besides that of its beginning
+REACHED = wp.constant(4.0)  # distance added to that up to which a plan matters at an instant, in cells
+EASY = wp.constant(0.34)  # distance beyond that of a blocked cell from which on an obstacle costs nothing, m
+UNEASE = wp.constant(1.5)  # extra cost of a second right beside an obstacle, s
+COLLISION = wp.constant(20.0)  # cost of a blocked cell, s
+# Time that a meter in a blocked cell costs on the map, and cost of cells whose cost is not known, s.
 THROUGH, FAR = wp.constant(20.0), wp.constant(1.0e4)
-"""Time that a meter in a blocked cell costs on the map, and cost of cells whose cost is not known, s."""
-SWEEPS = wp.constant(3)
-"""Number of sweeps over the window in each of four directions."""
+SWEEPS = wp.constant(3)  # number of sweeps over the window in each of four directions
 
-DRIVE_DT = wp.constant(0.1)
-"""Time step of a drive, s."""
-FIRST, SECOND = wp.constant(7), wp.constant(15)
-"""Number of steps of the two parts of a drive."""
-SPEEDS = wp.constant(5)
-"""Number of forward speeds, from full speed backward to full speed ahead."""
-TURNS, SECOND_TURNS = wp.constant(11), wp.constant(7)
-"""Number of yaw rates in the first and in the second part."""
-CLOSE = wp.constant(0.12)
-"""Clearance of the body below which a drive costs more, m."""
-CLOSE_COST = wp.constant(4.0)
-"""Extra cost of a second in contact, s."""
-BACKWARD_COST = wp.constant(0.1)
-"""Extra cost of a second backward, s."""
-CRASH = wp.constant(1000.0)
-"""Cost of a drive that collides at once, s. Later is better."""
+DRIVE_DT = wp.constant(0.1)  # time step of a drive, s
+FIRST, SECOND = wp.constant(7), wp.constant(15)  # number of steps of the two parts of a drive
+SPEEDS = wp.constant(5)  # number of forward speeds, from full speed backward to full speed ahead
+TURNS, SECOND_TURNS = wp.constant(11), wp.constant(7)  # number of yaw rates in the first and in the second part
+# Clearance of the body below which a drive costs more, m, and extra costs of a second in contact and backward, s.
+CLOSE, CLOSE_COST, BACKWARD_COST = wp.constant(0.12), wp.constant(4.0), wp.constant(0.1)
+CRASH = wp.constant(1000.0)  # cost of a drive that collides at once, s. Later is better.
 
-State = wp.types.vector(6, float)
-"""x, y, heading, speed, yaw rate, and cost so far."""
+State = wp.types.vector(6, float)  # x, y, heading, speed, yaw rate, and cost so far
 
 
 @wp.struct
 class Around:
-    """What is around the rovers.
+    """What is around the rovers, m."""
 
-    Attributes:
-        frame: x and y of the first point of each row's grid of distances, and its spacing, m.
-        side: number of points along a side of the grids.
-        clearance: distances to what does not move, row by row, m.
-        places: x and y of the movers of each row and instant, m.
-        radius: their radius, m. Those without any are last.
-    """
-
-    frame: wp.array[wp.vec3]
-    side: int
-    clearance: wp.array2d[float]
-    places: wp.array3d[wp.vec2]
-    radius: wp.array2d[float]
+    frame: wp.array[wp.vec3]  # x and y of the first point of each row's grid of distances, and its spacing
+    side: int  # number of points along a side of the grids
+    clearance: wp.array2d[float]  # distances to what does not move, row by row
+    places: wp.array3d[wp.vec2]  # of the movers of each row and instant
+    radius: wp.array2d[float]  # of the movers. Those without any are last.
 
 
 @wp.struct
 class Plans:
-    """Plans of all rows.
+    """Plans of all rows."""
 
-    Attributes:
-        origins: x and y of cell 0 of each row's window, m.
-        goals: goals, m.
-        goal_radius: distance from the goal at which it is reached, m.
-        dt: time from one instant to the next, s.
-        speed: largest speed, m/s.
-        blocked: distance of the center from an obstacle below which a cell is blocked, m.
-        costs: costs to go, s, ``[N, LAYERS + 1, SIZE * SIZE]``.
-    """
-
-    origins: wp.array[wp.vec2]
-    goals: wp.array[wp.vec2]
-    goal_radius: float
-    dt: float
-    speed: float
-    blocked: float
-    costs: wp.array3d[float]
+    origins: wp.array[wp.vec2]  # x and y of cell 0 of each row's window, m
+    goals: wp.array[wp.vec2]  # m
+    goal_radius: float  # distance from the goal at which it is reached, m
+    dt: float  # time from one instant to the next, s
+    speed: float  # largest speed, m/s
+    blocked: float  # distance of the center from an obstacle below which a cell is blocked, m
+    costs: wp.array3d[float]  # costs to go, s, [N, LAYERS + 1, SIZE * SIZE]
 
 
 @wp.struct
 class Body:
-    """What a drive depends on of the robot.
+    """What a drive depends on of the robot."""
 
-    Attributes:
-        front: distance of the two discs that cover the robot from its center, m.
-        radius: their radius, m.
-        acceleration: largest acceleration, m/s^2.
-        speed: largest speed, m/s.
-        yaw_acceleration: largest yaw acceleration of the body, rad/s^2.
-        yaw_rate: largest yaw rate of the body, rad/s.
-        turning: least radius of a turn, m.
-    """
-
-    front: float
-    radius: float
-    acceleration: float
-    speed: float
-    yaw_acceleration: float
-    yaw_rate: float
-    turning: float
+    front: float  # distance of the two discs that cover the robot from its center, m
+    radius: float  # of these discs, m
+    acceleration: float  # m/s^2
+    speed: float  # m/s
+    yaw_acceleration: float  # of the body, rad/s^2
+    yaw_rate: float  # of the body, rad/s
+    turning: float  # least radius of a turn, m
 
 
 @wp.func

@@ -70,25 +70,20 @@ class RoutePrior(nn.Module):
         self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place, observation)
 
     def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
-        """Returns the mean before squashing to bounds, ``[..., 2]``, for an observation."""
         middle, half = (high + low) / 2, (high - low) / 2
         share = (self._action(entry) - middle) / half
         return torch.atanh(share.clamp(-self._share, self._share))
 
     def _action(self, entry: Mapping[str, Tensor]) -> Tensor:
-        lidar, imu, route = (entry[key] for key in ("lidar", "imu", ROUTE))
-        if self._robot is not None and self._robot.drive.turns_in_place:
-            scan_pose = entry[SCAN_POSE] if SCAN_POSE in self.keys else None
-            return follow(lidar, imu, route, Follower.of(self._robot), scan_pose)
         rows = {key: entry[key].reshape(-1, entry[key].shape[-1]) for key in self.keys}
         lidar, imu, route, scan_pose = rows["lidar"], rows["imu"], rows[ROUTE], rows.get(SCAN_POSE)
-        if self._robot is None:
-            robot = RobotNumbers.of(rows[ROBOT])
+        if self._robot is not None and self._robot.drive.turns_in_place:
+            action = follow(lidar, imu, route, Follower.of(self._robot), scan_pose)
         else:
-            robot = RobotNumbers.of_robot(self._robot, lidar)
-        action = follow_in_arcs(lidar, imu, route, rows["velocities"], robot, scan_pose)
-        if self._robot is None:
-            turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
-            follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
-            action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower, scan_pose))
+            robot = RobotNumbers.of(rows[ROBOT]) if self._robot is None else RobotNumbers.of_robot(self._robot, lidar)
+            action = follow_in_arcs(lidar, imu, route, rows["velocities"], robot, scan_pose)
+            if self._robot is None:
+                turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
+                follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
+                action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower, scan_pose))
         return action.reshape(*entry["lidar"].shape[:-1], 2)

@@ -44,7 +44,7 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
     A policy with a memory, a map or tracks, which change with each decision, decides as often as in training, others at
-    each step. ``dt`` is the duration of a step, s, which may be another one than in training.
+    each step. ``dt`` is the duration of a step, s.
     """
     if given is not None:
         return given
@@ -57,12 +57,8 @@ def default_action_repeat(policy: Policy | None, given: int | None = None, dt: f
 def sensors_for(policy: Policy | None, env: EnvConfig, action_repeat: int | None = None) -> EnvConfig:
     """Returns a description of an environment with the sensors that a policy reads.
 
-    Those that it does not have are added to its ``sensors``. Maps and tracks change once for a decision.
-
-    Args:
-        policy: policy that is going to drive. ``None``: none, or one that needs no sensors.
-        env: description of the environment.
-        action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
+    Those that it does not have are added to its ``sensors``. Maps and tracks change once for a decision, which
+    ``action_repeat`` tells as in :func:`default_action_repeat`.
 
     Example:
         >>> sensors_for(make_baseline("gridplanner"), EnvConfig(world="maze")).sensors
@@ -76,16 +72,18 @@ def _entries(policy: Policy | None) -> list[str]:
 
 
 class PolicyRunner:
-    """Runs a policy on a batch of rows.
-
-    The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
-    memory of a policy from decision to decision, row by row. Policies without memory pass through.
+    """Calls a policy when rows are due for a decision, and holds its actions and its memory in between.
 
     Args:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
         env (rover_rl.RoverEnv | None): environment that the policy drives in, which it enters if it needs to know it.
+
+    Attributes:
+        state: memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision.
+        distribution: center and standard deviation, ``[N, k]`` each, of the normal distribution behind the last
+            decision, before squashing. ``None`` before the first one, and for a policy without a distribution.
 
     Raises:
         ValueError: at the first call, if the observation lacks sensors that the policy reads.
@@ -104,31 +102,18 @@ class PolicyRunner:
     def reset(self, rows: Tensor | None = None) -> None:
         """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
-            self._state: dict[str, Tensor] = {}
-            self._distribution: tuple[Tensor, Tensor] | None = None
+            self.state: dict[str, Tensor] = {}
+            self.distribution: tuple[Tensor, Tensor] | None = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision."""
-        return dict(self._state)
-
-    @property
-    def distribution(self) -> tuple[Tensor, Tensor] | None:
-        """Center and standard deviation, ``[N, k]`` each, of the normal distribution behind the last decision.
-
-        It is before squashing. ``None`` before the first decision, and for a policy without a distribution.
-        """
-        return self._distribution
 
     @with_torch_defaults
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
 
-        ``due`` are the rows that decide, bool ``[N]``; ``None``: those whose last action has been held for
-        ``action_repeat`` steps. Rows whose episode begins always decide.
+        ``due`` are the rows that decide, bool ``[N]``; ``None``: those whose action has been held for ``action_repeat``
+        steps. Rows whose episode begins always decide.
         """
         if self._action is None:
             lacking = [key for key in _entries(self.policy) if key in OPTIONAL and observation.get(key, None) is None]
@@ -142,7 +127,7 @@ class PolicyRunner:
         if self._action is None or self.action_repeat == 1 or due.device.type != "cpu" or due.any():
             action, state = self._decide(observation, due)
             self._action = action if self._action is None else _where(due, action, self._action)
-            self._state = {key: _where(due, value, self._state.get(key, value)) for key, value in state.items()}
+            self.state = {key: _where(due, value, self.state.get(key, value)) for key, value in state.items()}
         self._held = torch.where(due, 0, self._held) + 1
         self._is_init = self._is_init & ~due
         return self._action
@@ -151,7 +136,7 @@ class PolicyRunner:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
         if self._keys:
-            inputs.update(self._state).set("is_init", self._is_init[:, None])
+            inputs.update(self.state).set("is_init", self._is_init[:, None])
         if getattr(self.policy, "row_by_row", False):
             outputs = self.policy(inputs[due])
             state = {key: _scattered(outputs["next", key], due) for key in self._keys}
@@ -160,7 +145,7 @@ class PolicyRunner:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)
         if "loc" in getattr(self.policy, "out_keys", ()):
-            self._distribution = outputs["loc"][:rows], outputs["scale"][:rows]
+            self.distribution = outputs["loc"][:rows], outputs["scale"][:rows]
         return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
 
 

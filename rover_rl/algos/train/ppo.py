@@ -20,7 +20,6 @@ from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy import networks
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.grid_planner import Follower, follow
-from rover_rl.algos.policy.images import ImageFeatures
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
@@ -141,8 +140,8 @@ class PPOLearner(Learner):
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
 
-def _image_networks(network: nn.Module) -> list[ImageFeatures]:
-    return [module for module in network.modules() if isinstance(module, ImageFeatures)]
+def _image_networks(network: nn.Module) -> list[networks.ImageFeatures]:
+    return [module for module in network.modules() if isinstance(module, networks.ImageFeatures)]
 
 
 def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:

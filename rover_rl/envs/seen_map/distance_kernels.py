@@ -5,10 +5,8 @@ from __future__ import annotations
 from rover_rl.envs.seen_map.scan_kernels import HALF, LAST, OCCUPIED, PARTS, SIZE, address, away
 from rover_rl.native.warp import wp
 
-REACH = wp.constant(5)
-"""Number of cells around a cell in which the nearest obstacle is looked for."""
-WHOLE_CELL = wp.constant(wp.vec4ub(PARTS - 1, PARTS - 1, PARTS - 1, PARTS - 1))
-"""Box of an obstacle that fills its cell."""
+REACH = wp.constant(5)  # number of cells around a cell in which the nearest obstacle is looked for
+WHOLE_CELL = wp.constant(wp.vec4ub(PARTS - 1, PARTS - 1, PARTS - 1, PARTS - 1))  # box of an obstacle that fills it
 
 
 @wp.kernel
@@ -64,11 +62,8 @@ def find_distances(
 ):
     """Distances of the middles of cells to the nearest box of an obstacle; a thread does a cell of a row.
 
-    Args:
-        centers: cells in the middle of the windows.
-        evidence, boxes: the map: see ``scan_kernels.Cells``.
-        closed: cells that count as obstacles as well, where they are stored.
-        distances: results, row by row from the lower corner of the window, in cells, at most ``REACH``.
+    ``evidence`` and ``boxes`` are the map (see ``scan_kernels.Cells``), and ``closed`` cells that count as obstacles as
+    well. Results are row by row from the lower corner of the window, in cells, at most ``REACH``.
     """
     n, cell = wp.tid()
     center = centers[n]

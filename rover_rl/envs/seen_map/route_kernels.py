@@ -1,4 +1,4 @@
-"""Warp kernels that plan routes on maps of seen obstacles.
+"""Warp kernels that plan routes on maps of seen obstacles, and close the ways of what moves on them.
 
 What has not been seen counts as free. A step to a neighboring cell costs its length (``STRAIGHT`` or ``DIAGONAL``)
 times the weight of the cell that is nearer to the goal. Weights grow near obstacles. All costs are integers.
@@ -9,39 +9,30 @@ The map changes with each scan, and each rover has its own, so that this search,
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.mover_kernels import TIGHT
 from rover_rl.envs.seen_map.scan_kernels import CELL, CROSSED, DOUBTFUL, HALF, LAST, OPEN, SIZE, address
 from rover_rl.native.warp import wp
 from rover_rl.sims.free_space.path_kernels import link, unlink
 
-STRAIGHT = wp.constant(5)
-"""Length of a step along an axis."""
-DIAGONAL = wp.constant(7)
-"""Length of a diagonal step."""
-OPEN_WEIGHT = wp.constant(2)
-"""Weight of a cell that is far from obstacles, and the smallest one."""
-SLOW_WEIGHT = wp.constant(3)
-"""Weight of a cell of level 3, where the rover should be slow."""
-NEAR_WEIGHT = wp.constant(6)
-"""Weight of a cell of level 2, where it hardly fits."""
-ROOM = wp.constant(2)
-"""Number of cells to the bounds, at least: 0.3 m."""
-BESIDE = wp.constant(4)
-"""Number of cells from start and goal within which the route may run right beside obstacles."""
-BESIDE_WEIGHT = wp.constant(40)
-"""Weight of a cell there. The route may begin and end beside an obstacle, but prefers a detour to running along it."""
-UNKNOWN_COST = wp.constant(1 << 30)
-"""Cost of a cell that no path has reached yet."""
-BUCKETS = wp.constant(64)
-"""Number of buckets of the queue."""
-WIDTH = wp.constant(8)
-"""Range of the costs in a bucket. A step changes the cost with the estimate by at most 7 * 40 + 14 < 63 * WIDTH."""
-REMOVED = wp.constant(-2)
-"""Follower of a cell that has left the queue."""
+STRAIGHT, DIAGONAL = wp.constant(5), wp.constant(7)  # lengths of steps along an axis, and diagonally
+OPEN_WEIGHT = wp.constant(2)  # weight of a cell that is far from obstacles, and the smallest one
+SLOW_WEIGHT = wp.constant(3)  # weight of a cell of level 3, where the rover should be slow
+NEAR_WEIGHT = wp.constant(6)  # weight of a cell of level 2, where it hardly fits
+ROOM = wp.constant(2)  # number of cells to the bounds, at least: 0.3 m
+# Number of cells from start and goal within which the route may run right beside obstacles, and the weight of a cell
+# there. The route may begin and end beside an obstacle, but prefers a detour to running along it.
+BESIDE, BESIDE_WEIGHT = wp.constant(4), wp.constant(40)
+UNKNOWN_COST = wp.constant(1 << 30)  # cost of a cell that no path has reached yet
+# Number of buckets of the queue, and range of the costs in a bucket. A step changes the cost with the estimate by at
+# most 7 * 40 + 14 < 63 * WIDTH.
+BUCKETS, WIDTH = wp.constant(64), wp.constant(8)
+REMOVED = wp.constant(-2)  # follower of a cell that has left the queue
+# Number of cells along the route to its first corner, at least, so that the corner's direction is steady: 0.6 m.
 NEAREST = wp.constant(4)
-"""Number of cells along the route to its first corner, at least, so that the corner's direction is steady: 0.6 m."""
-LONGEST = wp.constant(96)
-"""Number of cells along the route within which its corners are sought."""
+LONGEST = wp.constant(96)  # number of cells along the route within which its corners are sought
+
+STEPS, STEP_DT = wp.constant(16), wp.constant(0.25)  # number of instants at which what moves is looked at, and time, s
+EARLY = wp.constant(0.75)  # time before and after the rover could be in a cell, in which the cell is closed, s
+TIGHT = wp.constant(1)  # level of closed cells in a plan: the rover does not fit there, but gets out if it is there
 
 
 @wp.func
@@ -73,12 +64,9 @@ def least_cost(x: int, y: int):
 class Window:
     """The cells that a route is planned on, addressed within the window: the rover's is (HALF, HALF)."""
 
-    # Cell of the world in the middle of the window.
-    center: wp.vec2i
-    # Cell of the goal, row * SIZE + column.
-    goal: int
-    # First column and row, and last column and row, that a route may lead through.
-    fence: wp.vec4i
+    center: wp.vec2i  # cell of the world in the middle of the window
+    goal: int  # cell of the goal, row * SIZE + column
+    fence: wp.vec4i  # first column and row, and last column and row, that a route may lead through
     levels: wp.array[wp.uint8]
     doubts: wp.array[wp.int16]
 
@@ -316,3 +304,62 @@ def plan_routes(
                 corners[i, k, 1] = goals[i, 1]
             for n in range(count):
                 costs[t, reached[t, n]] = UNKNOWN_COST
+
+
+@wp.kernel
+def close_ways(
+    planned: wp.array[wp.bool],
+    centers: wp.array[wp.vec2i],
+    places: wp.array2d[float],
+    ways: wp.array3d[float],
+    speeds: wp.array[float],
+    levels: wp.array2d[wp.uint8],
+    closes: bool,
+    first: int,
+):
+    """Closes the cells where the rover would meet what moves, or opens them again.
+
+    Thread ``(t, m)`` does so for mover ``m`` of row ``first + t``. Threads of one row that write to the same cell write
+    the same.
+
+    Args:
+        planned: rows to plan for.
+        centers: cells in the middle of the windows.
+        places: x and y of the rovers, ``[N, 2]``, in cells of the world, as all lengths here.
+        ways: x, y, velocity along x and y (1/s), and radius of what moves, ``[N, K, 5]``. A negative one counts for
+            nothing.
+        speeds: speeds of the rovers, 1/s.
+        levels: level of each cell, to which ``CROSSED`` is added in those that are closed.
+        closes: whether to close the cells, or to open them again.
+        first: first row.
+    """
+    t, m = wp.tid()
+    i = t + first
+    radius = ways[i, m, 4]
+    if not planned[i] or radius <= 0.0:
+        return
+    center = centers[i]
+    for n in range(STEPS):
+        time = STEP_DT * float(n)
+        x = ways[i, m, 0] + time * ways[i, m, 2]
+        y = ways[i, m, 1] + time * ways[i, m, 3]
+        # The rover can be in a ring around its place.
+        inner = wp.max(time - EARLY, 0.0) * speeds[i]
+        outer = (time + EARLY) * speeds[i]
+        away = wp.length(wp.vec2(x - places[i, 0], y - places[i, 1]))
+        if away - radius < outer and away + radius > inner:
+            for row in range(int(wp.floor(y - radius)), int(wp.floor(y + radius)) + 1):
+                v = float(row) + 0.5
+                half = wp.sqrt(wp.max(radius * radius - (v - y) * (v - y), 0.0))
+                # The cells whose middles are on the disc of the mover.
+                for column in range(int(wp.ceil(x - half - 0.5)), int(wp.floor(x + half - 0.5)) + 1):
+                    u = float(column) + 0.5
+                    square = wp.length_sq(wp.vec2(u - places[i, 0], v - places[i, 1]))
+                    in_window = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
+                    if in_window and square > inner * inner and square < outer * outer:
+                        cell = address(column, row)
+                        level = int(levels[i, cell])
+                        if closes and level > TIGHT and level < CROSSED:
+                            levels[i, cell] = wp.uint8(level + CROSSED)
+                        elif not closes and level >= CROSSED:
+                            levels[i, cell] = wp.uint8(level - CROSSED)

@@ -17,8 +17,7 @@ MOST, CLOSED = wp.constant(scans.MOST), wp.constant(scans.CLOSED)
 OPEN, DOUBTFUL = wp.constant(scans.OPEN), wp.constant(scans.DOUBTFUL)
 REACH, NO_GAP, STRETCH = wp.constant(scans.REACH), wp.constant(scans.NO_GAP), wp.constant(scans.STRETCH)
 MAX_TILT = wp.constant(scans.MAX_TILT)
-CROSSED = wp.constant(8)
-"""Added to the level of a cell on the way of what moves, while routes are planned."""
+CROSSED = wp.constant(8)  # added to the level of a cell on the way of what moves, while routes are planned
 
 
 @wp.func
@@ -33,24 +32,19 @@ def address_at(x: float, y: float):
 
 @wp.struct
 class Cells:
-    """The map of a row. ``limits`` and ``reach`` are those of :class:`~rover_rl.envs.seen_map.scans.Limits`."""
+    """The map of a row. ``limits`` and ``reach`` are those of :func:`~rover_rl.envs.seen_map.scans.limits_of`."""
 
     rough: bool
     limits: wp.vec4i
     reach: int
-    # Evidence of an obstacle in each cell.
-    evidence: wp.array[wp.uint8]
+    evidence: wp.array[wp.uint8]  # of an obstacle in each cell
     # Where in each occupied cell the obstacle has been seen since the cell was free: PARTS - 1 - first and last part
     # along x, and along y. Larger numbers are larger boxes.
     boxes: wp.array[wp.vec4ub]
-    # Height of the ground in each cell, m.
-    heights: wp.array[float]
-    # Level of each cell by the distance of its middle from the nearest box.
-    levels: wp.array[wp.uint8]
-    # Number of suspected cells around each one.
-    doubts: wp.array[wp.int16]
-    # 1 in cells that beams have passed. Empty if that is not kept.
-    passed: wp.array[wp.uint8]
+    heights: wp.array[float]  # of the ground in each cell, m
+    levels: wp.array[wp.uint8]  # of each cell by the distance of its middle from the nearest box
+    doubts: wp.array[wp.int16]  # number of suspected cells around each one
+    passed: wp.array[wp.uint8]  # 1 in cells that beams have passed. Empty if that is not kept.
 
 
 @wp.func

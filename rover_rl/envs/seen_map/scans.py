@@ -1,4 +1,4 @@
-"""What a lidar scan tells about the ground around rovers: the rules that the map and its export share.
+"""What a lidar scan tells about the ground around rovers.
 
 A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
 covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. Cells are as wide as a gap's tolerance. Occupied ones
@@ -14,75 +14,54 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig, RobotLike
-from rover_rl.envs.sensors.lidar_mask import WHOLE
-from rover_rl.robots import get_robot
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.sensors.standard import WHOLE
+from rover_rl.robots import Robot
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.rays import seen
 from rover_rl.sims.rover_state import beam_angles
 
-SIZE = 128
-"""Number of cells along a side of the window. A power of two."""
-HALF = 64
-"""Number of cells on each side of the rover's."""
-CELL = 0.15
-"""Side length of a cell, m."""
-PARTS = 16
-"""Number of parts along a side of a cell, in which the ends of beams are told apart."""
-UNSEEN = -1.0e9
-"""Height of a cell whose ground has not been seen, m."""
+SIZE, HALF = 128, 64  # numbers of cells along a side of the window, a power of two, and on each side of the rover's
+CELL = 0.15  # side length of a cell, m
+PARTS = 16  # number of parts along a side of a cell, in which the ends of beams are told apart
+UNSEEN = -1.0e9  # height of a cell whose ground has not been seen, m
 
-SUSPECTED = 1
-"""Evidence of a cell on rough ground in which a beam has ended: at an obstacle, or at a slope that can be climbed."""
-OCCUPIED = 2
-"""Evidence from which on a cell counts as occupied."""
-HIT = 4
-"""Evidence that a reading adds to the cell at its end."""
-MOST = 12
-"""Largest evidence from readings. Each beam that passes through a cell takes 1 away."""
-CLOSED = 15
-"""Evidence of a cell that is too steep, or that the rover could not get to. Beams do not change it."""
-
-OPEN = 4
-"""Level of a cell far from obstacles. Cells at obstacles have level 0, and :class:`Limits` tells the others."""
-DOUBTFUL = 2
-"""Highest level of a cell near a suspected one. A route crosses it if a detour is three times as long, or longer."""
+# Evidence of a cell: on rough ground in which a beam has ended, at an obstacle or at a slope that can be climbed;
+# from which on it counts as occupied; that a reading adds to the cell at its end; the largest from readings, of which
+# each beam that passes takes 1 away; and that of a cell that is too steep or cannot be reached, which beams leave.
+SUSPECTED, OCCUPIED, HIT, MOST, CLOSED = 1, 2, 4, 12, 15
+# Level of a cell far from obstacles, and highest one near a suspected one, which a route crosses if a detour is three
+# times as long. Cells at obstacles have level 0, and Limits tells the others.
+OPEN, DOUBTFUL = 4, 2
+# Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m.
 MARGINS = (0.01, 0.075, 0.225)
-"""Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
 
-REACH = 60
-"""Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
-3 cells, 0.45 m, from the rover's center along each axis."""
-FARTHEST_MOUNT = 0.45
-"""Largest distance of the lidar from the robot's center along x and along y, m."""
-NO_GAP = 4.0
-"""Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
-LOWEST = -4.0 / 3.0
-"""Height of the end of a beam, relative to the lidar, below which it is on the ground, cells: -0.2 m."""
+# Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most 3
+# cells, FARTHEST_MOUNT (m), from the rover's center along each axis.
+REACH, FARTHEST_MOUNT = 60, 0.45
+NO_GAP = 4.0  # distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m
+LOWEST = -4.0 / 3.0  # height of the end of a beam above the lidar below which it is on the ground, cells: -0.2 m
+# Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, it tilts by 0.01 at most.
 ROUGH_TILT = 0.05
-"""Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, starting and stopping tilt it
-by 0.01 at most."""
-MAX_TILT = 0.42
-"""Slope above which ground is too steep, rad: 24 degrees. Tires of usual friction (0.5) slide at 26.6."""
+MAX_TILT = 0.42  # slope above which ground is too steep, rad: 24 degrees. Tires of usual friction slide at 26.6.
+# Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
+# changes the height there by 5 cm.
 FARTHEST_HEIGHT = 20
-"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
-changes the height there by 5 cm."""
-STRETCH = 4
-"""Number of cells between two heights that are compared, at most: 0.6 m."""
-AHEAD = 3.0
-"""Distance from the rover at which a cell is closed, in cells: 0.45 m."""
-WAY = 0.5
-"""Distance up to which a rover is still around a place, m."""
+STRETCH = 4  # number of cells between two heights that are compared, at most: 0.6 m
+AHEAD = 3.0  # distance from the rover at which a cell is closed, in cells: 0.45 m
+WAY = 0.5  # distance up to which a rover is still around a place, m
+# Time in which a rover makes half a meter of way, if it can get on, s: one that turns in place, which takes 3 s for a
+# half turn, and one that turns around by driving back and forth.
 PATIENCE, MANEUVERS = 8.0, 20.0
-"""Time in which a rover makes half a meter of way, if it can get on, s: one that turns in place, which takes 3 s for a
-half turn, and one that turns around by driving back and forth."""
 
+# Sizes of the parts of a rover's state: the cell in the middle of the window, whether the ground is rough, the place
+# around which the rover is and its number of scans there, and the first corner of its route. Zeros before an episode.
 STATE = (2, 1, 2, 1, 2)
-"""Sizes of the parts of a rover's state: the cell in the middle of the window, whether the ground is rough, the place
-around which the rover is and its number of scans there, and the first corner of its route. Zeros before an episode."""
+# How many of the numbers of reading_of come before those of each reading.
+NUMBERS = 5
 
 
 class Scan(NamedTuple):
@@ -114,114 +93,81 @@ class Scan(NamedTuple):
     closes: Tensor
 
 
-NUMBERS = 5
-"""How many of the numbers of :func:`reading_of` come before those of each reading."""
+def read_scans(
+    state: Tensor,
+    lidar: Tensor,
+    pose: Tensor,
+    imu: Tensor,
+    taken: tuple[Tensor, Tensor],
+    readings: Tensor,
+    directions: Tensor,
+    mask: Tensor | None = None,
+) -> tuple[Scan, Tensor]:
+    """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-
-class ScanReader(nn.Module):
-    """Computes what scans tell, from the observation and a small state of each rover.
-
-    ``interval`` is the time from one scan to the next, s.
+    Args:
+        state: state before, ``[N, 8]``.
+        lidar, pose, imu: entries of the observation in units of the map, ``[N, n]``.
+        taken: ``pose`` and ``imu`` at which the scan was taken.
+        readings: :func:`reading_of` the robots, ``[N, NUMBERS + P]``.
+        directions: :func:`reading_directions`, ``[P, 2]``.
+        mask: entry ``lidar_mask``. ``None``: beams cover what is in view.
     """
-
-    _directions: Tensor
-    _turn: Tensor
-    _seen: Tensor | None
-    _reading: Tensor
-
-    def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
-        super().__init__()
-        directions, reading = reading_directions(lidar), reading_of(lidar, robot, interval)
-        is_seen = torch.tensor(reading[NUMBERS:]) > 0
-        # A reading outside of the view is a beam without length, which clears no cell.
-        self.register_buffer("_directions", directions * is_seen[:, None])
-        self.register_buffer("_turn", directions)
-        self.register_buffer("_seen", None if is_seen.all() else is_seen)
-        self.register_buffer("_reading", torch.tensor(reading[:NUMBERS]))
-
-    def forward(
-        self,
-        state: Tensor,
-        lidar: Tensor,
-        pose: Tensor,
-        imu: Tensor,
-        reading: Tensor | None = None,
-        taken: tuple[Tensor, Tensor] | None = None,
-        mask: Tensor | None = None,
-    ) -> tuple[Scan, Tensor]:
-        """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
-
-        The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, the
-        :func:`reading_of` different robots, ``[N, NUMBERS + P]``, ``pose`` and ``imu`` at which the scan was taken,
-        ``None``: the ones now, and the entry ``lidar_mask``, ``None``: beams cover what is in view.
-        """
-        numbers, directions, is_seen = self._reading, self._directions, self._seen
-        if reading is not None:
-            numbers, is_seen = reading[:, :NUMBERS], reading[:, NUMBERS:] > 0
-        if mask is not None:
-            is_seen = mask > WHOLE if is_seen is None else (mask > WHOLE) & is_seen
-        if is_seen is not None and is_seen is not self._seen:
-            directions = self._turn * is_seen[..., None]
-        mount, no_return, patience = numbers.split((3, 1, 1), -1)
-        _, was_rough, place, waits, corner = state.split(STATE, -1)
-        axes, xy = euler_to_matrix(_roll_first(imu)), pose[:, :2]
-        up = axes[..., 2]
-        rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
-        center = (xy / CELL).floor()
-        at, attitude = taken or (pose, imu)
-        tilted = axes if taken is None else euler_to_matrix(_roll_first(attitude))
-        origin, beams = self._beams(lidar, at[:, :2], attitude[:, 2:], tilted, mount, directions)
-        size, reach = beams[..., :2].abs().amax(-1), torch.full_like(xy[:, :1], REACH)
-        if taken is not None:
-            # The rover has moved on since the scan, and the window with it.
-            late = ((at != pose) | (attitude != imu)).any(-1, keepdim=True)
-            reach = torch.where(late, HALF - 1 - (origin - center).abs().amax(-1, keepdim=True), reach).clamp(0, REACH)
-            beams = torch.where(late, reach / size.maximum(reach).clamp(min=1e-6), 1.0)[..., None] * beams
-        returned = lidar < no_return
-        if is_seen is not None:
-            returned = returned & is_seen
-        ends = returned & (size < reach)
-        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, tilted[..., 2], mount) | ~rough)
-        shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
-        height = at[:, 2:] + (tilted[:, 2] * mount).sum(-1, keepdim=True)
-        z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
-        points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
-        ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
-        leaves = (waits == 0) | ((xy - place).norm(dim=-1, keepdim=True) > WAY)
-        place, scans = torch.where(leaves, xy, place), torch.where(leaves, 1.0, waits + 1)
-        halts = scans > patience
-        # The rover's vertical axis leans downhill.
-        ways = torch.stack((-up[:, :2], corner - xy), 1)
-        closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-        closes = torch.cat((up[:, 2:] < math.cos(MAX_TILT), halts), -1)
-        cleared = ((waits == 0) | ((was_rough > 0) != rough))[:, 0]
-        scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
-        return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
-
-    def _beams(
-        self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor, directions: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        cos, sin = yaw.cos(), yaw.sin()
-        offset = mount[..., :1] * torch.cat((cos, sin), -1) + mount[..., 1:2] * torch.cat((-sin, cos), -1)
-        ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
-        beams = directions[..., :1] * ahead + directions[..., 1:] * left
-        return (xy + offset) / CELL, (lidar / CELL)[..., None] * beams
-
-    def _is_steep(self, beams: Tensor, up: Tensor, mount: Tensor) -> Tensor:
-        """Returns whether beams end at an obstacle on rough ground, too, and not at a slope that the rover can climb.
-
-        Some of the ground from below the lidar to the end of the beam is at least as steep as the straight line between
-        them. So the end is an obstacle if that line is too steep: on a level rover with the lidar at 0.32 m, within
-        0.72 m. Farther ends are suspected ones.
-        """
-        rise = beams + (mount[..., 2:] / CELL * up)[:, None]
-        return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+    mount, no_return, patience = readings[:, :NUMBERS].split((3, 1, 1), -1)
+    is_seen = readings[:, NUMBERS:] > 0
+    if mask is not None:
+        is_seen = (mask > WHOLE) & is_seen
+    _, was_rough, place, waits, corner = state.split(STATE, -1)
+    (at, attitude), xy, up = taken, pose[:, :2], _axes(imu)[..., 2]
+    tilted = _axes(attitude)
+    rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
+    center = (xy / CELL).floor()
+    cos, sin = attitude[:, 2:].cos(), attitude[:, 2:].sin()
+    offset = mount[:, :1] * torch.cat((cos, sin), -1) + mount[:, 1:2] * torch.cat((-sin, cos), -1)
+    origin, ahead, left = (at[:, :2] + offset) / CELL, tilted[:, None, :, 0], tilted[:, None, :, 1]
+    # A reading outside of the view is a beam without length, which clears no cell.
+    directions = directions * is_seen[..., None]
+    beams = (lidar / CELL)[..., None] * (directions[..., :1] * ahead + directions[..., 1:] * left)
+    # The rover may have moved on since the scan, and the window with it.
+    late = ((at != pose) | (attitude != imu)).any(-1, keepdim=True)
+    reach = HALF - 1 - (origin - center).abs().amax(-1, keepdim=True)
+    size, reach = beams[..., :2].abs().amax(-1), torch.where(late, reach, float(REACH)).clamp(0, REACH)
+    beams = torch.where(late, reach / size.maximum(reach).clamp(min=1e-6), 1.0)[..., None] * beams
+    returned = (lidar < no_return) & is_seen
+    ends = returned & (size < reach)
+    hits = ends & (beams[..., 2] > LOWEST) & (_is_steep(beams, tilted[..., 2], mount) | ~rough)
+    shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
+    height = at[:, 2:] + (tilted[:, 2] * mount).sum(-1, keepdim=True)
+    z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
+    points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
+    ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
+    leaves = (waits == 0) | ((xy - place).norm(dim=-1, keepdim=True) > WAY)
+    place, scans = torch.where(leaves, xy, place), torch.where(leaves, 1.0, waits + 1)
+    halts = scans > patience
+    # The rover's vertical axis leans downhill.
+    ways = torch.stack((-up[:, :2], corner - xy), 1)
+    closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    closes = torch.cat((up[:, 2:] < math.cos(MAX_TILT), halts), -1)
+    cleared = ((waits == 0) | ((was_rough > 0) != rough))[:, 0]
+    scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
+    return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
 
 
-def _roll_first(imu: Tensor) -> Tensor:
-    """Returns roll, pitch and yaw of pitch, roll and yaw, ``[N, 3]``. A list of indices would wait for a GPU."""
+def _is_steep(beams: Tensor, up: Tensor, mount: Tensor) -> Tensor:
+    """Returns whether beams end at an obstacle on rough ground, too, and not at a slope that the rover can climb.
+
+    Some of the ground from below the lidar to the end of the beam is at least as steep as the straight line between
+    them. So the end is an obstacle if that line is too steep: on a level rover with the lidar at 0.32 m, within 0.72 m.
+    Farther ends are suspected ones.
+    """
+    rise = beams + (mount[..., 2:] / CELL * up)[:, None]
+    return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+def _axes(imu: Tensor) -> Tensor:
+    """Returns the axes of the rovers by pitch, roll and yaw. A list of indices would wait for a GPU."""
     pitch, roll, yaw = imu.split(1, -1)
-    return torch.cat((roll, pitch, yaw), -1)
+    return euler_to_matrix(torch.cat((roll, pitch, yaw), -1))
 
 
 def reading_angles(lidar: LidarConfig) -> Tensor:
@@ -239,89 +185,46 @@ def reading_directions(lidar: LidarConfig) -> Tensor:
     return torch.stack((angles.cos(), angles.sin()), -1)
 
 
-def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:
-    beams = seen(beam_angles(lidar.beams), view)
-    return torch.stack([part.all() for part in beams.tensor_split(lidar.points)])
+def limits_of(robot: Robot) -> tuple[int, int, int, int, int]:
+    """Returns by which distances from obstacles the cells have levels, for a robot.
 
-
-class Limits(NamedTuple):
-    """Squares of the distances from obstacles, in parts of a cell, below which the middles of cells have levels 1 to 3.
-
-    Below ``tight``, the rover does not fit, below ``near``, it hardly fits, below ``wide``, it should be slow. Below
-    ``doubt``, the middles of a cell and of a suspected one are near each other.
+    The first three numbers are squares of the distances of the middles of cells, in parts of a cell, below which the
+    rover does not fit, hardly fits, and should be slow: levels 1 to 3. Below the fourth, the middles of a cell and of a
+    suspected one are near each other. The last is the number of cells that the third reaches.
     """
-
-    tight: int
-    near: int
-    wide: int
-    doubt: int
-
-    @property
-    def reach(self) -> int:
-        return math.ceil(math.sqrt(self.wide) / PARTS)
-
-
-def limits_of(robot: RobotLike) -> Limits:
-    half_width = get_robot(robot).footprint.half_width / map_unit(robot)
+    half_width = robot.footprint.half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     # A suspected obstacle may be anywhere in its cell.
-    return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
+    return tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2, math.ceil(wide / PARTS)
 
 
-def reading_of(lidar: LidarConfig, robot: RobotLike, interval: float) -> tuple[float, ...]:
+def reading_of(lidar: LidarConfig, robot: Robot, interval: float) -> tuple[float, ...]:
     """Returns how the scans of a robot are read, in units of its map.
 
     Position of the lidar; the reading from which on a beam has hit nothing; the number of scans, each after an
     ``interval`` (s), after which a rover that makes no way is stuck; and, for each reading, 1 if the lidar sees there.
+    Raises ``ValueError`` if the lidar is too far off center.
     """
-    no_return = (lidar.max_range - 1e-3) / map_unit(robot)
-    patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
-    is_seen = _seen_readings(lidar, get_robot(robot).lidar_view).float().tolist()
-    return *lidar_mount(robot), no_return, float(math.ceil(patience / interval)), *is_seen
-
-
-def map_unit(robot: RobotLike) -> float:
-    """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
-    robot = get_robot(robot)
-    return passage_scale(robot, robot.footprint.corner)
-
-
-def lidar_mount(robot: RobotLike) -> tuple[float, float, float]:
-    """Returns the position of the lidar in the robot's frame, in units of the map.
-
-    Raises:
-        ValueError: if it is too far off center.
-    """
-    (x, y, z), unit = get_robot(robot).lidar_position, map_unit(robot)
+    (x, y, z), unit = robot.lidar_position, map_unit(robot)
     if max(abs(x), abs(y)) > FARTHEST_MOUNT * unit:
         raise ValueError(
             f"the lidar must be at most {FARTHEST_MOUNT * unit:g} m from the robot's center along x and y, got {(x, y)}"
         )
-    return x / unit, y / unit, z / unit
+    patience = PATIENCE if robot.drive.turns_in_place else MANEUVERS
+    in_view = seen(beam_angles(lidar.beams), robot.lidar_view).tensor_split(lidar.points)
+    numbers = x / unit, y / unit, z / unit, (lidar.max_range - 1e-3) / unit, float(math.ceil(patience / interval))
+    return *numbers, *(float(part.all()) for part in in_view)
 
 
-def in_units(unit: float | Tensor, lidar: Tensor, pose: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns entries of the observation, in meters, in units of the map: of all rows, or of each, ``[N, 1]``."""
-    if isinstance(unit, float) and unit == 1:
-        return lidar, pose, target
-    distance, angle = target.split(1, -1)
-    return lidar / unit, pose / unit, torch.cat((distance / unit, angle), -1)
+def map_unit(robot: Robot) -> float:
+    """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
+    return passage_scale(robot, robot.footprint.corner)
 
 
-def route_in_meters(unit: float | Tensor, route: Tensor) -> Tensor:
-    """Returns routes ``[N, 5]``, whose lengths are in units of the map, in meters. A length of -1 stays."""
-    if isinstance(unit, float) and unit == 1:
-        return route
-    factor = unit if isinstance(unit, Tensor) else route.new_tensor([unit])
-    one = torch.ones_like(factor)
-    scaled = route * torch.cat((factor, one, factor, one, factor), -1)
-    return torch.cat((scaled[:, :4], torch.where(route[:, 4:] < 0, route[:, 4:], scaled[:, 4:])), -1)
-
-
-def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
-    """Returns x and y of the goals, ``[N, 2]``, m, from entries of the observation ``[N, n]``."""
-    bearing = target[:, 1:] + imu[:, 2:]
-    return pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+def goal_positions(pose: Tensor, imu: Tensor, distance: Tensor, angle: Tensor) -> Tensor:
+    """Returns x and y of the goals, ``[N, 2]``, m, from pose and attitude, and distance and angle, ``[N, 1]`` each."""
+    bearing = angle + imu[:, 2:]
+    return pose[:, :2] + distance * torch.cat((bearing.cos(), bearing.sin()), -1)
 
 
 def along_heading(pairs: Tensor, imu: Tensor) -> Tensor:
@@ -338,8 +241,14 @@ def in_world(pairs: Tensor, imu: Tensor) -> Tensor:
     return torch.stack((cos * x - sin * y, sin * x + cos * y), -1)
 
 
-def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
-    """Returns routes with ``corners [N, 2, 2]`` and ``lengths [N]`` (m) as entries of the observation, ``[N, 5]``."""
+def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor, unit: Tensor) -> Tensor:
+    """Returns routes as entries of the observation, ``[N, 5]``, m and rad.
+
+    ``corners [N, 2, 2]``, ``lengths [N]`` and ``pose [N, 3]`` are in the ``unit [N, 1]`` of the map.
+    """
     offset = corners - pose[:, None, :2]
     angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
-    return torch.cat((torch.stack((offset.norm(dim=-1), angle), -1).flatten(1), lengths[:, None]), -1)
+    far = offset.norm(dim=-1) * unit
+    # A length of -1 stays.
+    length = torch.where(lengths < 0, lengths, lengths * unit[:, 0])
+    return torch.cat((torch.stack((far, angle), -1).flatten(1), length[:, None]), -1)

@@ -1,56 +1,25 @@
-"""``SeenMap``: what the lidars of a batch of rovers have seen, and the routes to their goals on it.
-
-Example:
-    >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-    >>> seen = SeenMap(env.fleet, env.config.lidar)
-    >>> seen(env.reset()).shape
-    torch.Size([2, 5])
-"""
+"""``SeenMap``: what the lidars of a batch of rovers have seen, and the routes to their goals on it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE, LidarConfig
-from rover_rl.envs.seen_map.scans import (
-    CELL,
-    DOUBTFUL,
-    HALF,
-    NUMBERS,
-    OPEN,
-    SIZE,
-    STATE,
-    UNSEEN,
-    Scan,
-    ScanReader,
-    goal_positions,
-    in_units,
-    in_world,
-    limits_of,
-    map_unit,
-    reading_directions,
-    reading_of,
-    relative_route,
-    route_in_meters,
-)
-from rover_rl.envs.sensors.lidar_mask import WHOLE
+from rover_rl.envs.seen_map import scans
+from rover_rl.envs.seen_map.scans import CELL, HALF, NUMBERS, SIZE, STATE
 from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
-from rover_rl.envs.sensors.scan_pose import seen_from_now, taken_at
+from rover_rl.envs.sensors.standard import WHOLE, Entries, seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.robots.fleet import Fleet
 
+# Distance from the body within which the ground is known to be free, as the rover stands there, m.
 KNOWN = 0.2
-"""Distance from the body within which the ground is known to be free, as the rover stands there, m."""
-MOVER_MARGIN = 0.1
-"""Free distance between the side of the robot and a mover on a route, m."""
-NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
-"""Area without bounds."""
+MOVER_MARGIN = 0.1  # free distance between the side of the robot and a mover on a route, m
+NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)  # area without bounds
 
 
 class SeenMap:
@@ -83,7 +52,7 @@ class SeenMap:
     could be, in the coming 4 s.
 
     The map needs a pose that does not jump, such as that of odometry. A scan that is older than the pose is added where
-    it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
+    it was taken, if the observation has ``scan_pose``: see :class:`~rover_rl.envs.sensors.standard.ScanPose`.
 
     Args:
         fleet: robots of the N rows, for their width and the position of their lidars. Its device is that of the
@@ -95,6 +64,11 @@ class SeenMap:
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
+
+    Example:
+        >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
+        >>> SeenMap(env.fleet, env.config.lidar)(env.reset()).shape
+        torch.Size([2, 5])
     """
 
     def __init__(
@@ -104,28 +78,25 @@ class SeenMap:
         from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
 
         rows, device, cells = len(fleet), fleet.index.device, SIZE * SIZE
-        self._points, self._directions = lidar.points, reading_directions(lidar).to(device)
-        # Half of a beam, in readings.
-        self._offset = 0.5 * lidar.points / lidar.beams
-        self._fleet, self._reader = fleet, ScanReader(lidar, fleet.robots[0], interval).to(device)
-        self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
-        # Distance from movers that they keep, m, and their speed, in cells per second.
-        self._sides = self._fleet.table(lambda robot: [robot.footprint.half_width + MOVER_MARGIN])
-        self._speeds = self._fleet.table(lambda robot: [robot.drive.max_speed / (CELL * map_unit(robot))])
-        # Distance of the farthest corner of the body from its center, m.
-        self._outer = self._fleet.table(lambda robot: [robot.footprint.corner])
-        # Unit of the map of the only robot, and of each one.
-        self._unit = map_unit(self._fleet.robots[0])
-        self._units = self._fleet.table(lambda robot: [map_unit(robot)])
-        self._limits = self._fleet.table(lambda robot: [*limits_of(robot), limits_of(robot).reach], torch.int32)
+        self._fleet, self._points = fleet, lidar.points
+        self._directions = scans.reading_directions(lidar).to(device)
+        self._offset = 0.5 * lidar.points / lidar.beams  # half of a beam, in readings
+        self._units = fleet.table(lambda robot: [scans.map_unit(robot)])
+        self._readings = fleet.table(lambda robot: scans.reading_of(lidar, robot, interval))
+        self._limits = fleet.table(scans.limits_of, torch.int32)
+        # Distance from movers that robots keep, m, their speed, in cells per second, and the distance of the farthest
+        # corner of the body from its center, m.
+        self._sides = fleet.table(lambda robot: [robot.footprint.half_width + MOVER_MARGIN])
+        self._speeds = fleet.table(lambda robot: [robot.drive.max_speed / (CELL * scans.map_unit(robot))])
+        self._outer = fleet.table(lambda robot: [robot.footprint.corner])
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._state = torch.zeros(rows, sum(STATE), device=device)
         self._evidence = torch.zeros(rows, cells, dtype=torch.uint8, device=device)
-        self._levels = torch.full_like(self._evidence, OPEN)
+        self._levels = torch.full_like(self._evidence, scans.OPEN)
         self._doubts = torch.zeros(rows, cells, dtype=torch.int16, device=device)
         self._boxes = torch.zeros(rows, cells, 4, dtype=torch.uint8, device=device)
-        self._heights = torch.full((rows, cells), UNSEEN, device=device)
+        self._heights = torch.full((rows, cells), scans.UNSEEN, device=device)
         self._passed = torch.zeros(rows, cells if keep_passed else 0, dtype=torch.uint8, device=device)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
@@ -142,7 +113,7 @@ class SeenMap:
 
     def __call__(
         self,
-        observation: TensorDictBase | Mapping[str, Tensor],
+        observation: Entries,
         rows: Tensor | None = None,
         renewed: Tensor | None = None,
         bounds: Tensor | None = None,
@@ -160,9 +131,6 @@ class SeenMap:
             Routes, float32 ``[N, 5]``: distance (m) and angle (rad, relative to the rover's heading) of the first and
             the second corner, and the length (m). The goal counts as a corner. In the length, a meter beside an
             obstacle counts more, up to ten. Without a path, both corners are the goal, and the length is -1.
-
-        Raises:
-            ValueError: if the observation has another number of lidar readings than the map is made for.
         """
         rows = self._every if rows is None else rows.contiguous()
         if renewed is not None:
@@ -170,29 +138,30 @@ class SeenMap:
         lidar, pose, imu, target = (observation[key] for key in ("lidar", "pose", "imu", "target"))
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
-        several, index = len(self._fleet.robots) > 1, self._fleet.index
-        unit = self._units[index] if several else self._unit
-        ranges, place, goal = in_units(unit, lidar, pose, target)
-        readings = self._readings[index] if several else None
-        late, mask = observation.get(SCAN_POSE, None), observation.get(LIDAR_MASK, None)
-        then = None
-        if late is not None:
-            at, attitude = taken_at(observation)
-            then = at / unit, attitude
-        scan, state = self._reader(self._state, ranges, place, imu, readings, then, mask)
-        movers, ways = observation.get(MOVERS, None), list[Tensor]()
+        late, movers, unit = observation.get(SCAN_POSE, None), observation.get(MOVERS, None), self._unit
+        at, attitude = taken_at(observation)
+        place, goal = pose / unit, scans.goal_positions(pose / unit, imu, target[:, :1] / unit, target[:, 1:])
+        readings, mask = self._readings[self._fleet.index], observation.get(LIDAR_MASK, None)
+        scan, state = scans.read_scans(
+            self._state, lidar / unit, place, imu, (at / unit, attitude), readings, self._directions, mask
+        )
+        ways = []
         if movers is not None:
             scan = scan._replace(hits=scan.hits & ~belong_to_movers(*self._points_of(lidar, late), movers))
             ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
-        self._launch(scan, goal_positions(place, imu, goal), bounds, rows, ways)
+        self._launch(scan, goal, bounds, rows, ways)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
-        return route_in_meters(unit, relative_route(self._corners, self._lengths, place, imu))
+        return scans.relative_route(self._corners, self._lengths, place, imu, unit)
+
+    @property
+    def _unit(self) -> Tensor:
+        return self._units[self._fleet.index]
 
     @property
     def cell(self) -> Tensor:
         """Size of a cell of each row's map, ``[N, 1]``, m."""
-        return CELL * self._units[self._fleet.index]
+        return CELL * self._unit
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -202,25 +171,19 @@ class SeenMap:
             fit, 2 where it hardly fits or an obstacle is suspected, 3 where it should be slow, and 4 elsewhere. And x,
             y of the lower corner of cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        levels = torch.where(self._doubts > 0, self._levels.clamp(max=DOUBTFUL), self._levels)
+        levels = torch.where(self._doubts > 0, self._levels.clamp(max=scans.DOUBTFUL), self._levels)
         lowest = self._state[:, :2].int() - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
-    def distances(
-        self, observation: TensorDictBase | Mapping[str, Tensor], bounds: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Returns the distances to what has been seen, and where they are.
+    def distances(self, observation: Entries, bounds: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Returns the distances to what has been seen until the ``observation`` that was added last.
 
         Where the lidar does not see now, as behind a rover whose lidar sees ahead, a cell that no beam has passed in
         the episode counts as an obstacle, but for those within 0.2 m of the body, which stands there. So does what is
         out of bounds.
-
-        Args:
-            observation: observation that has been added last.
-            bounds: as for a call.
 
         Returns:
             Distances of the middles of the cells to the nearest obstacle, row by row, float32 ``[N, SIZE * SIZE]``, m,
@@ -229,41 +192,33 @@ class SeenMap:
         Raises:
             ValueError: if the map was made without ``keep_passed``.
         """
-        from rover_rl.envs.seen_map.distance_kernels import find_distances
+        from rover_rl.envs.seen_map.distance_kernels import find_closed, find_distances
         from rover_rl.native.warp import launch_options, wp
 
         if not self._passed.shape[-1]:
             raise ValueError("distances need a map that is made with keep_passed=True")
-        center = self._state[:, :2].int()
-        distances = torch.empty_like(self._heights)
-        inputs = [center, self._evidence, self._boxes, self._closed(observation, bounds), distances]
-        wp.launch(find_distances, tuple(distances.shape), inputs, **launch_options(distances.device))
-        return distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
-
-    def _closed(self, observation: TensorDictBase | Mapping[str, Tensor], bounds: Tensor | None) -> Tensor:
-        """Returns which cells count as obstacles without evidence, as they are stored, bool ``[N, SIZE * SIZE]``."""
-        from rover_rl.envs.seen_map.distance_kernels import find_closed
-        from rover_rl.native.warp import launch_options, wp
-
-        readings, mask = self._readings[self._fleet.index], observation.get(LIDAR_MASK, None)
-        is_seen = readings[:, NUMBERS:] > 0
+        center, readings, imu = self._state[:, :2].int(), self._readings[self._fleet.index], observation["imu"]
+        mask, is_seen = observation.get(LIDAR_MASK, None), readings[:, NUMBERS:] > 0
         if mask is not None:
             is_seen = is_seen & (mask > WHOLE)
-        mount = readings[:, :2] * self._units[self._fleet.index]
-        lidar = observation["pose"][:, :2] + in_world(mount[:, None], observation["imu"])[:, 0]
+        mount = readings[:, :2] * self._unit
+        lidar = observation["pose"][:, :2] + scans.in_world(mount[:, None], imu)[:, 0]
         near = (mount.norm(dim=-1, keepdim=True) + self._outer[self._fleet.index] + KNOWN) / self.cell
-        places = torch.cat((lidar / self.cell, observation["imu"][:, 2:], near), -1)
+        places = torch.cat((lidar / self.cell, imu[:, 2:], near), -1)
         area = ((self._unbounded if bounds is None else bounds) / self.cell).contiguous()
-        closed = torch.zeros_like(self._evidence, dtype=torch.bool)
-        inputs = [self._state[:, :2].int(), *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
+        # Cells that count as obstacles without evidence, as they are stored.
+        closed, options = torch.zeros_like(self._evidence, dtype=torch.bool), launch_options(center.device)
+        inputs = [center, *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
         inputs += [is_seen, self._offset, self._passed, closed]
-        wp.launch(find_closed, tuple(closed.shape), inputs, **launch_options(closed.device))
-        return closed
+        wp.launch(find_closed, tuple(closed.shape), inputs, **options)
+        distances = torch.empty_like(self._heights)
+        inputs = [center, self._evidence, self._boxes, closed, distances]
+        wp.launch(find_distances, tuple(distances.shape), inputs, **options)
+        return distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
         ahead, left = (self._readings[:, :2] * self._units)[self._fleet.index].split(1, -1)
-        x, y = ahead + lidar * self._directions[:, 0], left + lidar * self._directions[:, 1]
-        return (x, y) if scan_pose is None else seen_from_now(x, y, scan_pose)
+        return seen_from_now(ahead + lidar * self._directions[:, 0], left + lidar * self._directions[:, 1], scan_pose)
 
     def _ways_of(self, movers: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
         """Returns position, velocity and radius of movers in the world, in cells, ``[N, COUNT, NUMBERS]``.
@@ -271,12 +226,11 @@ class SeenMap:
         Half of the robot's width and a margin are added to the radius, which is negative where there is no mover.
         """
         radius = torch.where(movers[..., 4] > 0, movers[..., 4] + self._sides[self._fleet.index], -1.0)
-        place, velocity = (in_world(movers[..., k : k + 2], imu) for k in (0, 2))
+        place, velocity = (scans.in_world(movers[..., k : k + 2], imu) for k in (0, 2))
         return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]
 
-    def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
-        from rover_rl.envs.seen_map.mover_kernels import close_ways
-        from rover_rl.envs.seen_map.route_kernels import plan_routes
+    def _launch(self, scan: scans.Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
+        from rover_rl.envs.seen_map.route_kernels import close_ways, plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
         from rover_rl.native.warp import launch_options, wp
 
@@ -284,19 +238,19 @@ class SeenMap:
         before, center = self._state[:, :2].int(), scan.center.int()
         limits = self._limits[self._fleet.index]
         limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
-        scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
-        scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts, self._passed]
+        inputs = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
+        inputs += [self._evidence, self._boxes, self._heights, self._levels, self._doubts, self._passed]
         crossed = [rows, center, *ways, self._speeds[self._fleet.index, 0], self._levels]
         plans = [goals, bounds, rows, center, self._levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
-            wp.launch(add_scans, last - first, [*scans, first], **options)
+            wp.launch(add_scans, last - first, [*inputs, first], **options)
             # Movers close cells for one plan only.
             if ways:
                 wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, True, first], **options)
-            inputs = [*plans, *memory, self._corners, self._lengths, first, last]
-            wp.launch(plan_routes, len(memory[0]), inputs, **options)
+            planned = [*plans, *memory, self._corners, self._lengths, first, last]
+            wp.launch(plan_routes, len(memory[0]), planned, **options)
             if ways:
                 wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, False, first], **options)
 

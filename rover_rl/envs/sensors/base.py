@@ -13,11 +13,10 @@ from zlib import crc32
 import torch
 from torch import Tensor
 
-from rover_rl.checks import MAX_COUNT, check_at_least, check_topics
+from rover_rl import checks, rng
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.specs import Bounds
 from rover_rl.envs.stages import Perception, SensedPose, SensorDelays
-from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import LiveRover
 from rover_rl.sims.movers.field import MoverField
@@ -25,39 +24,36 @@ from rover_rl.sims.rover_state import Force, RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.table import TerrainTable, WorldTable
 
+# NVIDIA Warp takes half a second to import, and the renderer a second: they are imported when a sensor casts rays.
 if TYPE_CHECKING:
     from rover_rl.sims.rays import RayCaster
     from rover_rl.sims.rendering.colors import ColorCaster
 
-
 Directions: TypeAlias = Tensor | Sequence[Sequence[float]]
+Pooling: TypeAlias = Callable[[Tensor], Tensor]
 Delayed: TypeAlias = Literal["scan", "state"] | None
 """Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
 
 
 class Surroundings:
-    """Ground, obstacles and movers around each row. Nothing is built until a sensor asks for it."""
+    """Ground, obstacles and movers around each row. Nothing is built until a sensor asks for it.
 
-    def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
-        self._worlds, self._movers = worlds, movers
-        self.live: LiveRover | None = None
-        """The live rover, around which nothing is known but the map of its world. ``None``: not live."""
+    Around a ``live`` rover, nothing is known but the map of its world: casting rays raises ``ValueError``.
+    """
+
+    def __init__(self, worlds: WorldTable, movers: MoverField, live: LiveRover | None = None) -> None:
+        self._worlds, self._movers, self.live = worlds, movers, live
 
     def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
-        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers beyond ``farthest`` are seen, too.
-
-        Raises:
-            ValueError: for a live rover.
-        """
+        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`. Movers beyond ``farthest`` are seen, too."""
         return self.cast_apart(origins, directions, farthest)[1]
 
     def cast_apart(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> tuple[Tensor, Tensor]:
-        """Casts rays, and returns the ranges without movers and those with them: see :meth:`cast`."""
+        """Casts rays, and returns the ranges without movers and those with them."""
         self.require_simulated()
         ranges, parts = self._caster.cast(origins, directions, farthest), self._movers.parts
         if parts is None:
             return ranges, ranges
-        # Importing NVIDIA Warp takes half a second.
         from rover_rl.worlds.movers.part_kernels import cast_at_movers
 
         return ranges, cast_at_movers(parts, origins, directions, ranges)
@@ -65,14 +61,8 @@ class Surroundings:
     def colors(self, origins: Tensor, directions: Tensor, goal: Tensor, spread: float) -> Tensor:
         """Returns the color that each ray sees, red, green and blue from 0 to 1, ``[N, 3, K]``.
 
-        Args:
-            origins: starts of the rays in the world frame, ``[N, K, 3]``, m.
-            directions: directions in the world frame, of any length but 0, ``[N, K, 3]``.
-            goal: places of the goals, where their posts stand, ``[N, 2]``, m.
-            spread: distance between neighboring rays at a distance of 1 m, m.
-
-        Raises:
-            ValueError: for a live rover.
+        ``goal`` is where the posts of the goals stand, ``[N, 2]``, m, and ``spread`` the distance between neighboring
+        rays at a distance of 1 m, m.
         """
         self.require_simulated()
         posts = torch.cat((goal, self.height_at(goal)[:, None]), -1)
@@ -89,20 +79,17 @@ class Surroundings:
         return measured_at(table.of(self._worlds.slots), xy)
 
     def require_simulated(self) -> None:
-        """Raises ``ValueError`` for a live rover, whose sensors can cast no rays."""
         if self.live is not None:
             raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
 
     @cached_property
     def _caster(self) -> RayCaster:
-        # Importing NVIDIA Warp takes half a second.
         from rover_rl.sims.rays import RayCaster
 
         return RayCaster(self._worlds)
 
     @cached_property
     def _color_caster(self) -> ColorCaster:
-        # Importing the renderer takes a second.
         from rover_rl.sims.rendering.colors import ColorCaster
 
         return ColorCaster(self._worlds, self._movers)
@@ -113,7 +100,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Rig:
+class SensorSetup:
     """What a sensor with a memory is mounted on.
 
     Attributes:
@@ -134,19 +121,15 @@ class SensorInput:
     """What sensors read from.
 
     Attributes:
-        truth: true state of the rovers, ``[N]``.
-        sensed: state of the rovers as lidar, IMU and wheel odometry report it, ``[N]``.
+        truth, sensed: true state of the rovers, and as lidar, IMU and wheel odometry report it, ``[N]``.
         pose: pose that the sensors report, ``[N]``.
-        target: distance (m) and relative angle (rad) of the goals as seen from the pose that is known, which may be
-            late, ``[N, 2]``.
+        target: distance (m) and relative angle (rad) of the goals from the pose that is known, which may be late.
         goal: places of the goals in the world frame, ``[N, 2]``, m.
-        steps: number of steps of each row's episode, int64 ``[N, 1]``.
-        keys: random keys of the episodes, int64 ``[N, 1]``.
+        steps, keys: number of steps and random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
-        bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
+        bounds: lower x and y, and upper x and y of each row's world, ``[N, 4]``, m.
         rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.
-        scan_pose: where the scan was taken, ``[N, 6]``: see :class:`~rover_rl.envs.sensors.scan_pose.ScanPose`.
-            ``None`` if nothing reads it.
+        scan_pose: values of :class:`~rover_rl.envs.sensors.standard.ScanPose`; ``None`` if nothing reads them.
         predicted: entries that are not read, as they are predicted: see :class:`~rover_rl.envs.prediction.Prediction`.
         ticks: number of control steps that would have fitted in the time since the episode began, before the last step
             and now, ``[N, 1]`` each, of a live rover, whose scans come at their own times. ``None``: ``steps``.
@@ -187,12 +170,7 @@ class SensorInput:
         return self.surroundings.cast(*self.rays(mount, directions), farthest)
 
     def rays(self, mount: Sequence[float], directions: Directions) -> tuple[Tensor, Tensor]:
-        """Returns origins and directions of rays in the world frame, ``[N, K, 3]`` each: see :meth:`scan`.
-
-        Raises:
-            ValueError: for a live rover.
-        """
-        # Importing NVIDIA Warp takes half a second.
+        """Returns origins and directions of rays in the world frame, ``[N, K, 3]`` each: see :meth:`scan`."""
         from rover_rl.sims.rays import aimed_rays
 
         self.surroundings.require_simulated()
@@ -203,16 +181,16 @@ class SensorInput:
 
         They depend on the seed of the row, the episode, the step and the name of the sensor alone.
         """
-        return to_unit(random_bits(self.keys, _stream(sensor, "uniform"), self.steps, count))
+        return rng.to_unit(self._bits(sensor, "uniform", count))
 
     def normal(self, sensor: Sensor, count: int) -> Tensor:
         """Returns standard normal random numbers of a sensor, float32 ``[N, count]``: see :meth:`uniform`."""
-        return to_normal(random_bits(self.keys, _stream(sensor, "normal"), self.steps, count))
+        return rng.to_normal(self._bits(sensor, "normal", count))
 
-
-def _stream(sensor: Sensor, kind: str) -> int:
-    # Small numbers are streams of the package.
-    return (1 << 32) + crc32(f"{sensor.name} {kind}".encode())
+    def _bits(self, sensor: Sensor, kind: str, count: int) -> Tensor:
+        # Small numbers are streams of the package.
+        stream = (1 << 32) + crc32(f"{sensor.name} {kind}".encode())
+        return rng.random_bits(self.keys, stream, self.steps, count)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,10 +199,10 @@ class Sensor(ABC):
 
     Sensors of one's own are given to :func:`rover_rl.make_env` (``sensors``) or to the command line (``--sensors``). A
     subclass is a frozen dataclass whose fields are the settings of the sensor. It defines :attr:`bounds` and
-    :meth:`read`, and overrides what else differs.
+    :meth:`read`, and overrides what else differs. Settings that are out of range raise ``ValueError``.
 
     Args:
-        name: key of the entry.
+        name: key of the entry, an identifier.
         period: number of steps from one reading to the next. Readings stay the same in between.
 
     Attributes:
@@ -235,9 +213,6 @@ class Sensor(ABC):
         mirror_signs: signs of the left-right mirror image of a value. Empty if it does not change.
         needs: fields of :class:`~rover_rl.sims.RoverState` that it reads and that simulators measure only if
             asked: ``"contact_force"``, ``"wheel_torque"``.
-
-    Raises:
-        ValueError: if the period is less than 1, or the name is no identifier.
     """
 
     name: str
@@ -249,11 +224,11 @@ class Sensor(ABC):
     needs: ClassVar[tuple[Force, ...]] = ()
 
     def __post_init__(self) -> None:
-        check_at_least(1, MAX_COUNT, period=self.period)
+        checks.check_at_least(1, checks.MAX_COUNT, period=self.period)
         if not self.name.isidentifier():
             raise ValueError(f"the name of a sensor must be an identifier, got {self.name!r}")
         if (topic := getattr(self, "topic", None)) is not None:
-            check_topics(topic=topic)
+            checks.check_topics(topic=topic)
 
     @property
     @abstractmethod
@@ -262,10 +237,10 @@ class Sensor(ABC):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the value of every row, float32 ``[N, k]``."""
-        raise NotImplementedError(f"sensor {self.name!r} depends on its rig: read it by reader(rig)")
+        raise NotImplementedError(f"sensor {self.name!r} depends on its setup: read it by reader(setup)")
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns what reads this sensor on a batch of rovers: :meth:`read`, if it is not overridden.
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        """Returns what reads this sensor on a batch of rovers.
 
         A sensor that has a memory or depends on the robots of the rows defines it in place of :meth:`read`. What it
         returns is called in each step in which :meth:`SensorInput.due` has rows. The other rows keep their values.
@@ -275,11 +250,8 @@ class Sensor(ABC):
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
         """Returns what the noise of this sensor changes: ``ranges``, or fields of the rovers' state, by name.
 
-        Args:
-            noise: parameters of the noise.
-            truth: true state of the rovers and their scans, ``[N]``.
-            keys, step: random keys of the episodes, and indices of their steps, ``[N, 1]``; with lidars whose scans can
-                be late, those at which the scans were taken for a sensor that is ``delayed`` as scans are.
+        ``truth`` is the true state of the rovers and their scans. ``keys`` and ``step`` are random keys of the episodes
+        and indices of their steps, ``[N, 1]``: those of late scans for a sensor that is ``delayed`` as scans are.
         """
         return {}
 
@@ -314,29 +286,29 @@ def _signs(signs: tuple[float, ...], device: torch.device) -> Tensor:
 
 
 class Observer:
-    """Computes observations with sensors, by key, on a rig.
+    """Computes observations with sensors, by key.
 
     Attributes:
         readers: what reads the sensors, by key.
         inputs: what they read from last.
     """
 
-    def __init__(self, sensors: Mapping[str, Sensor], rig: Rig) -> None:
-        self._sensors = sensors
-        self.readers = {key: sensor.reader(rig) for key, sensor in sensors.items()}
+    def __init__(self, sensors: Mapping[str, Sensor], setup: SensorSetup) -> None:
+        device = setup.fleet.index.device
+        self._sensors, self._noise, self._control_dt = sensors, setup.randomization, setup.control_dt
+        self.readers = {key: sensor.reader(setup) for key, sensor in sensors.items()}
+        self._limits = {key: each.bounds.tensors(device) for key, each in sensors.items() if each.clips}
         self._held: dict[str, Tensor] = {}
-        self._is_checked, self._control_dt = False, rig.control_dt
-        self._elapsed = torch.zeros(len(rig.fleet), 1, device=rig.fleet.index.device)
-        self._limits = {key: each.bounds.tensors(rig.fleet.index.device) for key, each in sensors.items() if each.clips}
+        self._is_checked = False
+        self._elapsed = torch.zeros(len(setup.fleet), 1, device=device)
 
     def sense(
         self,
-        noise: Randomization,
         truth: Perception,
         keys: Tensor,
         step: Tensor,
+        scan_step: Tensor | None,
         pooling: Callable[[Tensor], Tensor],
-        scan_step: Tensor | None = None,
     ) -> Perception:
         """Adds the noise of the sensors (see :meth:`Sensor.sense`) to the true state. Returns it if there is none.
 
@@ -345,7 +317,7 @@ class Observer:
         sensed: dict[str, Tensor] = {}
         for sensor in self._sensors.values():
             at = scan_step if scan_step is not None and sensor.delayed == "scan" else step
-            sensed |= sensor.sense(noise, truth, keys, at)
+            sensed |= sensor.sense(self._noise, truth, keys, at)
         if not sensed:
             return truth
         ranges = sensed.pop("ranges", truth.ranges)
@@ -358,9 +330,9 @@ class Observer:
             ValueError: if a reading does not fit the bounds of its sensor.
         """
         if inputs.surroundings.live is not None:
-            now = torch.where(inputs.steps == 0, 0.0, self._elapsed + inputs.truth.rover.dt)
-            inputs = replace(inputs, ticks=(self._ticks(self._elapsed), self._ticks(now)))
-            self._elapsed = now
+            before, dt = self._elapsed, self._control_dt
+            self._elapsed = torch.where(inputs.steps == 0, 0.0, before + inputs.truth.rover.dt)
+            inputs = replace(inputs, ticks=((before / dt).round(), (self._elapsed / dt).round()))
         self.inputs = inputs
         for key, sensor in self._sensors.items():
             if key in inputs.predicted:
@@ -372,9 +344,6 @@ class Observer:
             inputs.observation[key] = value
         self._is_checked = True
         return inputs.observation
-
-    def _ticks(self, elapsed: Tensor) -> Tensor:
-        return (elapsed / self._control_dt).round()
 
     def _read(self, key: str, inputs: SensorInput) -> Tensor:
         value = self.readers[key](inputs)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import zip_longest
 
 import torch
@@ -12,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.checks import MAX_NUMBER, check_at_least, check_positive
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.sims.rover_state import SIDES
@@ -31,11 +30,7 @@ class ContactSensor(Sensor):
     Values are means over the physics steps of the last control step, and 0 after a reset. The ground is no contact.
 
     Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
         max_force: largest force, to which forces are clipped, N.
-
-    Raises:
-        ValueError: if a setting is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0, sensors=["contact"])
@@ -78,13 +73,9 @@ class WheelEffort(Sensor):
     of the last control step, and 0 after a reset.
 
     Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
         wheels: number of values, at least that of the robot's wheels. With several robots, the largest of theirs.
         max_torque: largest absolute torque, to which torques are clipped, N m. Motors have limits of their own:
             ``Drive.torque``.
-
-    Raises:
-        ValueError: if a setting is out of range.
 
     Example:
         >>> env = RoverEnv(num_envs=2, seed=0, sensors=["effort"])
@@ -106,22 +97,19 @@ class WheelEffort(Sensor):
     def bounds(self) -> Bounds:
         return Bounds((-self.max_torque,) * self.wheels, (self.max_torque,) * self.wheels)
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        """Returns a reader of the wheels of the rows.
-
-        Raises:
-            ValueError: if a robot has more wheels.
-        """
-        most = max(len(robot.drive.wheels) for robot in rig.fleet.robots)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        """Returns a reader of the wheels of the rows. Raises ``ValueError`` if a robot has more wheels."""
+        fleet = setup.fleet
+        most = max(len(robot.drive.wheels) for robot in fleet.robots)
         if most > self.wheels:
             raise ValueError(f"sensor {self.name!r} has wheels={self.wheels}, a robot has {most}: set wheels={most}")
         # The simulator has as many columns as the largest number of wheels. One of zeros follows.
-        columns = rig.fleet.table(partial(_columns, count=self.wheels, empty=most), dtype=torch.int64)
+        columns = fleet.table(lambda robot: _columns(robot, self.wheels, most), dtype=torch.int64)
 
         def read(inputs: SensorInput) -> Tensor:
             torque = inputs.truth.rover.wheel_torque
             assert torque is not None
-            return pad(torque, (0, 1)).gather(-1, columns[rig.fleet.index])
+            return pad(torque, (0, 1)).gather(-1, columns[fleet.index])
 
         return read
 
@@ -130,11 +118,7 @@ class WheelEffort(Sensor):
         return value.sign() * value.abs().log1p() / 2
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Swaps left and right.
-
-        Raises:
-            ValueError: for an odd number of wheels.
-        """
+        """Swaps left and right. Raises ``ValueError`` for an odd number of wheels."""
         if self.wheels % 2:
             raise ValueError(
                 f"sensor {self.name!r} has no mirror image with wheels={self.wheels}: set an even number, or train "

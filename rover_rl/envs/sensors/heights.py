@@ -8,10 +8,9 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
-from rover_rl.sims.base import LiveRover
 
 MAX_SPACING = 10.0
 """Largest distance between two points, m."""
@@ -27,7 +26,6 @@ class HeightScan(Sensor):
     and points without a height read 0.
 
     Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
         size: numbers of rows and columns.
         spacing: distance between two neighbors, m.
         ahead: distance from the robot to the middle of the grid, m.
@@ -37,9 +35,6 @@ class HeightScan(Sensor):
         topic: topic of the elevation map or point cloud of a live rover. ``None``: that of the connection.
         layer: layer of the elevation map.
         mount: position of the lidar in the frame of the robot, m, for a point cloud in the frame of the lidar.
-
-    Raises:
-        ValueError: if a setting is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="hills", num_envs=2, seed=0, sensors=[HeightScan(size=(8, 8))])
@@ -61,11 +56,10 @@ class HeightScan(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rows, columns = self.size
-        check_at_least(1, MAX_COUNT, rows=rows, columns=columns)
+        check_at_least(1, MAX_COUNT, rows=self.size[0], columns=self.size[1])
         check_positive(MAX_SPACING, spacing=self.spacing, max_height=self.max_height)
-        if not (self.noise >= 0 and 0 <= self.holes <= 1):
-            raise ValueError(f"noise must be at least 0 and holes between 0 and 1, got {self.noise} and {self.holes}")
+        check_at_least(0, MAX_NUMBER, noise=self.noise)
+        check_at_least(0, 1, holes=self.holes)
 
     @property
     def bounds(self) -> Bounds:
@@ -77,26 +71,21 @@ class HeightScan(Sensor):
         return self.size
 
     def read(self, inputs: SensorInput) -> Tensor:
-        truth = inputs.truth
-        position, yaw = truth.rover.position, truth.euler[:, 2:]
+        position, yaw = inputs.truth.rover.position, inputs.truth.yaw
         forward, left = _grid(self.size, self.spacing, self.ahead, position.device)
         x = position[:, :1] + forward * yaw.cos() - left * yaw.sin()
         y = position[:, 1:2] + forward * yaw.sin() + left * yaw.cos()
         points = torch.stack((x, y), -1)
         if (live := inputs.surroundings.live) is not None:
-            return (self._received(live, points[0], yaw[0, 0]) - position[:, 2:]).nan_to_num(0.0)
+            grid = points[0].unflatten(0, self.size)
+            ground = live.ground_at(grid, yaw[0, 0], self.spacing, self.topic, self.layer, self.mount).flatten()
+            return (ground - position[:, 2:]).nan_to_num(0.0)
         heights = inputs.surroundings.height_at(points) - position[:, 2:]
-        count = heights.shape[-1]
         if self.noise:
-            heights = heights + self.noise * inputs.normal(self, count)
+            heights = heights + self.noise * inputs.normal(self, heights.shape[-1])
         if self.holes:
-            heights = heights.masked_fill(inputs.uniform(self, count) < self.holes, 0.0)
+            heights = heights.masked_fill(inputs.uniform(self, heights.shape[-1]) < self.holes, 0.0)
         return heights
-
-    def _received(self, live: LiveRover, points: Tensor, yaw: Tensor) -> Tensor:
-        """Returns the heights in the world around a live rover at points ``[rows * columns, 2]``, m; NaN: unknown."""
-        grid = points.unflatten(0, self.size)
-        return live.ground_at(grid, yaw, self.spacing, self.topic, self.layer, self.mount).flatten()
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the heights in units of 0.5 m: a step of a few centimeters matters."""

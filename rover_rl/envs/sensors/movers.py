@@ -11,30 +11,20 @@ from torch import Tensor
 
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput, mirrored_signs
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup, mirrored_signs
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.envs.specs import Bounds
 
-READ = ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)
-"""Entries of an observation that the tracker reads, if they are there."""
-COUNT = 12
-"""Number of movers in the entry."""
-NUMBERS = 5
-"""Numbers of a mover: x, y, velocity along x and y, and radius."""
-TRACKED = COUNT * NUMBERS
-"""Numbers of all movers in the entry."""
-APPROACH = (0.0, 1.0, 2.0)
-"""Times from now at which the distance of movers counts for their order, s."""
-BEARINGS = 24
-"""Number of directions of a predicted scan."""
-INSTANTS = (0.5, 1.0, 1.5, 2.5)
-"""Times of the predicted scans from now, s."""
-FARTHEST = 12.0
-"""Range of a predicted scan in directions without a mover, m."""
-NEAREST = 6
-"""Number of movers that a network also reads one by one."""
-SLACK = 0.25
-"""Distance from a mover up to which readings belong to it, m."""
+READ = ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)  # entries that the tracker reads, if they are there
+COUNT = 12  # number of movers in the entry
+NUMBERS = 5  # numbers of a mover: x, y, velocity along x and y, and radius
+TRACKED = COUNT * NUMBERS  # numbers of all movers in the entry
+APPROACH = (0.0, 1.0, 2.0)  # times from now at which the distance of movers counts for their order, s
+BEARINGS = 24  # number of directions of a predicted scan
+INSTANTS = (0.5, 1.0, 1.5, 2.5)  # times of the predicted scans from now, s
+FARTHEST = 12.0  # range of a predicted scan in directions without a mover, m
+NEAREST = 6  # number of movers that a network also reads one by one
+SLACK = 0.25  # distance from a mover up to which readings belong to it, m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +38,6 @@ class Movers(Sensor):
 
     The other 96 numbers are ranges (m) in 24 directions from where the rover is now, if the movers keep their
     velocity: in 0.5, 1, 1.5 and 2.5 s.
-
-    Args:
-        name: key of the entry.
-        period: number of steps from one scan that is used to the next.
     """
 
     name: str = MOVERS
@@ -63,12 +49,16 @@ class Movers(Sensor):
         (30.0, 30.0, 20.0, 20.0, 5.0) * COUNT + (FARTHEST,) * len(INSTANTS) * BEARINGS,
     )
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        return _Reader(self, rig)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        return _Reader(self, setup)
 
     def encode(self, value: Tensor) -> Tensor:
-        """Encodes the logarithm of the ranges, and the first six movers."""
-        return torch.cat((value[..., TRACKED:].log1p() / 1.3 - 1, _one_by_one(movers_of(value))), -1)
+        """Encodes the logarithm of the ranges; of the first six movers whether there is one, and all its numbers."""
+        place, velocity, radius = movers_of(value)[..., :NEAREST, :].split((2, 2, 1), -1)
+        exists, distance = (radius > 0).to(value.dtype), place.norm(dim=-1, keepdim=True)
+        near = (1 - distance / 6).clamp(min=0)
+        nearest = torch.cat((exists, place / (1 + distance), exists * near, velocity / 2, 2 * radius), -1)
+        return torch.cat((value[..., TRACKED:].log1p() / 1.3 - 1, nearest.flatten(-2)), -1)
 
     def mirror(self, value: Tensor) -> Tensor:
         """Mirrors the movers and the scans: direction b becomes -b."""
@@ -78,12 +68,9 @@ class Movers(Sensor):
 
 
 class _Reader:
-    """Tracks of what moves around the rovers of a batch, from scan to scan."""
-
-    def __init__(self, sensor: Movers, rig: Rig) -> None:
-        self._period = sensor.period
-        self._tracker = MoverTracker(rig.fleet, rig.lidar, sensor.period * rig.control_dt)
-        rows, device = len(rig.fleet), rig.fleet.index.device
+    def __init__(self, sensor: Movers, setup: SensorSetup) -> None:
+        rows, device, self._period = len(setup.fleet), setup.fleet.index.device, sensor.period
+        self._tracker = MoverTracker(setup.fleet, setup.lidar, sensor.period * setup.control_dt)
         self._state = torch.zeros(rows, TRACKS * STATE, device=device)
         self._values = torch.zeros(rows, len(sensor.bounds.low), device=device)
 
@@ -137,17 +124,6 @@ def predicted_scans(movers: Tensor) -> Tensor:
     near = (distance - radius[..., None, :, 0])[..., None, :].expand_as(hit)
     near = near.masked_fill(~hit | (radius[..., None, None, :, 0] == 0), FARTHEST)
     return near.amin(-1).clamp(0.0, FARTHEST)
-
-
-def _one_by_one(movers: Tensor) -> Tensor:
-    """Returns features of the first movers: whether there is one, and its place, distance, velocity and radius."""
-    first = movers[..., :NEAREST, :]
-    place, velocity, radius = first.split((2, 2, 1), -1)
-    exists = (radius > 0).to(movers.dtype)
-    distance = place.norm(dim=-1, keepdim=True)
-    near = (1 - distance / 6).clamp(min=0)
-    parts = (exists, place / (1 + distance), exists * near, velocity / 2, 2 * radius)
-    return torch.cat(parts, -1).flatten(-2)
 
 
 def belong_to_movers(x: Tensor, y: Tensor, movers: Tensor) -> Tensor:

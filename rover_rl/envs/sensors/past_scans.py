@@ -11,9 +11,8 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.scans import reading_directions
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
-from rover_rl.envs.sensors.scan_pose import taken_at
-from rover_rl.envs.sensors.suite import PAST_SCANS
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
+from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.envs.specs import Bounds
 
 CHANGE = 4.0
@@ -30,8 +29,6 @@ class PastScans(Sensor):
     the changes since the others with convolutions over the directions.
 
     Args:
-        name: key of the entry.
-        period: number of steps from one scan that is kept to the next.
         count: number of earlier scans.
         apart: number of steps from one scan to the next, a multiple of the period. Training reads once for a decision,
             of ``action_repeat`` steps.
@@ -39,16 +36,13 @@ class PastScans(Sensor):
             half as many directions as the lidar has readings, there are no gaps on a wall that has come nearer.
         max_range: largest range, m.
 
-    Raises:
-        ValueError: if a setting is out of range.
-
     Example:
         >>> env = RoverEnv(world_n="plaza", num_envs=2, seed=0, sensors=[PastScans(count=3)])
         >>> env.rollout(5)["past_scans"].unflatten(-1, (4, 16)).shape
         torch.Size([2, 5, 4, 16])
     """
 
-    name: str = PAST_SCANS
+    name: str = "past_scans"
     count: int = 3
     apart: int = 6
     points: int = 16
@@ -66,10 +60,6 @@ class PastScans(Sensor):
             )
 
     @property
-    def lag(self) -> int:
-        return self.apart // self.period
-
-    @property
     def bounds(self) -> Bounds:
         size = (1 + self.count) * self.points
         return Bounds((0.0,) * size, (self.max_range,) * size)
@@ -78,8 +68,8 @@ class PastScans(Sensor):
     def image(self) -> tuple[int, int]:
         return 1, self.points
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        return _KeptScans(self, rig)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        return _KeptScans(self, setup)
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the logarithm of the ranges now, as for the lidar, and by how much it exceeds the earlier ones.
@@ -96,35 +86,31 @@ class PastScans(Sensor):
 
 
 class _KeptScans:
-    def __init__(self, sensor: PastScans, rig: Rig) -> None:
-        self._sensor, self._no_return = sensor, rig.lidar.max_range - 1e-3
-        self._fleet, rows, device = rig.fleet, len(rig.fleet), rig.fleet.index.device
-        self._mounts = self._fleet.table(lambda robot: robot.lidar_position[:2])
-        self._directions = reading_directions(rig.lidar).to(device)
-        size = 1 + sensor.count * sensor.lag
-        self._ends = torch.zeros(rows, size, rig.lidar.points, 2, device=device)
-        # Place of each row's last scan.
-        self._latest = torch.zeros(rows, dtype=torch.int32, device=device)
+    def __init__(self, sensor: PastScans, setup: SensorSetup) -> None:
+        fleet, lidar = setup.fleet, setup.lidar
+        rows, device = len(fleet), fleet.index.device
+        self._sensor, self._fleet, self._no_return = sensor, fleet, lidar.max_range - 1e-3
+        self._lag = sensor.apart // sensor.period  # kept scans from one that is shown to the next
+        self._mounts = fleet.table(lambda robot: robot.lidar_position[:2])
+        self._directions = reading_directions(lidar).to(device)
+        self._ends = torch.zeros(rows, 1 + sensor.count * self._lag, lidar.points, 2, device=device)
+        self._latest = torch.zeros(rows, dtype=torch.int32, device=device)  # place of each row's last scan
         self._ranges = torch.zeros(rows, 1 + sensor.count, sensor.points, device=device)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
-        """Adds the scans of the rows that are due, and returns the values of the sensor."""
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.sensors.past_scans_kernels import keep, show
         from rover_rl.native.warp import launch_options, wp
 
         sensor, entries, rows = self._sensor, inputs.observation, len(self._ranges)
         due = inputs.due(sensor.period)
-        renewed = due & (inputs.steps == 0).squeeze(-1)
+        renewed, options = due & (inputs.steps == 0).squeeze(-1), launch_options(due.device)
         self._latest = torch.where(due, (self._latest + 1) % self._ends.shape[1], self._latest)
-        pose, imu = entries["pose"], entries["imu"]
-        options = launch_options(due.device)
         beams = entries["lidar"].contiguous(), self._no_return, self._directions
-        taken = self._frames(*taken_at(entries))
+        taken, now = self._frames(*taken_at(entries)), self._frames(entries["pose"], entries["imu"])
         wp.launch(keep, rows, [due, renewed, *beams, taken, self._latest, self._ends], **options)
         ranges = self._ranges.masked_fill(due[:, None, None], sensor.max_range)
-        now = self._frames(pose, imu)
-        wp.launch(show, (rows, 1 + sensor.count), [due, now, self._latest, sensor.lag, self._ends, ranges], **options)
+        wp.launch(show, (rows, 1 + sensor.count), [due, now, self._latest, self._lag, self._ends, ranges], **options)
         self._ranges = ranges
         return ranges.flatten(1)
 

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 
-FAR = wp.constant(1.0e6)
-"""Length of a beam without a return, m."""
-TURN = wp.constant(6.283185307179586)
-"""A full turn, rad."""
+FAR = wp.constant(1.0e6)  # length of a beam without a return, m
+TURN = wp.constant(6.283185307179586)  # a full turn, rad
 
 
 @wp.func
 def turned(angle: float, point: wp.vec2):
-    return wp.vec2(
-        wp.cos(angle) * point[0] - wp.sin(angle) * point[1], wp.sin(angle) * point[0] + wp.cos(angle) * point[1]
-    )
+    cos, sin = wp.cos(angle), wp.sin(angle)
+    return wp.vec2(cos * point[0] - sin * point[1], sin * point[0] + cos * point[1])
 
 
 @wp.kernel

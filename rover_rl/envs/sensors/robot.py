@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
 from rover_rl.envs.specs import Bounds
 from rover_rl.robots import Robot
 from rover_rl.robots.turning import yaw_gain
@@ -44,7 +44,7 @@ class RobotNumbers(NamedTuple):
     @classmethod
     def of_robot(cls, robot: Robot, rows: Tensor) -> RobotNumbers:
         """Returns those of one robot for each of ``rows [..., n]``."""
-        return cls.of(rows.new_tensor(_body_of(robot)).expand(*rows.shape[:-1], -1))
+        return cls.of(rows.new_tensor(_numbers(robot)).expand(*rows.shape[:-1], -1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +70,8 @@ class RobotBody(Sensor):
         (5.0, 5.0, 5.0, 20.0, 20.0, 50.0, 5.0, 10.0, 5.0, 5.0, 5.0, 7.0),
     )
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        fleet, table = rig.fleet, rig.fleet.table(_body_of)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        fleet, table = setup.fleet, setup.fleet.table(_numbers)
         return lambda inputs: table[fleet.index]
 
     def encode(self, value: Tensor) -> Tensor:
@@ -80,9 +80,8 @@ class RobotBody(Sensor):
 
 
 @lru_cache(maxsize=1024)
-def _body_of(robot: Robot) -> list[float]:
+def _numbers(robot: Robot) -> list[float]:
     outline, drive = robot.footprint, robot.drive
     size = [-outline.back, outline.front, outline.half_width]
     limits = [drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels)]
-    turns = [drive.pivot(robot.wheels), yaw_gain(robot)]
-    return [*size, *limits, *turns, *robot.lidar_position, robot.lidar_view]
+    return [*size, *limits, drive.pivot(robot.wheels), yaw_gain(robot), *robot.lidar_position, robot.lidar_view]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rover_rl.envs.seen_map.scans import SIZE
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.base import Rig, Sensor, SensorInput
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
 from rover_rl.envs.sensors.standard import Target
 from rover_rl.envs.sensors.suite import ROUTE, SEEN_DISTANCES
 from rover_rl.envs.specs import Bounds
@@ -47,8 +47,8 @@ class Route(Sensor):
     mirror_signs = (1.0, -1.0, 1.0, -1.0, 1.0)
     bounds = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        return MapReader(self, rig, self.threads)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        return MapReader(self, setup, self.threads)
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes two corners like targets, and the length, for which no path counts as none left."""
@@ -63,9 +63,7 @@ class SeenDistances(Sensor):
     """Distances to what the lidar has seen, and where they are, ``[N, SIZE * SIZE + 3]``, m.
 
     See :meth:`SeenMap.distances <rover_rl.envs.seen_map.seen_map.SeenMap.distances>`. For planners, not for networks.
-
-    Args:
-        period: as for :class:`Route`.
+    The ``period`` is that of :class:`Route`.
     """
 
     name: str = SEEN_DISTANCES
@@ -74,8 +72,8 @@ class SeenDistances(Sensor):
     takes_long = True
     bounds = Bounds((0.0,) * SIZE**2 + (-FARTHEST_CELL,) * 2 + (0.0,), (100.0,) * SIZE**2 + (FARTHEST_CELL,) * 3)
 
-    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
-        return MapReader(self, rig, keep_passed=True)
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        return MapReader(self, setup, keep_passed=True)
 
 
 class MapReader:
@@ -86,10 +84,12 @@ class MapReader:
         route: the last routes on them, ``[N, 5]``.
     """
 
-    def __init__(self, sensor: Route | SeenDistances, rig: Rig, threads: int = 1, keep_passed: bool = False) -> None:
+    def __init__(
+        self, sensor: Route | SeenDistances, setup: SensorSetup, threads: int = 1, keep_passed: bool = False
+    ) -> None:
         self._period, self._distances = sensor.period, keep_passed
-        self.seen = SeenMap(rig.fleet, rig.lidar, sensor.period * rig.control_dt, threads, keep_passed)
-        self.route = torch.zeros(len(rig.fleet), len(Route.bounds.low), device=rig.fleet.index.device)
+        self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt, threads, keep_passed)
+        self.route = torch.zeros(len(setup.fleet), len(Route.bounds.low), device=setup.fleet.index.device)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         due, observation = inputs.due(self._period), inputs.observation

@@ -1,42 +1,46 @@
-"""Sensors that every rover has: lidar, pose, IMU, target and wheel odometry."""
+"""Sensors that every rover has: lidar, pose, IMU, target and wheel odometry. And what is known of its scans.
+
+``lidar_mask`` tells which readings beams cover, and ``scan_pose`` where the scan was taken.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeAlias
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig, Randomization
-from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.config import SCAN_POSE, LidarConfig, Randomization
+from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
+from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.envs.specs import Bounds
 from rover_rl.envs.stages import Perception
 from rover_rl.rng import between, random_bits, to_normal, to_unit, whole_between
-from rover_rl.rotations import quaternion_product
+from rover_rl.rotations import quaternion_product, wrap_angle
 from rover_rl.sims.base import LiveRover
 from rover_rl.sims.rays import seen
 from rover_rl.sims.rover_state import beam_angles
 from rover_rl.worlds import World
 from rover_rl.worlds.region import overlap
 
+Entries: TypeAlias = Mapping[str, Tensor] | TensorDictBase
 _LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE, _ODOMETRY_SCALE = 4, 5, 6, 10, 25
 _VIEW, _SECTORS, _SECTOR_WIDTHS, _SECTOR_PLACES, _MIN_RANGE = 27, 28, 29, 30, 31
 """Streams of random numbers."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
+WHOLE = 0.9999
+"""Share of the beams from which on a reading is covered. The mean of many ones may be a little less than 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lidar(Sensor):
-    """Nearest reading of each segment of the scan, ``[N, points]``, m.
-
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        points: number of readings.
-        max_range: maximum of a reading, m.
-    """
+    """Nearest reading of each segment of the scan, ``[N, points]``, m, at most ``max_range``."""
 
     name: str = "lidar"
     points: int = LidarConfig.points
@@ -111,14 +115,10 @@ def _angles(beams: int, device: torch.device) -> Tensor:
 
 
 class LidarPooling:
-    """Cleans raw scans and reduces each of ``points`` segments to its minimum.
+    """Cleans raw scans and reduces each of ``points`` segments of neighboring beams to its minimum.
 
-    Segments consist of neighboring beams. The first segment starts straight ahead. Sizes differ by at most one beam and
-    no beam is dropped. ``+inf`` and NaN become ``max_range`` (m). ``-inf`` means that an obstacle is too close to
-    measure (REP 117) and becomes 0. All readings are clipped to ``[0, max_range]``.
-
-    Raises:
-        ValueError: if there are fewer beams than points, no points, or the range is not positive and finite.
+    The first segment starts straight ahead. Sizes differ by at most one beam and no beam is dropped. ``+inf`` and NaN
+    become ``max_range`` (m). ``-inf`` means that an obstacle is too close to measure (REP 117) and becomes 0.
     """
 
     def __init__(self, beams: int, points: int, max_range: float, device: torch.device | str | None = None) -> None:
@@ -126,10 +126,13 @@ class LidarPooling:
             raise ValueError(f"lidar_points must be at least 1, got {points}")
         if beams < points:
             raise ValueError(f"lidar_beams must be at least lidar_points, got {beams} beams for {points} points")
-        if not 0 < max_range < float("inf"):
+        if not 0 < max_range < math.inf:
             raise ValueError(f"max_lidar_range must be a positive number of meters, got {max_range}")
         self.beams, self.points, self.max_range = beams, points, float(max_range)
-        self._gather = None if beams % points == 0 else _segments(beams, points).to(device)
+        parts = torch.arange(beams).tensor_split(points)
+        longest = len(parts[0])
+        filled = torch.stack([torch.cat((part, part[-1:].expand(longest - len(part)))) for part in parts])
+        self._gather = None if beams % points == 0 else filled.to(device)
 
     def __call__(self, ranges: Tensor) -> Tensor:
         """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
@@ -161,12 +164,6 @@ class LivePooling(LidarPooling):
             return pooled
         other = (ranges != self._live.ranges()) | ~self._live.covered()
         return torch.where(self.grouped(other).any(-1), pooled, self._clipped(raw))
-
-
-def _segments(beams: int, points: int) -> Tensor:
-    parts = torch.arange(beams).tensor_split(points)
-    longest = max(len(part) for part in parts)
-    return torch.stack([torch.cat((part, part[-1:].expand(longest - len(part)))) for part in parts])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,9 +204,8 @@ def clipped_pose(world: World) -> list[str]:
 class Imu(Sensor):
     """Pitch, roll and yaw, ``[N, 3]``, rad.
 
-    The yaw is the heading of the pose that the sensors report, as of a live rover, with its error.
-
-    ``heading`` tells whether networks read the yaw. Only policies of one map need it.
+    The yaw is the heading of the pose that the sensors report, as of a live rover, with its error. ``heading`` tells
+    whether networks read it. Only policies of one map need it.
     """
 
     name: str = "imu"
@@ -280,11 +276,10 @@ class WheelOdometry(Sensor):
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
         """Scales the velocities by random factors of about 1, and by that of the episode."""
-        factors = _odometry_factors(noise, keys, step, _ODOMETRY_NOISE, 2)
+        rover, factors = truth.rover, _odometry_factors(noise, keys, step, _ODOMETRY_NOISE, 2)
         if factors is None:
             return {}
         linear, angular = factors.split(1, -1)
-        rover = truth.rover
         return {"linear_velocity": rover.linear_velocity * linear, "angular_velocity": rover.angular_velocity * angular}
 
     def encode(self, value: Tensor) -> Tensor:
@@ -309,10 +304,113 @@ class SidewaysOdometry(Sensor):
         return torch.zeros_like(rover.dt) if rover.lateral_velocity is None else rover.lateral_velocity
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
-        """Scales the speed by a random factor of about 1, and by that of the episode."""
+        """Scales the speed as :meth:`WheelOdometry.sense` does."""
         sideways, factor = truth.rover.lateral_velocity, _odometry_factors(noise, keys, step, _SIDEWAYS_NOISE, 1)
         return {} if sideways is None or factor is None else {"lateral_velocity": sideways * factor}
 
     def encode(self, value: Tensor) -> Tensor:
-        """Returns the speed in m/s."""
         return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarMask(Sensor):
+    """Share of the beams of each lidar reading that see, ``[N, points]``: 1 if all of them do, 0 if none does.
+
+    Beams outside of the robot's ``lidar_view`` do not see, nor those that ``Randomization`` hides (``lidar_view``,
+    ``dead_sectors`` and ``lidar_min_range``). On a live rover, a beam sees if a valid reading of the scan covers it:
+    within the scan's ``angle_min`` and ``angle_max``, no NaN, and within its limits.
+
+    A reading with a mask of 0 is the maximum. The map of what has been seen and the tracks of what moves take readings
+    with a mask below 1 for unknown, not for free, if the observation has this entry. An environment has it if
+    ``Randomization`` hides beams, or if it is asked for. Number of readings and period are those of its lidar.
+
+    Example:
+        >>> env = RoverEnv(num_envs=2, seed=0, robot="jackal", sensors=["lidar_mask"])
+        >>> env.reset()["lidar_mask"][0, 10:14]
+        tensor([1.0000, 1.0000, 0.2500, 0.0000])
+    """
+
+    name: str = LIDAR_MASK
+    points: int = LidarConfig.points
+    clips = False
+    delayed = "scan"
+
+    @property
+    def bounds(self) -> Bounds:
+        return Bounds((0.0,) * self.points, (1.0,) * self.points)
+
+    def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
+        lidar, fleet, noise = setup.lidar, setup.fleet, setup.randomization
+        angles = beam_angles(lidar.beams)
+        views = fleet.table(lambda robot: seen(angles, robot.lidar_view).tolist(), torch.bool)
+        pooling = LidarPooling(lidar.beams, lidar.points, lidar.max_range, fleet.index.device)
+
+        def read(inputs: SensorInput) -> Tensor:
+            covered, live = views[fleet.index], inputs.surroundings.live
+            if noise.hides_beams:
+                covered = covered & ~hidden_beams(noise, inputs.keys, inputs.truth.ranges)
+            if live is not None:
+                covered = covered & live.covered()
+            return pooling.grouped(covered.float()).mean(-1)
+
+        return read
+
+    def mirror(self, value: Tensor) -> Tensor:
+        return value.flip(-1)
+
+
+def known_readings(observation: Entries) -> Tensor:
+    """Returns the lidar readings of an observation, ``[N, points]``, m; -1 where its mask says that one is unknown."""
+    mask = observation.get(LIDAR_MASK, None)
+    return observation["lidar"] if mask is None else torch.where(mask < WHOLE, -1.0, observation["lidar"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPose(Sensor):
+    """Pose at which the scan was taken, relative to the entries ``pose`` and ``imu``, ``[N, 6]``.
+
+    How far ahead, to the left and up (m), pitch and roll at the scan, and the turn from the heading now to the one then
+    (rad). An environment has this entry if its scans can be late, or if it is asked for. The map of what has been seen
+    aligns scans by it, as ROS's tf does by their stamps.
+    """
+
+    name: str = SCAN_POSE
+    delayed = None
+    clips = False
+    mirror_signs = (1.0, -1.0, 1.0, 1.0, -1.0, -1.0)
+    bounds = Bounds((-10.0, -10.0, -10.0, *(-math.pi,) * 3), (10.0, 10.0, 10.0, *(math.pi,) * 3))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        assert inputs.scan_pose is not None
+        return inputs.scan_pose
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the way and the turn in units of 20 cm and 0.2 rad, without the tilt and the height."""
+        return torch.cat((value[..., :2], value[..., 5:]), -1) * 5
+
+
+def taken_at(observation: Entries) -> tuple[Tensor, Tensor]:
+    """Returns where the scan of an observation was taken: ``pose [N, 3]`` (m) and ``imu [N, 3]`` (rad) of its time.
+
+    If the observation has no ``scan_pose``, the scan is as new as the pose.
+    """
+    pose, imu, relative = observation["pose"], observation["imu"], observation.get(SCAN_POSE, None)
+    if relative is None:
+        return pose, imu
+    ahead, left, up, pitch, roll, turn = relative.split(1, -1)
+    yaw = imu[..., 2:]
+    cos, sin = yaw.cos(), yaw.sin()
+    position = pose + torch.cat((cos * ahead - sin * left, sin * ahead + cos * left, up), -1)
+    # Wrapping rounds. A scan that is as new as the pose was taken right there.
+    return position, torch.cat((pitch, roll, torch.where(turn == 0, yaw, wrap_angle(yaw + turn))), -1)
+
+
+def seen_from_now(x: Tensor, y: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Returns x and y in the base frame now, ``[..., points]`` each, m, of points in that of the scan.
+
+    ``scan_pose`` are values of the sensor, ``[..., 6]``. ``None``: the scan is as new as the pose.
+    """
+    if scan_pose is None:
+        return x, y
+    ahead, left, turn = scan_pose[..., :1], scan_pose[..., 1:2], scan_pose[..., 5:]
+    return ahead + x * turn.cos() - y * turn.sin(), left + x * turn.sin() + y * turn.cos()

@@ -14,40 +14,28 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import EnvConfig, LidarConfig, SensorLike
     from rover_rl.envs.sensors.base import Sensor
 
-MOVERS = "movers"
-"""Name of what moves, as the lidar scans tell, which an environment has if asked for."""
-PAST_SCANS = "past_scans"
-"""Name of what the lidar saw before, which an environment has if asked for."""
-ROUTE, SEEN_DISTANCES = "route", "seen_distances"
-"""Names of the route on the map of what has been seen, and of the distances on this map."""
-HEIGHTS, DEPTH, COLORS, SEGMENTATION, LIDAR3D = "heights", "depth", "colors", "segmentation", "lidar3d"
-"""Names of the height scan, the cameras and the 3D lidar, which an environment has if asked for."""
-CONTACT, EFFORT = "contact", "effort"
-"""Names of contact forces and motor torques, which an environment has if asked for."""
-LIDAR_MASK = "lidar_mask"
-"""Name of what tells which readings beams cover, which an environment has if it hides beams, or if asked for."""
-ROBOT = "robot"
-"""Name of the sensor that tells size and limits of the robot, which an environment has if asked for."""
+LIDAR_MASK, MOVERS, ROUTE, SEEN_DISTANCES, ROBOT = "lidar_mask", "movers", "route", "seen_distances", "robot"
+_HERE = "rover_rl.envs.sensors"
 BUILT_IN = {
-    "lidar": "rover_rl.envs.sensors.standard:Lidar",
-    "pose": "rover_rl.envs.sensors.standard:Pose",
-    "imu": "rover_rl.envs.sensors.standard:Imu",
-    "target": "rover_rl.envs.sensors.standard:Target",
-    "velocities": "rover_rl.envs.sensors.standard:WheelOdometry",
-    SCAN_POSE: "rover_rl.envs.sensors.scan_pose:ScanPose",
-    LIDAR_MASK: "rover_rl.envs.sensors.lidar_mask:LidarMask",
-    MOVERS: "rover_rl.envs.sensors.movers:Movers",
-    PAST_SCANS: "rover_rl.envs.sensors.past_scans:PastScans",
-    ROUTE: "rover_rl.envs.sensors.route:Route",
-    SEEN_DISTANCES: "rover_rl.envs.sensors.route:SeenDistances",
-    ROBOT: "rover_rl.envs.sensors.robot:RobotBody",
-    HEIGHTS: "rover_rl.envs.sensors.heights:HeightScan",
-    DEPTH: "rover_rl.envs.sensors.ray_images:DepthCamera",
-    COLORS: "rover_rl.envs.sensors.color_camera:ColorCamera",
-    SEGMENTATION: "rover_rl.envs.sensors.ray_images:SegmentationCamera",
-    LIDAR3D: "rover_rl.envs.sensors.ray_images:Lidar3D",
-    CONTACT: "rover_rl.envs.sensors.forces:ContactSensor",
-    EFFORT: "rover_rl.envs.sensors.forces:WheelEffort",
+    "lidar": f"{_HERE}.standard:Lidar",
+    "pose": f"{_HERE}.standard:Pose",
+    "imu": f"{_HERE}.standard:Imu",
+    "target": f"{_HERE}.standard:Target",
+    "velocities": f"{_HERE}.standard:WheelOdometry",
+    SCAN_POSE: f"{_HERE}.standard:ScanPose",
+    LIDAR_MASK: f"{_HERE}.standard:LidarMask",
+    MOVERS: f"{_HERE}.movers:Movers",
+    "past_scans": f"{_HERE}.past_scans:PastScans",
+    ROUTE: f"{_HERE}.route:Route",
+    SEEN_DISTANCES: f"{_HERE}.route:SeenDistances",
+    ROBOT: f"{_HERE}.robot:RobotBody",
+    "heights": f"{_HERE}.heights:HeightScan",
+    "depth": f"{_HERE}.cameras:DepthCamera",
+    "colors": f"{_HERE}.cameras:ColorCamera",
+    "segmentation": f"{_HERE}.cameras:SegmentationCamera",
+    "lidar3d": f"{_HERE}.cameras:Lidar3D",
+    "contact": f"{_HERE}.forces:ContactSensor",
+    "effort": f"{_HERE}.forces:WheelEffort",
 }
 """Class of each sensor of the package, by the key of its entry, in the order of the observation."""
 OPTIONAL = {*BUILT_IN} - {"lidar", "pose", "imu", "target", "velocities"}

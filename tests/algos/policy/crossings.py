@@ -10,7 +10,7 @@ from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Box, Cylinder, Mover, Waypoints
 
-START, GOAL = (-5.0, 0.0, 0.0), (5.0, 0.0)
+START = (-5.0, 0.0, 0.0)
 
 
 def crossing(speed: float = 1.0, phase: float = 0.0, *, gate: bool = True) -> World:
@@ -19,34 +19,35 @@ def crossing(speed: float = 1.0, phase: float = 0.0, *, gate: bool = True) -> Wo
     movers = []
     for k, shape in enumerate((Cylinder(0.5, 1.0), Cylinder(0.4, 1.0), Box(0.4, 0.8, 1.0), Cylinder(0.3, 1.0))):
         x, ahead = -3.0 + 2.0 * k, 1 if k % 2 else -1
-        ends = [(0.0, x, -6.0 * ahead, 1.57 * ahead), (12.0 / speed, x, 6.0 * ahead, 1.57 * ahead)]
         clear = x if abs(x) > 0.7 else 1.2
-        keys = [(t, clear, y, yaw) for t, _, y, yaw in ends]
+        keys = [(0.0, clear, -6.0 * ahead, 1.57 * ahead), (12.0 / speed, clear, 6.0 * ahead, 1.57 * ahead)]
         movers.append(Mover(Waypoints(keys, repeat="back_and_forth", delay=phase * k), shape))
     return World("crossing", Terrain.flat((14.0, 14.0)), walls, movers=movers)
 
 
-def drive(policy: Policy, worlds: list[World], seconds: float = 30.0) -> list[str]:
-    """Drives a policy through worlds, a row each, and returns how each drive ended."""
-    lidar = getattr(policy, "made_for", EnvConfig()).lidar
-    task = TaskConfig(collision_from="contact", collision_window=0)
-    config = EnvConfig(
-        world=tuple(worlds), num_envs=len(worlds), backend="warp", lidar=lidar, task=task, end_on_goal=True, seed=7
-    )
+def reached(
+    policy: Policy, worlds: list[World] | str, rows: int, seconds: float = 30.0, robot="rover_zero", **places
+) -> int:
+    """Drives a policy through worlds, in rows, and returns how many reach their goals without a contact."""
+    lidar, task = getattr(policy, "made_for", EnvConfig()).lidar, TaskConfig(collision_from="contact")
+    worlds = worlds if isinstance(worlds, str) else tuple(worlds)
+    config = EnvConfig(world=worlds, robot=robot, num_envs=rows, backend="warp", lidar=lidar, task=task, seed=0)
     env = RoverEnv(sensors_for(policy, config))
-    runner = PolicyRunner(policy, env=env)
-    count = len(worlds)
-    tensordict = env.reset(start=torch.tensor([START]).repeat(count, 1), goal=torch.tensor([GOAL]).repeat(count, 1))
-    endings = [""] * count
-    for _ in range(round(seconds / env.control_dt)):
-        driving = torch.tensor([not ending for ending in endings])
-        tensordict = env.step(tensordict.set("action", runner(tensordict)).set("_step", driving[:, None]))["next"]
-        outcome = tensordict["outcome"]
-        for row in range(count):
-            for name in ("goal_reached", "jammed"):
-                if driving[row] and outcome[name][row]:
-                    endings[row] = name
-        if all(endings):
-            break
+    runner, td = PolicyRunner(policy, env=env), env.reset(**places)
+    ended, goals = (torch.zeros(rows, 1, dtype=torch.bool) for _ in range(2))
+    with torch.no_grad():
+        for _ in range(round(seconds / env.control_dt)):
+            td = env.step(td.set("action", runner(td)).set("_step", ~ended))["next"]
+            goals |= ~ended & td["outcome", "goal_reached"]
+            ended |= goals | td["outcome", "jammed"] | td["done"]
+            if ended.all():
+                break
     env.close()
-    return endings
+    return int(goals.sum())
+
+
+def across(policy: Policy, worlds: list[World], goal: tuple[float, float] = (5.0, 0.0)) -> int:
+    """Returns how many of such worlds a policy crosses on its way to a goal."""
+    count = len(worlds)
+    places = {"start": torch.tensor([START]).repeat(count, 1), "goal": torch.tensor([goal]).repeat(count, 1)}
+    return reached(policy, worlds, count, **places)

@@ -13,8 +13,9 @@ from rover_rl import RoverEnv
 from rover_rl.algos.policy.arcs import hit_points
 from rover_rl.algos.policy.grid_planner import Follower, GridPlanner, follow, way_point
 from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
-from rover_rl.envs.config import EnvConfig, TaskConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
+from tests.algos.policy.crossings import reached
 from tests.fleet import racer
 
 ROBOT = get_robot("rover_zero")
@@ -22,9 +23,9 @@ OPEN = torch.full((64,), 12.0)
 LEVEL = torch.zeros(3)
 
 
-def route(angle: float) -> Tensor:
-    """A route of 3 m whose first corner is in a direction."""
-    return torch.tensor([3.0, angle, 3.0, angle, 3.0])
+def act(lidar: Tensor, imu: Tensor = LEVEL, angle: float = 0.0, scan_pose: Tensor | None = None) -> list[float]:
+    """Speed and heading offset on a route of 3 m whose first corner is in a direction."""
+    return follow(lidar, imu, torch.tensor([3.0, angle, 3.0, angle, 3.0]), Follower.of(ROBOT), scan_pose).tolist()
 
 
 def wall(distance: float, direction: float) -> Tensor:
@@ -53,19 +54,14 @@ UPHILL, ASIDE, STEEP = (torch.tensor(tilt) for tilt in ((-0.2, 0.0, 0.0), (0.0, 
         (OPEN, -STEEP, 0.5, (0.1, 1.0), 1.0),
     ],
 )
-def test_it_follows_its_route_as_the_ground_permits(
-    lidar: Tensor, imu: Tensor, angle: float, speeds: tuple[float, float], turn: float
-) -> None:
-    speed, offset = follow(lidar, imu, route(angle), Follower.of(ROBOT)).tolist()
+def test_it_follows_its_route_as_the_ground_permits(lidar, imu, angle, speeds, turn) -> None:
+    speed, offset = act(lidar, imu, angle)
     assert speeds[0] <= speed <= speeds[1]
     assert offset == pytest.approx(turn)
 
 
 def test_in_front_of_a_wall_it_slows_down() -> None:
-    speeds = [
-        float(follow(wall(distance, 0.0), LEVEL, route(0.0), Follower.of(ROBOT))[0])
-        for distance in (3.0, 0.5, 0.3, 0.1)
-    ]
+    speeds = [act(wall(distance, 0.0))[0] for distance in (3.0, 0.5, 0.3, 0.1)]
     assert speeds == sorted(speeds, reverse=True)
 
 
@@ -76,37 +72,21 @@ def test_a_late_scan_counts_where_it_was_taken() -> None:
     x, y = hit_points(lidar, mount, scan_pose=scan_pose)
     away = (x * turned.cos() - y * turned.sin())[lidar < 12]
     torch.testing.assert_close(away, torch.full_like(away, mount + 0.9 - 0.6))
-    stale, moved = (follow(lidar, LEVEL, route(0.0), Follower.of(ROBOT), pose)[0] for pose in (None, scan_pose))
-    assert moved < 0.5 < stale
+    assert act(lidar, scan_pose=scan_pose)[0] < 0.5 < act(lidar)[0]
 
 
 @pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(racer, marks=pytest.mark.slow)])
 def test_it_reaches_goals_in_mazes_without_a_contact(make) -> None:
-    robot, task = make(), TaskConfig(collision_from="contact", collision_window=0)
-    policy, world = GridPlanner(robot), "maze:9000-9015"
-    config = EnvConfig(world=world, robot=robot, num_envs=16, seed=0, backend="warp", end_on_goal=True, task=task)
-    env = RoverEnv(sensors_for(policy, config))
-    runner, observation = PolicyRunner(policy, env=env), env.reset()
-    ended, reached = (torch.zeros(16, dtype=torch.bool) for _ in range(2))
-    with torch.no_grad():
-        for _ in range(800):
-            observation = env.step(observation.set("action", runner(observation)).set("_step", ~ended))["next"]
-            reached |= ~ended & observation["outcome", "goal_reached"].squeeze(-1)
-            ended |= observation["done"].squeeze(-1)
-            if ended.all():
-                break
-    assert reached.sum() >= 15
+    robot = make()
+    assert reached(GridPlanner(robot), "maze:9000-9005", 6, 40.0, robot) >= 5
 
 
 def test_it_plans_at_the_times_at_which_a_decision_is_due() -> None:
     env = RoverEnv(sensors_for(GridPlanner(), EnvConfig(world="maze", num_envs=16, seed=0, backend="warp")))
-    runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
-    assert runner.action_repeat == 4
-    actions = []
+    runner, observation, actions = PolicyRunner(GridPlanner(), env=env), env.reset(), []
     for _ in range(9):
-        action = runner(observation)
-        actions.append(action)
-        observation = env.step(observation.set("action", action))["next"]
+        actions.append(runner(observation))
+        observation = env.step(observation.set("action", actions[-1]))["next"]
     changed = {step for step, (last, action) in enumerate(pairwise(actions), 1) if (last != action).any()}
     assert changed
     assert changed <= {4, 8}

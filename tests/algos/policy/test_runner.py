@@ -37,15 +37,7 @@ def test_actions_and_memory_are_held_between_decisions() -> None:
     assert [counts(runner, seen) for _ in range(5)] == [[0, 1], [0, 1], [0, 2], [0, 2], [1, 2]]
 
 
-def test_the_caller_may_say_which_rows_decide() -> None:
-    runner, (seen, *_) = PolicyRunner(CountingPolicy()), observations(2)
-    nobody, second = torch.tensor([False, False]), torch.tensor([False, True])
-    assert [counts(runner, seen, due=due) for due in (nobody, nobody, second)] == [[0, 0], [0, 0], [0, 1]]
-    runner.reset(torch.tensor([True, False]))
-    assert counts(runner, seen, due=second) == [0, 2]
-
-
-def test_a_policy_of_single_rows_is_called_with_those_that_decide() -> None:
+def test_the_caller_may_say_which_rows_decide_and_a_policy_of_single_rows_is_called_with_them() -> None:
     rows = []
 
     class SingleRows(CountingPolicy):
@@ -55,26 +47,23 @@ def test_a_policy_of_single_rows_is_called_with_those_that_decide() -> None:
             rows.append(len(td))
             return super().__call__(td)
 
-    runner, (seen, *_) = PolicyRunner(SingleRows()), observations(3)
-    second = torch.tensor([False, True, False])
-    assert [counts(runner, seen, due=second) for _ in range(3)] == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
-    runner.reset(torch.tensor([True, False, False]))
-    assert counts(runner, seen, due=second) == [0, 3, 0]
+    seen, second = observations(3)[0], torch.tensor([False, True, False])
+    for policy in (CountingPolicy(), SingleRows()):
+        runner = PolicyRunner(policy)
+        assert [counts(runner, seen, due=second) for _ in range(3)] == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
+        assert counts(runner, seen, due=~second & second) == [0, 2, 0]
+        runner.reset(torch.tensor([True, False, False]))
+        assert counts(runner, seen, due=second) == [0, 3, 0]
     assert rows == [3, 1, 1, 2]
 
 
-def test_only_policies_with_memory_decide_as_often_as_in_training_by_default() -> None:
-    actor = recurrent_checkpoint("gru").make_actor()
-    memoryless = make_actor(hidden=(8,))
+def test_policies_with_memory_or_a_map_decide_as_often_as_in_training_whatever_the_control_rate() -> None:
+    actor, memoryless = recurrent_checkpoint("gru").make_actor(), make_actor(hidden=(8,))
     memoryless.trained_action_repeat = 4
-    assert [default_action_repeat(policy) for policy in (actor, memoryless, None)] == [4, 1, 1]
-    assert [default_action_repeat(policy, 2) for policy in (actor, memoryless, None)] == [2, 2, 2]
-
-
-def test_a_policy_decides_at_the_same_times_whatever_the_control_rate() -> None:
-    assert [default_action_repeat(GridPlanner(), dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
-    actor = recurrent_checkpoint("gru").make_actor()
-    assert [default_action_repeat(actor, dt=dt) for dt in (0.1, 0.025)] == [2, 8]
+    for given, repeats in ((None, [4, 1, 1]), (2, [2, 2, 2])):
+        assert [default_action_repeat(policy, given) for policy in (actor, memoryless, None)] == repeats
+    for policy in (GridPlanner(), actor):
+        assert [default_action_repeat(policy, dt=dt) for dt in (0.2, 0.1, 0.05, 0.025)] == [1, 2, 4, 8]
 
 
 def test_the_environment_is_made_with_the_sensors_that_a_policy_reads() -> None:

@@ -91,6 +91,10 @@ def test_without_obstacles_the_route_leads_straight_to_the_goal() -> None:
     torch.testing.assert_close(route[:4], torch.tensor([5.0, bearing, 5.0, bearing]))
     # Steps in eight directions are at most 8 % longer than the straight line, and a cell is 0.15 m.
     assert 5.0 - 0.3 < route[4] < 5.0 * 1.083 + 0.3
+    # To a goal beyond the window, it leads towards its edge.
+    route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
+    torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
+    assert 9.0 < route[4] < 11.0
 
 
 def test_what_the_lidar_does_not_see_is_neither_free_nor_occupied() -> None:
@@ -159,19 +163,13 @@ def test_a_route_leads_around_a_wall_within_bounds() -> None:
     assert length > 2 * math.hypot(2.0, 1.0)
 
 
-def test_a_route_leads_out_of_a_dead_end_that_has_been_seen() -> None:
-    seen = one_map()
-    distance, angle, *_ = seen(observed((0.0, 0.0), (4.0, 0.0), U_SHAPE))[0].tolist()
-    assert abs(angle) > math.pi / 2, "it goes back"
-    assert distance * math.cos(angle) < -1.0, "as far as the opening"
-
-
 def test_what_is_behind_the_rover_is_remembered() -> None:
     short = LidarConfig(points=128, beams=128, max_range=3.5)
     seen, fresh = SeenMap(fleet(1), short), SeenMap(fleet(1), short)
     inside, outside = (observed((x, 0.0), (4.0, 0.0), U_SHAPE) for x in (0.0, -3.0))
     outside["lidar"] = outside["lidar"].clamp(max=3.5)
-    seen(inside)
+    distance, angle, *_ = seen(inside)[0].tolist()
+    assert distance * math.cos(angle) < -1.0, "back, as far as the opening of the dead end"
     remembered, unknown = seen(outside)[0], fresh(outside)[0]
     assert unknown[1].abs() < 0.1, "into the dead end, whose end is out of sight"
     assert remembered[1].abs() > 0.5, "around it"
@@ -245,7 +243,9 @@ def test_a_place_on_the_route_is_closed_if_the_rover_does_not_get_on_for_8_secon
         seen(observed((0.0, 0.0), (4.0, 0.0)))
     assert is_occupied(seen, 0.45, 0.0), "no beam clears it"
     seen(observed((0.0, 0.0), (4.0, 0.0)), renewed=torch.tensor([True]))
-    assert not is_occupied(seen, 0.45, 0.0)
+    for k in range(30):
+        seen(observed((0.5 * k * interval, 0.0), (8.0, 0.0)))
+        assert (seen.levels()[0] == 4).all(), "it gets on"
 
 
 def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
@@ -267,21 +267,11 @@ def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
     for _ in range(12):
         level(observed((0.0, 0.0), (6.0, 0.0)))
     assert not is_occupied(level, 2.3, 0.0), "on level ground, heights close nothing"
-
-
-def test_ground_is_as_high_as_the_rover_stands() -> None:
+    # Ground is as high as the rover stands: down a step of 0.4 m.
     seen = one_map()
     seen(observed((0.0, 0.0), (6.0, 0.0), pitch=-0.1))
-    # Down a step of 0.4 m.
     seen(observed((0.5, 0.0), (6.0, 0.0), z=-0.4))
     assert is_occupied(seen, 0.2, 0.0)
-
-
-def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
-    seen = SeenMap(fleet(1), LIDAR, interval=1.0)
-    for k in range(30):
-        seen(observed((0.1 * k, 0.0), (8.0, 0.0)))
-        assert (seen.levels()[0] == 4).all()
 
 
 @pytest.mark.parametrize(("pitch", "occupied"), [(6.0, False), (8.0, True)], ids=["23 degrees", "25 degrees"])
@@ -293,29 +283,23 @@ def test_slopes_are_measured_from_the_ground_below_the_lidar(pitch: float, occup
     assert is_occupied(seen, 0.98, 0.0) == occupied
 
 
-def test_a_goal_beyond_the_window_leads_towards_its_edge() -> None:
-    route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
-    torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
-    assert 9.0 < route[4] < 11.0
-
-
 def test_the_ends_of_beams_are_occupied() -> None:
     seen = one_map()
     seen(observed((0.0, 0.0), (4.0, 0.0), ((2.02, -1.0, 2.02, 1.0),)))
     assert all(is_occupied(seen, 2.02, y) for y in (-0.9, -0.5, 0.0, 0.5, 0.9))
     assert not any(is_occupied(seen, x, 0.0) for x in (0.5, 1.0, 1.7, 2.5))
-
-
-def test_the_lidar_is_where_the_robot_carries_it() -> None:
+    # The lidar is where the robot carries it.
     seen = one_map(replace(CENTERED, lidar_position=(0.3, -0.2, 0.3), radius=0.4))
     # Facing +y, the lidar is at (0.2, 0.3).
     observation = observed((0.2, 0.3), (4.0, 0.0), ((-1.0, 2.02, 1.0, 2.02),), yaw=math.pi / 2)
     observation["pose"] = torch.zeros(1, 3)
     seen(observation)
     assert is_occupied(seen, 0.2, 2.02)
+    with pytest.raises(ValueError, match=r"at most 0\.45 m"):
+        one_map(replace(CENTERED, lidar_position=(0.6, 0.0, 0.3), radius=1.0))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.floats(0.8, 3.0), st.floats(0.0, 2 * math.pi))
 def test_levels_tell_how_far_a_wall_is_from_the_middle_of_a_cell(distance: float, direction: float) -> None:
     """A long wall, perpendicular to a direction.
@@ -362,7 +346,7 @@ def test_an_episode_begins_with_an_empty_map_on_level_ground() -> None:
     assert is_occupied(seen, 3.0, 0.0)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0))
 def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
     """What leaves it is forgotten, and what stays is kept."""
@@ -385,7 +369,7 @@ def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
     assert torch.equal(after, expected)
 
 
-@pytest.mark.parametrize("threads", [1, 2, 8])
+@pytest.mark.parametrize("threads", [1, 2])
 def test_rows_are_independent(threads: int) -> None:
     places = [((0.0, 0.0), U_SHAPE), ((1.0, 1.0), ((2.0, -3.0, 2.0, 1.0),)), ((-3.0, 0.5), ())]
     scans = [observed(place, (4.0, 0.0), walls, yaw=0.3) for place, walls in places]
@@ -397,21 +381,12 @@ def test_rows_are_independent(threads: int) -> None:
         for _ in range(3):
             route = alone(scan)
         assert torch.equal(batch[row], route[0])
-
-
-def test_rows_that_are_not_added_keep_their_maps() -> None:
-    scans = torch.cat([observed((0.0, 0.0), (4.0, 0.0), U_SHAPE)] * 2)
-    empty = torch.cat([observed((0.0, 0.0), (4.0, 0.0))] * 2)
-    seen = SeenMap(fleet(2), LIDAR)
-    first = seen(scans)
-    second = seen(empty, torch.tensor([False, True]))
-    assert torch.equal(second[0], first[0])
-    assert (seen.levels()[0][1] == 0).sum() < (seen.levels()[0][0] == 0).sum()
-
-
-def test_a_lidar_far_from_the_center_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"at most 0\.45 m"):
-        one_map(replace(CENTERED, lidar_position=(0.6, 0.0, 0.3), radius=1.0))
+    # Rows that are not added keep their maps.
+    before = together.levels()[0].clone()
+    kept = together(torch.cat([observed((0.0, 0.0), (4.0, 0.0), yaw=0.3)] * 3), torch.tensor([False, True, True]))
+    assert torch.equal(kept[0], batch[0])
+    assert torch.equal(together.levels()[0][0], before[0])
+    assert (together.levels()[0][1] == 0).sum() < (before[1] == 0).sum()
 
 
 def cheapest(levels: np.ndarray, goal: tuple[int, int]) -> float:
@@ -436,7 +411,7 @@ def cheapest(levels: np.ndarray, goal: tuple[int, int]) -> float:
     return cost * CELL / 10 if np.isfinite(cost) else -1.0
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**31))
 def test_the_length_is_that_of_the_cheapest_route(seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)

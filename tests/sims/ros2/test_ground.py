@@ -14,8 +14,8 @@ import pytest
 import torch
 
 from rover_rl import EnvConfig, RoverEnv
+from rover_rl.envs.sensors.cameras import Lidar3D
 from rover_rl.envs.sensors.heights import HeightScan
-from rover_rl.envs.sensors.ray_images import Lidar3D
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings

@@ -12,8 +12,7 @@ import torch
 from PIL import Image as Picture
 
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, box
-from rover_rl.envs.sensors.color_camera import ColorCamera
-from rover_rl.envs.sensors.ray_images import DepthCamera, SegmentationCamera
+from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, SegmentationCamera
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.images import image_format

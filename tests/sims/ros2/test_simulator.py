@@ -10,7 +10,7 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import Randomization, RoverEnv, TaskConfig
 from rover_rl import make_env as make_env_of_contract
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
-from rover_rl.envs.sensors.scan_pose import taken_at
+from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, PoseArray, Quaternion, Twist, Vector3

@@ -7,14 +7,13 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
 
-from rover_rl.checks import MAX_COUNT, check_at_least, check_positive
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
 from rover_rl.envs.sensors.base import Sensor, SensorInput
-from rover_rl.envs.sensors.suite import SEGMENTATION
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.base import LiveRover
 from rover_rl.sims.rendering.scenery import POST_LENGTH, POST_RADIUS
@@ -31,16 +30,12 @@ class PixelImage(Sensor):
     """Image with a ray for each pixel, row by row from the top left: base of cameras and 3D lidars.
 
     Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
         size: numbers of rows and columns.
         mount: position in the frame of the robot, whose origin is on the ground and whose axes point forward, left and
             up, m.
         yaw: angle by which the device looks to the left, rad.
         noise: standard deviation of a value.
         dropout: fraction of the pixels that are lost.
-
-    Raises:
-        ValueError: if a setting is out of range.
     """
 
     size: tuple[int, int]
@@ -53,12 +48,9 @@ class PixelImage(Sensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rows, columns = self.size
-        check_at_least(1, MAX_COUNT, rows=rows, columns=columns)
-        if not (self.noise >= 0 and 0 <= self.dropout <= 1):
-            raise ValueError(
-                f"noise must be at least 0 and dropout between 0 and 1, got {self.noise} and {self.dropout}"
-            )
+        check_at_least(1, MAX_COUNT, rows=self.size[0], columns=self.size[1])
+        check_at_least(0, MAX_NUMBER, noise=self.noise)
+        check_at_least(0, 1, dropout=self.dropout)
 
     @property
     def image(self) -> tuple[int, int]:
@@ -72,11 +64,7 @@ class PixelImage(Sensor):
         """
 
     def received(self, live: LiveRover) -> Tensor:
-        """Returns the image or images ``[..., rows, columns]`` of a live rover.
-
-        Raises:
-            ValueError: if the rover has none.
-        """
+        """Returns the image or images ``[..., rows, columns]`` of a live rover. Raises ``ValueError`` without any."""
         raise ValueError(f"sensor {self.name!r} casts rays, which needs a simulated world: a live rover has none")
 
     def mirror(self, value: Tensor) -> Tensor:
@@ -92,6 +80,10 @@ class PixelImage(Sensor):
             )
         return value.unflatten(-1, (-1, *self.size)).flip(-1).flatten(-3)
 
+    def lost(self, inputs: SensorInput) -> Tensor:
+        """Returns which pixels are lost, bool ``[N, rows * columns]``."""
+        return inputs.uniform(self, self.size[0] * self.size[1]) < self.dropout
+
 
 @dataclass(frozen=True, kw_only=True)
 class RayImage(PixelImage):
@@ -100,18 +92,12 @@ class RayImage(PixelImage):
     It shows ground, obstacles, movers and the other rovers of a group, but not the robot itself. A pixel without a
     return reads ``max_range``, and one closer than ``min_range`` or lost reads 0, as those of most devices do.
 
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, dropout: as for :class:`PixelImage`.
+    Args, beside those of :class:`PixelImage`:
         min_range, max_range: least and largest distance, m.
-        noise: standard deviation of a distance, m.
-
-    Raises:
-        ValueError: if a setting is out of range.
     """
 
     min_range: float = 0.1
-    max_range: float
+    max_range: float = 8.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -131,17 +117,13 @@ class RayImage(PixelImage):
     def read(self, inputs: SensorInput) -> Tensor:
         if (live := inputs.surroundings.live) is not None:
             return self.received(live).clamp(max=self.max_range).flatten()[None]
-        rays = turned_rays(self, inputs.goal.device)
-        ranges = inputs.scan(self.mount, rays.directions, self.max_range * rays.longest)
-        distance = (ranges / rays.scales).clamp(max=self.max_range)
-        count = distance.shape[-1]
+        directions, scales, longest = turned_rays(self, inputs.goal.device)
+        distance = (inputs.scan(self.mount, directions, self.max_range * longest) / scales).clamp(max=self.max_range)
         if self.noise:
-            noisy = distance + self.spread(distance) * inputs.normal(self, count)
+            noisy = distance + self.spread(distance) * inputs.normal(self, distance.shape[-1])
             distance = torch.where(distance < self.max_range, noisy, distance)
         lost = distance < self.min_range
-        if self.dropout:
-            lost = lost | (inputs.uniform(self, count) < self.dropout)
-        return distance.masked_fill(lost, 0.0)
+        return distance.masked_fill(lost | self.lost(inputs) if self.dropout else lost, 0.0)
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the logarithm of the distances, since centimeters matter only at short range."""
@@ -152,14 +134,9 @@ class RayImage(PixelImage):
 class Pinhole(PixelImage):
     """Image of a pinhole camera with square pixels: base of cameras.
 
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, noise, dropout: as for :class:`PixelImage`.
+    Args, beside those of :class:`PixelImage`:
         field_of_view: horizontal field of view, rad.
         pitch: angle by which the camera looks down, rad.
-
-    Raises:
-        ValueError: if a setting is out of range.
     """
 
     size: tuple[int, int] = (64, 64)
@@ -192,40 +169,18 @@ class Pinhole(PixelImage):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(Pinhole, RayImage):
-    """Image of a pinhole camera with a range: base of depth and segmentation cameras.
-
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`.
-        field_of_view, pitch: as for :class:`Pinhole`.
-
-    Raises:
-        ValueError: if a setting is out of range.
-    """
-
-    max_range: float = 8.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthCamera(Camera):
+class DepthCamera(Pinhole, RayImage):
     """Depth image of a pinhole camera with square pixels, ``[N, rows * columns]``, m, along the optical axis.
 
     The noise is that of stereo and structured light, whose standard deviation grows with the square of the depth
     (K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications",
     Sensors 12, 2012).
 
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`.
-        field_of_view, pitch: as for :class:`Pinhole`.
+    Args, beside those of :class:`RayImage` and :class:`Pinhole`:
         noise: standard deviation of the depth at 1 m, m.
         topic: topic of the images of a live rover, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it
             ends in ``/compressed`` or ``/compressedDepth``. ``None``: that of the connection. The camera must see what
             this one does: the same field of view from the same place.
-
-    Raises:
-        ValueError: if a setting is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[DepthCamera(size=(16, 24))])
@@ -240,8 +195,51 @@ class DepthCamera(Camera):
         return live.image("depth", self.topic, self.size)
 
     def spread(self, distance: Tensor) -> Tensor:
-        """Returns ``noise`` times the square of the depth."""
         return self.noise * distance.square()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorCamera(Pinhole):
+    """Color image of a pinhole camera with square pixels, ``[N, 3 * rows * columns]``, from 0 to 1.
+
+    The images of red, green and blue follow one another. Each is row by row from the top left, as a screen shows it.
+    The colors are those of films: ground with its grid, obstacles, movers, the other rovers of a group, the post of the
+    goal, sky, sunlight with shadows, and haze. A pixel is what one ray sees, so that edges are not smooth. The robot
+    itself is not seen, nor its shadow, and corners are not darker than what is around them. People have shoulders and a
+    head, while rays of other sensors meet a cylinder in their place.
+
+    Args, beside those of :class:`Pinhole`:
+        noise: standard deviation of each channel.
+        dropout: fraction of the pixels that are lost. They are black.
+        topic: topic of the images of a live rover, as for :class:`DepthCamera`.
+
+    Example:
+        >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[ColorCamera(size=(16, 24))])
+        >>> env.reset()["colors"].unflatten(-1, (3, 16, 24)).shape
+        torch.Size([2, 3, 16, 24])
+    """
+
+    name: str = "colors"
+    topic: str | None = None
+
+    @property
+    def bounds(self) -> Bounds:
+        count = 3 * self.size[0] * self.size[1]
+        return Bounds((0.0,) * count, (1.0,) * count)
+
+    def received(self, live: LiveRover) -> Tensor:
+        return live.image("colors", self.topic, self.size)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        if (live := inputs.surroundings.live) is not None:
+            return self.received(live).flatten()[None]
+        origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device)[0])
+        colors = inputs.surroundings.colors(origins, rays, inputs.goal, 1 / self.focal_length)
+        if self.noise:
+            colors = colors + self.noise * inputs.normal(self, 3 * colors.shape[-1]).view_as(colors)
+        if self.dropout:
+            colors = colors.masked_fill(self.lost(inputs)[:, None], 0.0)
+        return colors.flatten(1)
 
 
 class Seen(IntEnum):
@@ -258,20 +256,12 @@ class Seen(IntEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentationCamera(Camera):
+class SegmentationCamera(Pinhole, RayImage):
     """What each pixel of a pinhole camera shows, ``[N, rows * columns]``: the numbers of :class:`Seen`, as floats.
 
-    Networks read an image of zeros and ones for each kind. A live rover has no such camera.
-
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, dropout: as for :class:`RayImage`. A pixel that is lost, or whose ray
-            ends too close or too far, shows nothing.
-        noise: 0, as kinds have none.
-        field_of_view, pitch: as for :class:`Pinhole`.
-
-    Raises:
-        ValueError: if a setting is out of range.
+    Networks read an image of zeros and ones for each kind. A live rover has no such camera. Its settings are those of
+    :class:`RayImage` and :class:`Pinhole`, without noise. A pixel that is lost, or whose ray ends too close or too far,
+    shows nothing.
 
     Example:
         >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[SegmentationCamera(size=(16, 24))])
@@ -279,7 +269,7 @@ class SegmentationCamera(Camera):
         tensor(True)
     """
 
-    name: str = SEGMENTATION
+    name: str = "segmentation"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -292,7 +282,7 @@ class SegmentationCamera(Camera):
         return Bounds((float(min(Seen)),) * count, (float(max(Seen)),) * count)
 
     def read(self, inputs: SensorInput) -> Tensor:
-        origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device).directions)
+        origins, rays = inputs.rays(self.mount, turned_rays(self, inputs.goal.device)[0])
         still, ranges = inputs.surroundings.cast_apart(origins, rays, self.max_range)
         rays = rays / rays.norm(dim=-1, keepdim=True)
         ends = origins + rays * ranges.masked_fill(ranges.isinf(), 0.0)[..., None]
@@ -303,9 +293,7 @@ class SegmentationCamera(Camera):
         kinds = kinds.masked_fill(post < ranges, Seen.GOAL)
         ranges = torch.minimum(ranges, post)
         lost = (ranges < self.min_range) | (ranges >= self.max_range)
-        if self.dropout:
-            lost = lost | (inputs.uniform(self, lost.shape[-1]) < self.dropout)
-        return kinds.masked_fill(lost, Seen.NOTHING)
+        return kinds.masked_fill(lost | self.lost(inputs) if self.dropout else lost, Seen.NOTHING)
 
     def _post(self, inputs: SensorInput, origins: Tensor, rays: Tensor) -> Tensor:
         """Returns the ranges ``[N, K]`` at which rays of length 1 meet the side of the post; ``inf`` for no return.
@@ -333,17 +321,12 @@ class Lidar3D(RayImage):
     The first row is the highest plane. Beams are equally spaced over the field of view, from left to right; those of a
     full turn begin behind the robot.
 
-    Args:
-        name, period: as for :class:`~rover_rl.Sensor`.
-        size, mount, yaw, min_range, max_range, noise, dropout: as for :class:`RayImage`. The size is the number of
-            planes and of the beams of each.
+    Args, beside those of :class:`RayImage`:
+        size: numbers of planes and of the beams of each.
         field_of_view: horizontal field of view, rad.
         elevation: angles of the lowest and the highest plane above the horizon, rad.
         topic: topic of the ``sensor_msgs/PointCloud2`` of a live rover, in the frame of the lidar, whose x points where
             the lidar looks. ``None``: that of the connection.
-
-    Raises:
-        ValueError: if a setting is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="moon", num_envs=2, seed=0, sensors=[Lidar3D(size=(4, 32))])
@@ -368,7 +351,6 @@ class Lidar3D(RayImage):
             raise ValueError(f"elevation must be two ascending angles between -pi/2 and pi/2, got {self.elevation}")
 
     def rays(self) -> tuple[Vectors, list[float]]:
-        """Returns the directions, of length 1."""
         planes, beams = self.size
         low, high = self.elevation
         up = torch.linspace(high, low, planes) if planes > 1 else torch.tensor([(low + high) / 2])
@@ -404,24 +386,14 @@ class Lidar3D(RayImage):
         return image.masked_fill(image < self.min_range, 0.0).unflatten(0, self.size)
 
 
-class PixelRays(NamedTuple):
-    """Rays of the pixels of an image.
-
-    Attributes:
-        directions: directions in the frame of the robot, ``[K, 3]``.
-        scales: ranges at which the pixels read 1 m, ``[K]``.
-        longest: the largest of these.
-    """
-
-    directions: Tensor
-    scales: Tensor
-    longest: float
-
-
 @cache
-def turned_rays(sensor: PixelImage, device: torch.device) -> PixelRays:
-    """Returns the rays of a device that looks to the left by its yaw."""
+def turned_rays(sensor: PixelImage, device: torch.device) -> tuple[Tensor, Tensor, float]:
+    """Returns the rays of a device that looks to the left by its yaw.
+
+    Their directions in the frame of the robot, ``[K, 3]``, the ranges at which they read 1 m, ``[K]``, and the largest
+    of these.
+    """
     directions, scales = sensor.rays()
     cos, sin = math.cos(sensor.yaw), math.sin(sensor.yaw)
     turned = [[cos * x - sin * y, sin * x + cos * y, z] for x, y, z in directions]
-    return PixelRays(torch.tensor(turned, device=device), torch.tensor(scales, device=device), max(scales))
+    return torch.tensor(turned, device=device), torch.tensor(scales, device=device), max(scales)
