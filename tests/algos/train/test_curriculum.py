@@ -78,8 +78,7 @@ def test_episodes_follow_the_success_of_the_policy() -> None:
 
 
 def test_estimates_may_learn_from_whole_batches() -> None:
-    pool = WorldPool(*WALLS)
-    base = RoverEnv(world_n=pool, num_envs=8, seed=0, backend="warp", length=8)
+    base = RoverEnv(world_n=WorldPool(*WALLS), num_envs=8, seed=0, backend="warp", length=8)
     curriculum = Curriculum(base, 1.0, 0.25, per_batch=True)
     env = base.append_transform(ActionRepeat(4)).append_transform(curriculum)
     batch = env.rollout(6, break_when_any_done=False)

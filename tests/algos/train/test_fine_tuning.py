@@ -48,12 +48,8 @@ def test_it_starts_from_the_policys_weights_and_only_the_critic_learns_at_first(
 
 
 def test_frozen_convolutions_stay_those_of_the_policy_also_in_the_critic(tmp_path: Path) -> None:
-    seeing = {
-        "observation": ("target", "heights"),
-        "sensors": ("heights(size=(8, 8))",),
-        "world": FIELD,
-        "hidden": (8,),
-    }
+    sensors = {"observation": ("target", "heights"), "sensors": ("heights(size=(8, 8))",)}
+    seeing = {**sensors, "world": FIELD, "hidden": (8,)}
     source = train(training_config("ppo", **seeing, runs=str(tmp_path), **SMALL)).folder
     config = fine_tuning_config(source, runs=str(tmp_path), freeze_encoder=True, critic_warmup=0.0, **SMALL)
     learned = weights(train(config).folder)

@@ -59,16 +59,11 @@ def test_a_world_without_obstacles_can_be_saved(tmp_path):
     everywhere = (((-math.inf, math.inf), (-math.inf, 0.0)), 2.0)
     World("bare", Terrain.flat((10, 10)), spawn_height_areas=(everywhere,)).save(tmp_path / "bare.world.npz")
     world = get_world(str(tmp_path / "bare.world.npz"))
-    assert len(world.obstacles) == 0
-    assert world.spawn_height_areas == (everywhere,)
-
-
-def test_the_name_of_a_world_file_has_its_ending(tmp_path):
+    assert (len(world.obstacles), world.spawn_height_areas) == (0, (everywhere,))
     with pytest.raises(ValueError, match=r"must end in \.world\.npz, got 'plain\.npz'"):
-        plain().save(tmp_path / "plain.npz")
-    plain().save(tmp_path / "plain.world.npz")
+        world.save(tmp_path / "plain.npz")
     with pytest.raises(ValueError, match=r"is imported already: give \['cell'\] when it is imported"):
-        World.from_file(tmp_path / "plain.world.npz", cell=1.0)
+        World.from_file(tmp_path / "bare.world.npz", cell=1.0)
 
 
 def test_import_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

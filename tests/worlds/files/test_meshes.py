@@ -73,11 +73,9 @@ def test_the_unit_and_the_axis_of_collada_count(tmp_path):
 
 
 def test_up_and_scale_are_options(tmp_path):
-    path = tmp_path / "house.obj"
-    with_y_up(house()).to_mesh().apply_scale(1000).export(path)
-    world = World.from_file(path, up="y", scale=0.001)
-    assert len(world.obstacles) == 7
-    assert world.terrain.extent[0] == pytest.approx((-6, 6), abs=1e-5)
+    with_y_up(house()).to_mesh().apply_scale(1000).export(tmp_path / "house.obj")
+    world = World.from_file(tmp_path / "house.obj", up="y", scale=0.001)
+    assert (len(world.obstacles), world.terrain.extent[0]) == (7, pytest.approx((-6, 6), abs=1e-5))
 
 
 def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
@@ -148,15 +146,11 @@ def test_missing_materials_and_pictures_do_not_matter(tmp_path):
     text = (tmp_path / "house.obj").read_text()
     (tmp_path / "house.obj").write_text("mtllib ../../no.mtl\nusemtl paint\n" + text)
     assert len(World.from_file(tmp_path / "house.obj").obstacles) == 7
+    material = trimesh.visual.material.SimpleMaterial(image=Image.new("RGB", (4, 4), "red"))
     textured = FLOOR.copy()
-    picture = Image.new("RGB", (4, 4), "red")
-    textured.visual = trimesh.visual.TextureVisuals(
-        uv=np.zeros((len(textured.vertices), 2)), material=trimesh.visual.material.SimpleMaterial(image=picture)
-    )
+    textured.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(textured.vertices), 2)), material=material)
     path = saved(trimesh.Scene([textured]), tmp_path / "floor.gltf")
-    data = json.loads(path.read_text())
-    data["images"] = [{"uri": "../textures/no.png"}]
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"images": [{"uri": "../textures/no.png"}]}))
     assert World.from_file(path).terrain.extent[0] == pytest.approx((-5, 5), abs=1e-5)
     images = '<library_images><image id="i"><init_from>../no.jpg</init_from></image></library_images>'
     path = saved(trimesh.Scene([FLOOR]), tmp_path / "floor.dae")
