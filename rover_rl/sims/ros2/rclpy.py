@@ -104,7 +104,7 @@ class RclpyTransport:
         return {info.topic_type for info in found(topic)}
 
     def name_of(self, sender: str, topic: str) -> str:
-        """Returns the names of all other nodes that publish on ``topic``, of which one has sent the message."""
+        """Returns the names of all other nodes that publish on a topic, of which one has sent the message."""
         own, deadline = {self._name, f"{self._name}_watchdog"}, time.monotonic() + NAMING_TIME
         others: list[str] = []
         while not others and time.monotonic() < deadline:

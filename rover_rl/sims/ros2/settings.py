@@ -15,8 +15,6 @@ PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
 Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
 
-_LIMITS = ("max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration")
-
 
 @dataclass(frozen=True)
 class Ros2Settings:
@@ -95,10 +93,9 @@ class Ros2Settings:
         check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})
         if not (isinstance(self.node, str) and re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", self.node)):
             raise ValueError(f"node must be letters, digits and _, and begin with no digit, got {self.node!r}")
-        positive = ("reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt")
-        limits = [name for name in _LIMITS if getattr(self, name) is not None]
-        for name in (*positive, *limits):
-            if not 0 < getattr(self, name) < math.inf:
+        limits = "max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"
+        for name in (*limits, "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"):
+            if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
         if not self.unseen_range > 0:
             raise ValueError(f"unseen_range must be positive, got {self.unseen_range}")

@@ -56,14 +56,11 @@ class Ros2Simulator(Simulator):
     Args:
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
         robot: description of the rover; its limits apply to the commands, unless the settings override them.
-        settings: settings of the connection.
-        connection: topics, and the time to wait for the first scan.
+        settings, connection: settings of the connection, its topics, and the time to wait for the first scan.
 
     Attributes:
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
-
-    Raises ``ValueError`` if there is not exactly one world, and ``ImportError`` without a package of the transport.
     """
 
     # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
@@ -199,11 +196,9 @@ class Ros2Simulator(Simulator):
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Sends a command within the limits, without recent scans a stop command, and waits for the next scan.
 
-        Raises:
-            RobotLostError: if a topic is silent for ``step_timeout``, there are several robots, or another node
-                commands the rover. A stop command was sent.
-            ValueError: if the command is not finite.
-            ChildProcessError: if the watchdog is gone.
+        Raises ``RobotLostError`` if a topic is silent for ``step_timeout``, there are several robots, or another node
+        commands the rover, after a stop command; ``ValueError`` if the command is not finite; ``ChildProcessError`` if
+        the watchdog is gone.
         """
         if active is not None and not active.any():
             return self.state()
@@ -258,7 +253,7 @@ class Ros2Simulator(Simulator):
         self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
 
     def state_age(self) -> Tensor:
-        """Returns how old the latest pose or IMU orientation is, ``[1, 1]``, s; 0 with a warning if it is not known."""
+        """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""
         age = self._sensors.state_age()
         if age is None and self._scan is not None:
             text = "late sensors are not compensated: their stamps are neither of %s nor of the clock of this machine"

@@ -102,7 +102,8 @@ def test_a_watchdog_halts_the_rover_for_good_and_one_that_is_gone_or_hangs_raise
     assert all(twist == Twist() for twist in twists)
 
 
-def test_drive_drives_a_robot(robot, in_domain, tmp_path, capsys):
+def test_drive_drives_a_robot(robot, in_domain, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rover_rl.cli.drive.SENSOR_TIMEOUT", 60.0)  # on a busy machine
     options = ["--goal", "2", "1", "--seconds", "1", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
     assert main(["drive", "scripted", "--world", "maze", *options]) == 1
     assert "goal 1, 2.00 1.00: " in capsys.readouterr().out

@@ -121,17 +121,12 @@ class Rover:
     """A rover that follows commands immediately, without moving."""
 
     def __init__(self, wire: Wire) -> None:
-        self.stamp_step = STEP
-        self.x, self.y, self.yaw, self.speed, self.turn = 1.0, 2.0, 0.5, 0.0, 0.0
-        self.z = 0.1
-        self.imu_offset = self.climb = 0.0
+        self.x, self.y, self.z, self.yaw, self.speed, self.turn = 1.0, 2.0, 0.1, 0.5, 0.0, 0.0
+        self.imu_offset, self.climb, self.stamp, self.stamp_step = 0.0, 0.0, 0.0, STEP
         self.ranges = np.full(BEAMS, 5.0, np.float32)
-        self.layout: tuple[float, float] | None = None  # angle of the first beam, and angle increment
         self.silent: set[str] = set()
+        self.scan_first = self.frozen = False  # whether the scan comes before the other messages, and never changes
         self._odd = True
-        self.scan_first = False  # whether the scan is published before the other messages
-        self.frozen = False  # whether all scans are the same
-        self.stamp = 0.0
         self._publish = {
             "scan": wire.publisher("/scan", ros.LaserScan),
             "imu": wire.publisher("/imu/data", ros.Imu),
@@ -150,9 +145,6 @@ class Rover:
     def move_to(self, msg: ros.PoseStamped) -> None:
         self.x, self.y = msg.pose.position.x, msg.pose.position.y
         self.yaw = 2 * math.atan2(msg.pose.orientation.z, msg.pose.orientation.w)
-
-    def silence(self) -> None:
-        self.silent = {*self._publish}
 
     def publish(self) -> None:
         self.stamp += self.stamp_step
@@ -182,9 +174,9 @@ class Rover:
         return ranges
 
     def scan(self, header: ros.Header, ranges: np.ndarray) -> ros.LaserScan:
-        first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
-        last = first + increment * (len(ranges) - 1)
-        return ros.LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
+        increment = TURN / len(ranges)
+        limits = {"angle_min": -math.pi, "angle_max": math.pi - increment, "angle_increment": increment}
+        return ros.LaserScan(header, **limits, ranges=ranges)
 
 
 class SimulatedRobot:
