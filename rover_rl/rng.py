@@ -18,12 +18,8 @@ def _signed(value: int) -> int:
     return value - (1 << 64) if value >= 1 << 63 else value
 
 
-_GOLDEN = _signed(0x9E3779B97F4A7C15)
-_MIX_1 = _signed(0xBF58476D1CE4E5B9)
-_MIX_2 = _signed(0x94D049BB133111EB)
-_EPISODE = _signed(0xD1342543DE82EF95)
-_STREAM = _signed(0xDA942042E4DD58B5)
-_DRAW = _signed(0xAEF17502108EF2D9)
+_GOLDEN, _MIX_1, _MIX_2 = map(_signed, (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_EPISODE, _STREAM, _DRAW = map(_signed, (0xD1342543DE82EF95, 0xDA942042E4DD58B5, 0xAEF17502108EF2D9))
 
 
 def row_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:

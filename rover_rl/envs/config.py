@@ -443,7 +443,7 @@ class EnvConfig(Settings):
     """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
     several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
     robot_options: RobotSettings = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
+    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf(max_speed=1.5)"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
     pose: PoseConfig = field(default_factory=PoseConfig)

@@ -28,11 +28,8 @@ class ObservationEncoder(nn.Module):
 
     ``keys`` are the entries of the observation to read, which may be those of ``sensors`` of one's own. ``north_up``
     adds lidar and target in map orientation: rotated by the yaw, so that they do not change when the rover turns in
-    place; it needs ``lidar``, ``imu`` and ``target``. An unknown key or sensor raises ``ValueError``.
-
-    Attributes:
-        features: number of features.
-        sensors: sensors that encode the entries, by key.
+    place; it needs ``lidar``, ``imu`` and ``target``. An unknown key or sensor raises ``ValueError``. ``features`` is
+    the number of features.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))

@@ -18,14 +18,6 @@ class RewardedEnv(TransformedEnv):
     ``TransformedEnv(env, transform)`` nests around it as around any base environment. TorchRL merges nested
     ``TransformedEnv`` objects but not their subclasses, so ``transform[0]`` is the first transform that the user added.
     ``env.append_transform(transform)`` appends to the transforms of the reward.
-
-    Example:
-        >>> from torchrl.envs import StepCounter, TransformedEnv
-        >>> env = TransformedEnv(make_env(world_n="maze"), StepCounter())
-        >>> type(env.base_env).__name__, type(env.base_env.base_env).__name__
-        ('RewardedEnv', 'RoverEnv')
-        >>> env.transform
-        StepCounter(keys=[])
     """
 
     config: EnvConfig

@@ -85,20 +85,13 @@ and the largest ratio of the distances of the three."""
 
 @wp.struct
 class Scans:
-    """Scans of all rows.
+    """Scans of all rows, which are added to the tracks of those that are ``due``.
 
-    Attributes:
-        due: rows whose scan is added. The tracks of the others stay as they are.
-        ranges: readings, ``[N, P]``, m; negative where no beam covers one.
-        poses: x, y and z of the rovers, m.
-        imus: pitch, roll and yaw of the rovers, rad.
-        mounts: positions of the lidars in the base frames of the robots, m.
-        robots: number of each row's robot.
-        beams: directions of the readings in the base frame, ``[P]``.
-        angles: angle of the first reading, and that between two, rad.
-        most: range from which on a reading has not met anything, m.
-        dt: time since the last scan, s.
-        points, labels: memory for the ends of the readings, and for their clusters, ``[N, P]``.
+    Ranges are negative where no beam covers them. Poses are x, y and z (m), and IMUs pitch, roll and yaw (rad). The
+    ``mounts`` are the positions of the lidars in the base frames of the ``robots``, in which ``beams`` are the
+    directions of the readings, and ``angles`` that of the first one, and that between two (rad). From the range
+    ``most`` on, a reading has not met anything. ``points`` and ``labels`` are memory for the ends of the readings, and
+    for their clusters.
     """
 
     due: wp.array[wp.bool]

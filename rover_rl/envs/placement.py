@@ -1,9 +1,8 @@
 """What episodes begin with: starts and goals in the free cells of each row's world, and random dynamics.
 
-Simulators differ from each other and from a real robot. A policy that is trained on many variations of the dynamics is
-less sensitive to these differences (J. Tobin et al., "Domain randomization for transferring deep neural networks from
-simulation to the real world", IROS 2017; X. B. Peng et al., "Sim-to-real transfer of robotic control with dynamics
-randomization", ICRA 2018).
+A policy that is trained on many variations of the dynamics is less sensitive to differences between simulators and a
+real robot (J. Tobin et al., "Domain randomization for transferring deep neural networks from simulation to the real
+world", IROS 2017).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from rover_rl.envs.stages import CommandDelay, DelayLine, SensorDelays, Stage, S
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.turning import yaw_gain
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.sims.rover_state import SimulatedDrives
 
 
 class Prediction(Stage):

@@ -30,13 +30,10 @@ FEATURES = {
 
 
 class PrivilegedObservation:
-    """Computes the privileged observation.
+    """Computes the privileged observation: float32 ``[N, k]``, not clipped.
 
-    Its entries are float32 ``[N, k]`` and not clipped:
-
-    - ``position``: position (x, y, z), m;
-    - ``attitude``: roll, pitch and yaw, rad;
-    - ``velocities``: wheel odometry without noise, m/s and rad/s;
+    - ``position`` (x, y, z, m), ``attitude`` (roll, pitch, yaw, rad), and ``velocities``: wheel odometry without noise,
+      m/s and rad/s;
     - ``target``: distance (m) and relative angle (rad) of the goal;
     - ``path_distance``: distance to the goal along the shortest free path, m;
     - ``local_map``: how much shorter the shortest free path to the goal is from points around the rover, m: 16
@@ -55,10 +52,7 @@ class PrivilegedObservation:
     def __call__(
         self, truth: Perception, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
     ) -> TensorDict:
-        """Returns the privileged observation, ``[N]``, for indices of worlds, int64 ``[N, 1]``, and goals ``[N, 2]``.
-
-        The delays of commands, ``[N, 1]``, are in control steps.
-        """
+        """Indices of worlds are int64 ``[N, 1]``, goals ``[N, 2]``, and delays of commands ``[N, 1]``."""
         rover = truth.rover
         fields = self._distances.fields(world.flatten(), goal)
         path_distance = self._distances.along(fields, truth.position)[0][:, None]

@@ -34,10 +34,8 @@ def first_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
 class Episodes:
     """Number of the episode of each row since it was seeded, and the random keys of rows and episodes.
 
-    Attributes:
-        keys: random keys of the episodes, int64 ``[N, 1]``.
-        world_keys: those that what happens in the worlds depends on.
-        world_steps: number of steps of each world's episode, int64 ``[N, 1]``. ``None``: that of its row.
+    ``keys`` are those of the episodes, int64 ``[N, 1]``, ``world_keys`` those that what happens in the worlds depends
+    on, and ``world_steps`` the steps of each world's episode, int64 ``[N, 1]``. ``None``: that of its row.
     """
 
     world_keys: Tensor
@@ -68,23 +66,15 @@ class RowWorlds:
     """The world of each row of a batch: one for life, or another one for each episode.
 
     Worlds without a range are assigned to equal blocks of rows. If there is a range of seeds, as in ``"maze:*"``, or a
-    :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world of the pool by the seed of the row, the number
-    of the episode and the weights of the worlds only.
+    :class:`~rover_rl.worlds.pool.WorldPool`, each episode draws a world of the ``pool`` by the seed of the row, the
+    number of the episode and the weights of the worlds only. The ``index`` of each row's world in the pool is int64
+    ``[N, 1]``, and the ``table`` has its world and slot, for those who hold data of worlds.
 
     If the pool has no more worlds than rows, it is resident: all worlds are in slots of the table from :meth:`open` on,
     and rows change worlds on the device, without the host. Of a larger pool, the worlds that rows are in have slots.
 
-    Args:
-        source: worlds. ``ValueError`` if one is unknown, or there are more worlds than rows.
-        keys: random keys of the first episodes, ``[N, 1]``.
-        agents: number of consecutive rows that share a world, and the keys that draw it.
-        is_drawn: whether episodes draw their worlds. ``None``: as above.
-
-    Attributes:
-        pool: all worlds that rows can be in.
-        index: index of each row's world in the pool, int64 ``[N, 1]``.
-        table: world and slot of each row, for those who hold data of worlds.
-        preparing: makes a context in which the thread of :meth:`open` prepares worlds, for the simulator's kernels.
+    ``keys`` are those of the first episodes, ``[N, 1]``. Each ``agents`` consecutive rows share a world, and the keys
+    that draw it. Raises ``ValueError`` if a world of the source is unknown, or there are more worlds than rows.
     """
 
     def __init__(self, source: WorldSource, keys: Tensor, agents: int = 1, is_drawn: bool | None = None) -> None:
@@ -203,18 +193,10 @@ class RowWorlds:
 class RowRobots:
     """The robot of each row of a batch. Each episode draws one of those that drive in its world, all equally likely.
 
-    The draw depends on the seed of the row, the number of the episode and its world only.
-
-    Args:
-        groups: robots that episodes draw from.
-        choices: first robot and number of robots that drive in the worlds of each entry of the pool. Empty for one.
-        worlds: world of each row.
-        keys: random keys of the first episodes, ``[N, 1]``.
-
-    Attributes:
-        fleet: robot of each row, for those who hold data of robots.
-        robot_in: returns the robot that needs the most space of those that drive in a world.
-        keys: random keys of the next episodes in place of those of the environment. ``None``: those.
+    The draw depends on the seed of the row, the number of the episode and its world only. ``choices`` are the first
+    robot and number of robots that drive in the worlds of each entry of the pool, empty for one. The ``fleet`` is for
+    those who hold data of robots, and ``robot_in`` returns the robot that needs the most space of those in a world.
+    ``keys`` are those of the next episodes in place of those of the environment.
     """
 
     def __init__(

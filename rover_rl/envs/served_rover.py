@@ -35,12 +35,9 @@ class ServedRover:
     """A rover among the movers of its world, with the noise, delays and errors of an environment.
 
     What it reports has the stamp of its time, however late it arrives. Lost scans never arrive. The commands are
-    limited to what the robot's drive can do, as the base of a real rover limits them.
-
-    Args:
-        config: description of the environment. Of the lidar, the number of beams counts: it scans in each step, or as
-            ``randomization.scan_period`` says. Of the sensors, it has depth and color cameras and 3D
-            lidars, and for height scans elevation maps without errors.
+    limited to what the robot's drive can do, as the base of a real rover limits them. Of the lidar of ``config``, the
+    number of beams counts: it scans in each step, or as ``randomization.scan_period`` says. Of the sensors, it has
+    depth and color cameras and 3D lidars, and for height scans elevation maps without errors.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -50,11 +47,14 @@ class ServedRover:
         plain["randomization"] = replace(config.randomization, limits=(1.0, 1.0))
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
-        self._depth = [sensor for sensor in sensors if isinstance(sensor, DepthCamera)]
-        self._colors = [sensor for sensor in sensors if isinstance(sensor, ColorCamera)]
-        self._lidars = [sensor for sensor in sensors if isinstance(sensor, Lidar3D)]
+
+        def of(kind: type[Any]) -> list[Any]:
+            return [sensor for sensor in sensors if isinstance(sensor, kind)]
+
+        self._depth, self._colors, self._lidars, self._heights = map(
+            of, (DepthCamera, ColorCamera, Lidar3D, HeightScan)
+        )
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
-        self._heights = [sensor for sensor in sensors if isinstance(sensor, HeightScan)]
         served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
         self.control_dt = self.env.control_dt
@@ -89,10 +89,8 @@ class ServedRover:
         is_new, self._arrived = report.scan_stamp != self._arrived, report.scan_stamp
         depth = {one.topic: observation[one.name].unflatten(-1, one.size)[0] for one in self._depth}
         colors = {one.topic: observation[one.name].unflatten(-1, (3, *one.size))[0] for one in self._colors}
-        points = {
-            lidar.topic: _points(lidar, rays, observation[lidar.name][0])
-            for lidar, rays in zip(self._lidars, self._rays, strict=True)
-        }
+        clouds = zip(self._lidars, self._rays, strict=True)
+        points = {one.topic: _points(one, rays, observation[one.name][0]) for one, rays in clouds}
         ground = {scan.topic: self._map(scan, report.state.position[0]) for scan in self._heights}
         report = report._replace(images={"depth": depth, "colors": colors}, points=points, ground=ground)
         return report if is_new else report._replace(ranges=None)

@@ -30,22 +30,13 @@ from rover_rl.worlds.movers import Rovers
 
 
 class Simulation:
-    """Simulator, lidars and movers of a batch, and the stages that commands and readings pass.
+    """Simulator, lidars and movers of a batch, and the stages that commands and readings pass, in their order.
 
-    The first reset must be of all rows.
+    The ``scanner`` is the lidar in a full turn, which scans what does not move, and ``pooling`` pools the scans of the
+    robots' lidars, which see the ``movers`` of each row. Sensors cast rays at the ``surroundings``. ``changes_worlds``:
+    whether rows draw worlds, and the simulator lets them change. The first reset must be of all rows.
 
-    Attributes:
-        simulator: simulator.
-        scanner: lidar in a full turn, which scans what does not move.
-        pooling: pooling of the scans of the robots' lidars, which see movers.
-        movers: movers of each row.
-        surroundings: what sensors cast rays at.
-        changes_worlds: whether rows draw worlds, and the simulator lets them change.
-        stages: stages, in their order.
-        command_delay, delays: delay of the commands, and those of the sensors. ``None`` if there are none.
-
-    Raises:
-        ValueError: if the simulator or a robot cannot do what the environment needs.
+    Raises ``ValueError`` if the simulator or a robot cannot do what the environment needs.
     """
 
     def __init__(

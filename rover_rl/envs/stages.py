@@ -30,12 +30,9 @@ _DRIFT, _JUMP, _JUMPS, _YAW_BIAS, _SOURCE, _LIMITS = 7, 8, 9, 23, 24, 26
 class Perception:
     """State of the rovers and a raw lidar scan, and what follows from both.
 
-    Attributes:
-        rover: state of the rovers, ``[N]``.
-        ranges: raw lidar scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid.
-        euler, yaw: roll, pitch and yaw, ``[N, 3]``, and heading, ``[N, 1]``, rad.
-        position: horizontal position (x, y), ``[N, 2]``, m.
-        readings: pooled lidar scan, ``[N, lidar_points]``, m.
+    ``ranges`` are the raw scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid. From
+    them follow ``readings``, the pooled scan, ``[N, lidar_points]``, m; from the state, ``euler``, roll, pitch and yaw,
+    ``[N, 3]``, ``yaw``, ``[N, 1]`` (rad), and ``position``, x and y, ``[N, 2]``, m.
     """
 
     def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
@@ -309,12 +306,8 @@ class SensorDelays(Stage):
     waits for the pose of its time, and is never newer than the pose. Scans are timed so that they arrive at steps that
     are multiples of their period, at which policies decide.
 
-    Args:
-        randomization: ranges of the delays and of the period, and the share of lost scans.
-        period: steps from one scan to the next, if the randomization does not say.
-        rows: number N of rovers.
-        device: device of the readings.
-        live: simulator of a live rover, whose stamps tell where scans were taken. ``None``: not live.
+    ``period`` is that of the lidar, if the randomization does not say. The stamps of a ``live`` rover tell where scans
+    were taken.
 
     Attributes:
         scan, state: delays of the scans and of the other sensors, control steps, int64 ``[N, 1]``.

@@ -19,8 +19,7 @@ from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles, no_forces
-from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, SimulatedDrives, beam_angles, no_forces
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 

@@ -12,7 +12,7 @@ from rover_rl.worlds import Terrain
 WALL = World("wall", Terrain.flat((20.0, 20.0)), [box((2.0, 0.0, 0.5), (0.2, 3.0, 1.0))])
 
 
-def driven(start, action, guard, steps=80):
+def driven(start, action, guard, steps=60):
     """Returns the environment and whether each rover has touched the wall, ``[N]``."""
     task = TaskConfig(collision_from="contact", collision_window=10**6)
     rows = len(start)

@@ -20,42 +20,32 @@ FEATURES = [
     pytest.param({"backend": "bullet", "randomization": TYPICAL}, id="randomized in Bullet"),
     pytest.param({"backend": "warp", "randomization": TYPICAL}, id="randomized in Warp"),
     pytest.param({"backend": "mujoco", "randomization": TYPICAL}, id="randomized in MuJoCo", marks=needs_mujoco),
-    pytest.param({"backend": "warp", "pose": PoseConfig("odometry")}, id="odometry"),
-    pytest.param({"backend": "warp", "pose": PoseConfig("localized")}, id="localization"),
+    pytest.param({"backend": "warp", "pose": PoseConfig("either")}, id="pose"),
     pytest.param({"backend": "warp", "world_n": "moon", "sensors": NOISY}, id="sensors"),
-    pytest.param({"backend": "warp", "sensors": ["route"]}, id="route"),
     pytest.param({"backend": "warp", "randomization": Randomization(scan_period=(4, 4))}, id="slow lidar"),
-    pytest.param({"backend": "warp", "world_n": WorldPool(*ROOMS)}, id="pool of worlds"),
-    pytest.param({"backend": "warp", "world_n": "maze:0-2"}, id="range of worlds"),
+    pytest.param({"backend": "warp", "world_n": WorldPool(*ROOMS), "sensors": ["route"]}, id="pool of worlds"),
     pytest.param({"backend": "warp", "robot": "any:0-3", "sensors": ["route", "robot"]}, id="robots"),
 ]
 """Settings of environments that draw numbers, or have a memory, for each rover."""
 
 
-def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: int = 0) -> torch.Tensor:
+def actions(env: EnvBase, steps: int, rows: int, seed: int = 0) -> torch.Tensor:
     """Random actions, mostly forward, each held for ten steps: ``[steps, rows, 2]``."""
-    generator = torch.Generator().manual_seed(seed)
+    space, generator = env.action_spec.space, torch.Generator().manual_seed(seed)
     unit = torch.rand((steps + 9) // 10, rows, 2, generator=generator)
-    unit[..., 0] = 0.4 + 0.6 * unit[..., 0]
-    unit[..., 1] = 0.5 + (unit[..., 1] - 0.5) * 0.4
-    return (low + unit * (high - low)).repeat_interleave(10, 0)[:steps]
+    unit = torch.stack((0.4 + 0.6 * unit[..., 0], 0.5 + (unit[..., 1] - 0.5) * 0.4), -1)
+    return (space.low[0] + unit * (space.high[0] - space.low[0])).repeat_interleave(10, 0)[:steps]
 
 
-def trajectory(env, steps: int, row: int, row_actions: torch.Tensor) -> dict[str, torch.Tensor]:
-    """All results of ``row`` over ``steps`` steps with ``row_actions [steps, 2]``. The other rows act at random."""
-    spec = env.action_spec.space
-    all_actions = actions(steps, env.batch_size[0], spec.low[0], spec.high[0], seed=1)
+def trajectory(env: EnvBase, row: int, row_actions: torch.Tensor) -> dict[str, torch.Tensor]:
+    """All results of ``row`` with ``row_actions [steps, 2]``. The other rows act at random."""
+    all_actions = actions(env, len(row_actions), env.batch_size[0], seed=1)
     all_actions[:, row] = row_actions
     td, records = env.reset(), []
     for action in all_actions:
         step, td = env.step_and_maybe_reset(td.set("action", action))
         records.append(step["next"][row])
     return dict(torch.stack(records).items(True, True))
-
-
-def actions_of_one_row(env, steps: int) -> torch.Tensor:
-    spec = env.action_spec.space
-    return actions(steps, 1, spec.low[0], spec.high[0])[:, 0]
 
 
 def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
@@ -66,83 +56,72 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 SEED = 240
 """Seed of the rover that is compared. Row k of a batch with the seed s is the single rover with the seed s + k."""
-SETTINGS = {"lidar_beams": 32, "length": 60}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("backend", "world", "batches"),
+    ("backend", "world", "num_envs", "row", "steps"),
     [
-        # Over two episodes and the beginning of a third in a small batch, else over one and the beginning of the next:
-        # in Bullet and in MuJoCo, the steps of a large batch take long.
-        ("bullet", "maze", [(6, 5, 130), (40, 30, 70)]),
-        ("bullet", "moon", [(6, 0, 70)]),
-        ("warp", "maze", [(256, 200, 70)]),
-        ("warp", "inspect", [(33, 0, 90)]),
-        pytest.param("mujoco", "maze", [(6, 5, 130)], marks=needs_mujoco),
-        pytest.param("mujoco", "moon", [(16, 15, 70)], marks=needs_mujoco),
+        ("bullet", "maze", 8, 5, 70),
+        ("bullet", "moon", 3, 0, 70),
+        ("warp", "maze", 64, 40, 130),
+        ("warp", "inspect", 9, 0, 70),
+        pytest.param("mujoco", "maze", 6, 5, 70, marks=needs_mujoco),
     ],
 )
-def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
-    """Each batch is a number of rovers, the row of the compared rover and the number of compared steps."""
-    single = make_env(backend=backend, world_n=world, num_envs=1, seed=SEED, **SETTINGS)
-    row_actions = actions_of_one_row(single, max(steps for _, _, steps in batches))
-    alone = trajectory(single, len(row_actions), 0, row_actions)
-    for num_envs, row, steps in batches:
-        batch = make_env(backend=backend, world_n=world, num_envs=num_envs, seed=SEED - row, **SETTINGS)
-        expected = {key: values[:steps] for key, values in alone.items()}
-        assert_same(trajectory(batch, steps, row, row_actions[:steps]), expected)
-        # The comparison is meaningful: the rover moved, and episodes ended.
-        assert expected["pose"].std(0)[:2].max() > 0.05
-        assert expected["done"].any()
+def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row, steps):
+    """Over one or two episodes, and the beginning of the next."""
+    settings = {"backend": backend, "world_n": world, "lidar_beams": 32, "length": 60}
+    single = make_env(num_envs=1, seed=SEED, **settings)
+    row_actions = actions(single, steps, 1)[:, 0]
+    alone = trajectory(single, 0, row_actions)
+    assert_same(trajectory(make_env(num_envs=num_envs, seed=SEED - row, **settings), row, row_actions), alone)
+    # The comparison is meaningful: the rover moved, and episodes ended.
+    assert alone["pose"].std(0)[:2].max() > 0.05
+    assert alone["done"].any()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "world"), [("bullet", "inspect"), ("warp", "maze"), pytest.param("mujoco", "maze", marks=needs_mujoco)]
 )
-def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):
-    env = make_env(backend=backend, world_n=world, num_envs=4, seed=3, lidar_beams=32, length=40)
-    row_actions = actions_of_one_row(env, 50)
-    expected = trajectory(env, 50, 2, row_actions)
+def test_a_rover_is_the_same_after_many_resets_of_itself_and_others(world, backend):
+    env = make_env(backend=backend, world_n=world, num_envs=4, seed=3, lidar_beams=32, length=20)
+    row_actions = actions(env, 30, 1)[:, 0]
+    expected = trajectory(env, 2, row_actions)
     td = env.reset()
-    for k in range(50):
+    for k in range(25):
         reset = torch.zeros(4, 1, dtype=torch.bool)
         reset[k % 4] = reset[2] = True
         td = env.reset(td.set("_reset", reset))
         td = env.step(td.set("action", env.action_spec.rand()))["next"]
     env.set_seed(3)
-    found = trajectory(env, 50, 2, row_actions)
+    found = trajectory(env, 2, row_actions)
     for results in (expected, found):
         del results["outcome", "total_steps"]  # of the environment, since it was made
     assert_same(found, expected)
 
 
 def featured(num_envs: int, seed: int, settings: dict) -> EnvBase:
-    return make_env(
-        **{"world_n": "maze", "num_envs": num_envs, "seed": seed, "length": 25, "lidar_beams": 64, **settings}
-    )
+    defaults = {"world_n": "maze", "num_envs": num_envs, "seed": seed, "length": 25, "lidar_beams": 64}
+    return make_env(**{**defaults, **settings})
 
 
 @pytest.mark.parametrize("settings", FEATURES)
 def test_what_is_drawn_or_remembered_for_a_rover_is_the_same_alone_and_in_a_batch(settings):
     alone, batch = featured(1, 10, settings), featured(5, 7, settings)
-    row_actions = actions_of_one_row(alone, 40)
-    expected = trajectory(alone, 40, 0, row_actions)
-    assert_same(trajectory(batch, 40, 3, row_actions), expected)
+    row_actions = actions(alone, 30, 1)[:, 0]
+    expected = trajectory(alone, 0, row_actions)
+    assert_same(trajectory(batch, 3, row_actions), expected)
     assert expected["done"].any()
-
-
-@pytest.mark.parametrize("settings", FEATURES)
-def test_environments_match_their_specs(settings):
-    check_env_specs(featured(3, 0, settings), break_when_any_done="both")
 
 
 @pytest.mark.parametrize("settings", FEATURES)
 def test_partial_resets_and_held_steps_leave_other_rovers_as_they_are(settings):
     env = featured(4, 0, settings)
+    check_env_specs(env, break_when_any_done="both")
     td, keep = env.reset(), torch.tensor([True, False, True, True])
-    for action in actions(5, 4, *(bound[0] for bound in (env.action_spec.space.low, env.action_spec.space.high))):
+    for action in actions(env, 5, 4):
         td = env.step(td.set("action", action))["next"]
     before = td.clone()
     after = env.reset(td.set("_reset", ~keep[:, None])).exclude("_reset")
@@ -150,7 +129,7 @@ def test_partial_resets_and_held_steps_leave_other_rovers_as_they_are(settings):
     held = env.step(after.clone().set("action", torch.zeros(4, 2)).set("_step", active))["next"]
     sensed = [key for key in env.observation_spec.keys() if key != "outcome"]  # noqa: SIM118
     assert {"lidar", "pose", "imu", "target", "velocities"} <= {*sensed}
-    for key in [*sensed, *([("outcome", "world")] if settings.get("world_n", "moon") != "moon" else [])]:
+    for key in [*sensed, *([("outcome", "world")] if isinstance(settings.get("world_n"), WorldPool) else [])]:
         assert torch.equal(after[key][keep], before[key][keep]), key
         assert torch.equal(held[key][~active], after[key][~active]), key
     assert not torch.equal(after["pose"][1], before["pose"][1])

@@ -10,8 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl import Randomization, RoverEnv
-from rover_rl.envs.config import EnvConfig, LidarConfig
-from rover_rl.envs.imperfections import imperfect
+from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.rotations import wrap_angle
 from rover_rl.worlds import Terrain, World
@@ -33,10 +32,8 @@ def driven(rows: int = 12, randomization: Randomization = LATE, **settings: Any)
         td = env.step(td.set("action", torch.tensor([(0.9, turn)]).expand(rows, 2)))["next"]
         state, pose = env.state.sensed.rover, env.state.pose
         seen.append(td.select(*KEYS, "outcome", strict=False))
-        parts = pose.position[:, :2], pose.yaw, state.linear_velocity, state.angular_velocity
-        truth.append(torch.cat(parts, -1))
+        truth.append(torch.cat((pose.position[:, :2], pose.yaw, state.linear_velocity, state.angular_velocity), -1))
     delay = torch.zeros(rows) if env.delays is None else env.delays.state.squeeze(-1)
-    env.close()
     return torch.stack(seen), torch.stack(truth), delay
 
 
@@ -65,17 +62,13 @@ def test_the_predicted_state_is_near_the_true_one(robot):
     assert wrap_angle(attitude - tilt).abs().max() < 1e-4
 
 
-def test_a_row_is_predicted_as_alone():
+def test_a_row_is_predicted_as_alone_also_of_several_robots():
     together, alone = driven(4, compensate_delay=True)[0], driven(1, compensate_delay=True)[0]
     assert all(torch.equal(together[key][:, :1], alone[key]) for key in KEYS)
-
-
-def test_robots_of_one_batch_are_predicted_as_each_alone():
-    robots = {"robot": ("leo", "hunter"), "world": "maze:10001", "compensate_delay": True}
-    together, truth, _ = driven(6, **robots)
-    late, _, delay = driven(6, **(robots | {"compensate_delay": False}))
+    robots = {"robot": ("leo", "hunter"), "world": "maze:10001"}
+    (late, _, delay), (predicted, truth, _) = (driven(6, compensate_delay=on, **robots) for on in (False, True))
     is_late = delay > 0
-    assert (errors(together, truth)[is_late, 2:] < 0.25 * errors(late, truth)[is_late, 2:]).all()
+    assert (errors(predicted, truth)[is_late, 2:] < 0.25 * errors(late, truth)[is_late, 2:]).all()
 
 
 def test_without_late_sensors_nothing_changes():
@@ -93,8 +86,3 @@ def test_a_reset_of_some_rows_begins_there_anew():
     assert torch.allclose(td["pose"][0], env.rover_state.position[0], atol=1e-5)
     assert td["velocities"][0].abs().max() < 1e-5
     assert torch.equal(td["pose"][1], before["pose"][1])
-    env.close()
-
-
-def test_imperfections_keep_the_option():
-    assert imperfect(EnvConfig(compensate_delay=True), "late").compensate_delay

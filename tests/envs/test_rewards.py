@@ -10,17 +10,13 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardConfig, contract_reward, make_env
-from rover_rl.envs.rewards import (
-    ConfiguredComponent,
-    MoverContactPenalty,
-    RewardComponent,
-    pays_for_goals,
-    reward_components,
-)
+from rover_rl.envs import rewards
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from tests.envs.contract.scripted_env import pairs, play, scripted
 from tests.envs.scripted import Moment
+
+RATE = RewardConfig(action_rate_penalty=-1.0)
 
 
 def component(results, name: str) -> list[list[float]]:
@@ -41,87 +37,59 @@ def act(env, actions: list[tuple[float, float]], held: tuple[int, ...] = ()):
     return results
 
 
-def test_the_contracts_reward_has_neither_by_default():
+def test_components_with_penalties_of_0_are_left_out():
     names = [part.name for part in contract_reward()]
-    assert not {"clearance", "action_rate"} & set(names)
-    both = contract_reward(RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01))
-    assert [part.name for part in both] == [*names, "clearance", "action_rate"]
+    assert not {"clearance", "action_rate", "mover_contact", "mover_proximity"} & set(names)
+    config = RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01, struck_penalty=-1, haste_penalty=-1)
+    every = [part.name for part in contract_reward(config)]
+    assert every == [*names, "clearance", "action_rate", "mover_contact", "mover_proximity"]
 
 
-def test_the_clearance_penalty_grows_linearly_below_its_distance():
-    scripts = [[Moment(ranges=reading)] for reading in (0.0, 0.1, 0.35, 0.4, 5.0)]
+def test_the_clearance_penalty_grows_linearly_below_its_distance_with_the_nearest_reading():
+    nearest = [5.0] * 20 + [0.2] + [5.0] * 11
+    scripts = [[Moment(ranges=reading)] for reading in (0.0, 0.1, 0.35, 0.4, 5.0, nearest)]
     reward = RewardConfig(clearance_penalty=-0.2, clearance_distance=0.4)
     (result,) = play(scripted(*scripts, reward=reward), 1)
-    assert component([result], "clearance") == [[-0.2, -0.15, -0.025, 0.0, 0.0]]
+    assert component([result], "clearance") == [[-0.2, -0.15, -0.025, 0.0, 0.0, -0.1]]
     # On top of the contract's rule for the step, here a collision.
     assert result["reward"][1].item() == pytest.approx(-0.5 - 0.15)
-
-
-def test_only_the_nearest_reading_counts_for_the_clearance():
-    readings = [5.0] * 32
-    readings[20] = 0.2
-    results = play(
-        scripted([Moment(ranges=readings)], reward=RewardConfig(clearance_penalty=-1.0, clearance_distance=0.8)), 1
-    )
-    assert component(results, "clearance") == [[-0.75]]
-
-
-def test_a_clearance_distance_of_0_is_refused():
     with pytest.raises(ValueError, match="clearance_distance must be positive"):
         RewardConfig(clearance_distance=0)
 
 
 def test_the_action_rate_penalty_is_the_squared_change_of_the_action():
-    env = scripted([Moment()], reward=RewardConfig(action_rate_penalty=-0.1))
-    results = act(env, [(1.0, 0.5), (0.5, 0.5), (0.5, -0.5), (0.5, -0.5)])
-    assert component(results, "action_rate") == [[0.0], [-0.025], [-0.1], [0.0]]
-
-
-def test_opposite_bounds_of_the_heading_are_the_same_direction():
-    env = scripted([Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
-    results = act(env, [(0.0, math.pi - 0.1), (0.0, -math.pi + 0.1)])
+    results = act(scripted([Moment()], reward=RATE), [(1.0, 0.5), (0.5, 0.5), (0.5, -0.5), (0.5, -0.5)])
+    assert component(results, "action_rate") == [[0.0], [-0.25], [-1.0], [0.0]]
+    # Opposite bounds of the heading are the same direction.
+    results = act(scripted([Moment()], reward=RATE), [(0.0, math.pi - 0.1), (0.0, -math.pi + 0.1)])
     assert component(results, "action_rate")[1] == [pytest.approx(-0.04, abs=1e-4)]
-
-
-def test_the_first_action_of_each_episode_is_free():
-    env = scripted([Moment()], [Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
-    td = act(env, [(1.0, 0.0)])[-1]
-    td["_reset"] = torch.tensor([[True], [False]])
-    td = env.reset(td)
-    td["action"] = pairs((-1.0, 0.0), 2)
-    assert component([env.step(td)["next"]], "action_rate") == [[0.0, -4.0]]
-
-
-def test_a_held_row_keeps_its_last_action():
-    env = scripted([Moment()], [Moment()], reward=RewardConfig(action_rate_penalty=-1.0))
-    results = act(env, [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0)], held=(1,))
-    assert component(results, "action_rate")[0] == [0.0, 0.0]
+    # A held row keeps its last action.
+    results = act(scripted([Moment()], [Moment()], reward=RATE), [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0)], held=(1,))
     assert component(results, "action_rate")[2] == [0.0, -1.0]
-
-
-def test_a_repeated_action_changes_once():
-    env = scripted([Moment()], reward=RewardConfig(action_rate_penalty=-1.0)).append_transform(ActionRepeat(4))
+    # A repeated action changes once.
+    env = scripted([Moment()], reward=RATE).append_transform(ActionRepeat(4))
     results = act(env, [(0.1, 0.0), (0.6, 0.0), (0.6, 0.0), (0.1, 0.0)])
     assert component(results, "action_rate") == [[0.0], [-0.25], [0.0], [-0.25]]
 
 
+def test_the_first_action_of_each_episode_is_free():
+    env = scripted([Moment()], [Moment()], reward=RATE)
+    td = act(env, [(1.0, 0.0)])[-1]
+    td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
+    assert component([env.step(td.set("action", pairs((-1.0, 0.0), 2)))["next"]], "action_rate") == [[0.0, -4.0]]
+
+
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_specs_hold_with_both(num_envs):
-    reward = RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01)
+def test_specs_hold(num_envs):
+    reward = RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01, mover_contact_penalty=-1.0)
     env = make_env(world_n="maze", num_envs=num_envs, backend="warp", reward=reward, lidar_beams=32)
     check_env_specs(env)
     rollout = env.rollout(4)
     parts = rollout["next", "reward_components"]
     assert parts["action_rate"][..., 1:, :].max() < 0
+    # Where there are no movers, nothing is paid for them.
+    assert not parts["mover_contact"].any()
     torch.testing.assert_close(rollout["next", "reward"], sum(parts.values()))
-
-
-def test_penalties_of_movers_are_left_out_by_default_and_nothing_where_none_are():
-    assert {"mover_contact", "mover_proximity"}.isdisjoint(part.name for part in contract_reward())
-    reward = RewardConfig(mover_contact_penalty=-1.0, haste_penalty=-1.0)
-    assert [part.name for part in contract_reward(reward)][-2:] == ["mover_contact", "mover_proximity"]
-    results = act(scripted([Moment(v=1.0)], reward=reward), [(1.0, 0.0)])
-    assert component(results, "mover_contact") == component(results, "mover_proximity") == [[0.0]]
 
 
 def met(speed, contact, distance, before):
@@ -134,23 +102,19 @@ def met(speed, contact, distance, before):
     return last, TensorDict({"outcome": TensorDict(entries, [rows])}, [rows])
 
 
-def test_a_contact_with_a_mover_costs_by_whose_fault_it_is():
-    penalty = MoverContactPenalty(RewardConfig(mover_contact_penalty=-2.0, struck_penalty=-0.5))
+def test_a_contact_with_a_mover_costs_by_whose_fault_it_is_and_so_do_closeness_and_haste():
+    penalty = rewards.MoverContactPenalty(RewardConfig(mover_contact_penalty=-2.0, struck_penalty=-0.5))
     # The mover pushes all of them in this step.
-    before = [0.8, -0.3, 0.0, 0.8]
-    results = met([0.5] * 4, [True, True, True, False], [0.1] * 4, before)
+    results = met([0.5] * 4, [True, True, True, False], [0.1] * 4, before=[0.8, -0.3, 0.0, 0.8])
     assert component([penalty._step(*results)], "mover_contact") == [[-2.0, -2.0, -0.5, 0.0]]
-
-
-def test_closeness_and_haste_near_movers_cost():
     penalties = {"intrusion_penalty": -0.1, "haste_penalty": -0.4, "risk_penalty": -1.0}
     config = RewardConfig(**penalties, intrusion_distance=1.0, risk_distance=0.25)
-    penalty = ConfiguredComponent(config, "mover_proximity")
+    penalty = rewards.ConfiguredComponent(config, "mover_proximity")
     results = met([0.0, 1.0, -1.0, 1.0, 1.0], [False] * 5, [0.5, 0.5, 0.5, 0.2, math.inf], [0.0] * 5)
     assert component([penalty._step(*results)], "mover_proximity") == [[-0.05, -0.25, -0.25, -1.4, 0.0]]
 
 
-class Haste(RewardComponent):
+class Haste(rewards.RewardComponent):
     name = "haste"
 
     def value(self, outcome, observation):
@@ -165,11 +129,11 @@ class Caution(Haste):
     ("components", "pays"),
     [
         (contract_reward(), True),
-        (reward_components("task"), True),
+        (rewards.reward_components("task"), True),
         ([Haste()], True),
         (contract_reward()[1:], False),
         ([Caution(), *contract_reward(RewardConfig(clearance_penalty=-1.0))[1:]], False),
     ],
 )
 def test_whether_a_reward_pays_for_a_goal(components, pays):
-    assert pays_for_goals(components) == pays
+    assert rewards.pays_for_goals(components) == pays

@@ -14,13 +14,15 @@ from tensordict import TensorDict
 
 from rover_rl import GymWrapper, RoverEnv, Terrain, World, box, make_env
 from rover_rl.robots import get_robot
+from tests.extras import needs_mujoco
+from tests.traced import files_that
 
 FLAT = World("flat", Terrain.flat((20, 20)), spawn_range=((-3, 3), (-3, 3)))
 
 
 @pytest.fixture(scope="module")
 def env():
-    return RoverEnv(world_n="maze", num_envs=3, seed=0, lidar_beams=32)
+    return RoverEnv(world_n="maze", num_envs=3, seed=0, backend="warp", lidar_beams=32)
 
 
 def test_a_world_from_a_numpy_array_and_three_boxes():
@@ -28,6 +30,14 @@ def test_a_world_from_a_numpy_array_and_three_boxes():
     world = World("mine", Terrain(heights, 0.25), [box((x, 2.0, 0.5), (1, 1, 1.5)) for x in (-3, 0, 3)])
     env = make_env(world_n=world, num_envs=2, seed=0, lidar_beams=32)
     assert env.rollout(5).shape == (2, 5)
+
+
+def test_a_step_passes_few_files():
+    env = make_env(world="moon", backend="warp", num_envs=2, seed=0)
+    td = env.rand_action(env.reset())
+    files = files_that(lambda: env.step(td))
+    assert "envs/rover.py" in files
+    assert len(files) <= 12, sorted(files)
 
 
 def test_rows_of_one_batch_in_several_worlds():
@@ -45,10 +55,8 @@ def test_a_custom_robot():
     rover = get_robot("rover_zero")
     slow = replace(rover, name="slow", drive=replace(rover.drive, max_linear_acceleration=0.5))
     env = RoverEnv(world_n="maze", robot=slow, seed=0, lidar_beams=32)
-    td = env.reset()
-    for _ in range(4):
-        td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
-    assert 0 < td["velocities"][0, 0] < 0.12
+    td = env.rollout(4, lambda td: td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+    assert 0 < td["velocities"][0, -1, 0] < 0.12
 
 
 def test_reset_takes_start_and_goal_as_arguments_and_through_transforms():
@@ -70,29 +78,26 @@ def test_render_returns_an_image(env):
         env.render(row=3)
 
 
-def test_a_seed_reproduces_episodes_and_none_draws_a_random_seed(env):
-    env.set_seed(7)
-    first = env.reset()["pose"]
-    env.set_seed(7)
-    assert torch.equal(env.reset()["pose"], first)
-    a, b = (RoverEnv(world_n="maze", lidar_beams=32).reset()["pose"] for _ in range(2))
-    assert not torch.equal(a, b)
+def test_none_draws_a_random_seed_and_the_global_generators_are_not_used():
+    state, numpy_state = torch.random.get_rng_state(), np.random.get_state()[1].copy()
+    a, b = (RoverEnv(world_n="maze", backend="warp", lidar_beams=32) for _ in range(2))
+    assert not torch.equal(a.reset()["pose"], b.reset()["pose"])
+    a.step(a.reset().set("action", torch.zeros(1, 2)))
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert (np.random.get_state()[1] == numpy_state).all()
 
 
 @pytest.mark.parametrize(
     "settings",
     [
         {"backend": "bullet", "world_n": "maze:0-99"},
-        {"backend": "mujoco", "world_n": "maze+walkers"},
+        pytest.param({"backend": "mujoco", "world_n": "maze+walkers"}, marks=needs_mujoco),
         {"backend": "warp", "world_n": "maze:0-99", "sensors": ["route", "past_scans"]},
         {"backend": "warp", "agents": 2},
     ],
     ids=str,
 )
 def test_a_seed_begins_anew_after_any_history_as_a_fresh_environment_does(settings):
-    if settings["backend"] == "mujoco":
-        pytest.importorskip("mujoco")
-
     def make(seed: int):
         return make_env(**{"world_n": "maze", "num_envs": 2, "seed": seed, "length": 3, **settings})
 
@@ -102,36 +107,22 @@ def test_a_seed_begins_anew_after_any_history_as_a_fresh_environment_does(settin
 
     fresh, env = drive(make(5)), make(77)
     drive(env)
-    for _ in range(2):
-        env.set_seed(5)
-        again = drive(env)
-        for key, value in fresh.items(True, True):
-            assert torch.equal(again[key], value), key
+    env.set_seed(5)
+    again = drive(env)
+    for key, value in fresh.items(True, True):
+        assert torch.equal(again[key], value), key
 
 
-@pytest.mark.parametrize("backend", ["bullet", "mujoco", "warp"])
-def test_copies_are_refused_with_what_helps(backend):
-    if backend == "mujoco":
-        pytest.importorskip("mujoco")
-    env = make_env(world_n="maze", num_envs=1, seed=3, backend=backend)
-    gym_env = GymWrapper(RoverEnv(world_n="maze", seed=3, backend=backend))
-    for given in (env, env.base_env, gym_env, gym_env.base_env):
+def test_copies_are_refused_with_what_helps():
+    env = make_env(world_n="maze", num_envs=1, seed=3, backend="warp")
+    gym_env = GymWrapper(RoverEnv(world_n="maze", seed=3, backend="warp"))
+    for given in (env, env.base_env, gym_env):
         for make_copy in (copy.deepcopy, pickle.dumps):
             with pytest.raises(TypeError, match=r"environment cannot be copied .* make_env\(env.config\)"):
                 make_copy(given)
-    with pytest.raises(TypeError, match="environment cannot be copied"):
-        copy.copy(env.base_env)
     twin = make_env(env.config)
     assert torch.equal(twin.reset()["pose"], env.reset()["pose"])
     assert twin.reward_keys == env.reward_keys
-
-
-def test_the_global_random_generators_are_not_used(env):
-    state, numpy_state = torch.random.get_rng_state(), np.random.get_state()[1].copy()
-    td = env.reset()
-    env.step(td.set("action", torch.zeros(3, 2)))
-    assert torch.equal(torch.random.get_rng_state(), state)
-    assert (np.random.get_state()[1] == numpy_state).all()
 
 
 @pytest.mark.parametrize(
@@ -141,7 +132,6 @@ def test_the_global_random_generators_are_not_used(env):
         ({"backend": "unity"}, "unknown backend 'unity'.*bullet"),
         ({"robot": "tank"}, "unknown robot 'tank'.*rover_zero"),
         ({"num_envs": 0}, "num_envs must be a whole number of at least 1 and at most 1000000, got 0"),
-        ({"num_envs": 2.0}, "num_envs must be a whole number"),
         ({"length": 0}, "length must be a whole number of at least 1 and at most 1000000000000, got 0"),
         ({"lidar_beams": 16}, "lidar_beams must be at least lidar_points, got 16 beams for 32 points"),
         ({"lidar_points": 0}, "lidar_points must be at least 1, got 0"),
@@ -187,20 +177,14 @@ def test_stepping_before_reset_and_after_close_is_refused_and_a_reset_builds_ano
     env.close()
 
 
-def test_moving_to_another_device_is_refused_with_the_alternative(env):
-    assert env.to("cpu") is env
-    with pytest.raises(ValueError, match=r"build RoverEnv\(device='cuda:0'\)"):
-        env.to("cuda:0")
-
-
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
 def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
-    env = RoverEnv(world_n=world, num_envs=40, seed=11, lidar_beams=32)
+    env = RoverEnv(world_n=world, num_envs=16, seed=11, lidar_beams=32)
     td = env.reset()
     assert (td["lidar"] >= 0.4).all()
     before = td["pose"].clone()
-    for _ in range(20):
-        td = env.step(td.set("action", torch.zeros(40, 2)))["next"]
+    for _ in range(10):
+        td = env.step(td.set("action", torch.zeros(16, 2)))["next"]
         assert not td["done"].any()
         assert not td["outcome", "collision"].any()
     assert (td["pose"] - before).norm(dim=-1).max() < 0.02
@@ -209,8 +193,8 @@ def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
 def test_a_world_in_which_pose_is_clipped_is_told():
     far = World("far", Terrain.flat((90, 20)), spawn_range=((-3, 3), (-3, 3)))
     with pytest.warns(UserWarning, match="'far' reaches 45 m from the origin, and .* clipped at 30 m"):
-        RoverEnv(world_n=far).close()
+        RoverEnv(world_n=far, backend="warp").close()
     near = World("near", far.terrain, spawn_range=far.spawn_range, bounds=((-30, 30), (-10, 10)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        RoverEnv(world_n=near).close()
+        RoverEnv(world_n=near, backend="warp").close()

@@ -40,52 +40,46 @@ def random_actions(steps: int, rows: int) -> torch.Tensor:
     return torch.stack((3 * unit[..., 0] - 0.5, unit[..., 1] - 0.5), -1)
 
 
-@pytest.mark.parametrize("randomization", [Randomization(), Randomization.typical()], ids=["nominal", "randomized"])
-def test_a_rover_drives_the_same_to_the_last_bit_alone_and_in_any_company(randomization):
-    settings = {"randomization": randomization, "sensors": ["route"]}
-    rows, actions = 12, random_actions(60, 12)
+@pytest.mark.parametrize("world", [PLAIN, get_world("maze+walkers:3")])
+def test_a_rover_drives_the_same_to_the_last_bit_alone_and_in_any_company(world):
+    settings = {"world_n": world, "randomization": Randomization.typical(), "sensors": ["route"]}
+    rows, actions = 4, random_actions(20, 4)
     env = make(rows, **settings)
     td = env.reset()
     start, goal = torch.cat((env.rover_state.position[:, :2], td["imu"][:, 2:]), -1), env.goal
     names = [robot.name for robot in env.fleet]
-    assert len(set(names)) > 4
+    assert len(set(names)) > 2
     together = drive(make(rows, **settings), actions, start=start, goal=goal)
-    for row in range(0, rows, 3):
+    for row in (0, 3):
         places = {"start": start[row : row + 1], "goal": goal[row : row + 1]}
-        mine = actions[:, row : row + 1]
-        in_pool = drive(make(1, 3 + row, **settings), mine, **places)
-        alone = drive(make(1, 3 + row, names[row], **settings), mine, **places)
-        assert torch.equal(in_pool, together[:, row : row + 1])
-        assert torch.equal(alone, together[:, row : row + 1])
+        # Movers keep a distance that is that of the largest robot.
+        for robot in (ROBOTS, names[row])[: 2 if world is PLAIN else 1]:
+            alone = drive(make(1, 3 + row, robot, **settings), actions[:, row : row + 1], **places)
+            assert torch.equal(alone, together[:, row : row + 1])
 
 
 def test_each_episode_draws_a_robot_by_its_seed_and_number():
     env, other = make(64), make(16, 3 + 8)
     seen = []
     for _ in range(3):
-        env.reset(), other.reset()
+        td, _ = env.reset(), other.reset()
         assert list(other.fleet) == list(env.fleet)[8:24]
         seen.append([robot.name for robot in env.fleet])
     assert {name for names in seen for name in names} == {robot.name for robot in get_robots(ROBOTS)}
     assert len({tuple(names) for names in seen}) == 3
-
-
-def test_rows_that_are_not_reset_keep_their_robots():
-    env = make(16)
-    td = env.reset()
-    before, mask = list(env.fleet), torch.arange(16)[:, None] < 8
-    env.reset(td.set("_reset", mask))
-    assert list(env.fleet)[8:] == before[8:]
-    assert list(env.fleet)[:8] != before[:8]
+    env.reset(td.set("_reset", torch.arange(64)[:, None] < 8))
+    now = [robot.name for robot in env.fleet]
+    assert now[8:] == seen[-1][8:], "rows that are not reset keep their robots"
+    assert now[:8] != seen[-1][:8]
 
 
 def test_actions_reach_the_speed_of_the_fastest_robot_and_each_robot_keeps_its_limits():
-    env = make(24)
+    env = make(12)
     space = env.action_spec.space
     assert space.high[0, 0] == max(robot.drive.max_speed for robot in get_robots(ROBOTS)) == -space.low[0, 0]
     td = env.reset()
-    for _ in range(60):
-        td = env.step(td.set("action", torch.tensor([10.0, 2.0]).expand(24, 2)))["next"]
+    for _ in range(40):
+        td = env.step(td.set("action", torch.tensor([10.0, 2.0]).expand(12, 2)))["next"]
         for row, robot in enumerate(env.fleet):
             speed, rate = td["velocities"][row].abs().tolist()
             assert speed <= 1.05 * robot.drive.max_speed
@@ -93,7 +87,7 @@ def test_actions_reach_the_speed_of_the_fastest_robot_and_each_robot_keeps_its_l
 
 
 def test_generated_worlds_are_as_wide_as_their_robots_need():
-    env = RoverEnv(world_n="maze:0-1", num_envs=64, seed=0, backend="warp", robot="any:0-15")
+    env = RoverEnv(world_n="maze:0-1", num_envs=32, seed=0, backend="warp", robot="any:0-15")
     td = env.reset()
     scales = [float(name.partition("*")[2]) for name in env.pool.entries]
     assert len(scales) == 4
@@ -108,21 +102,18 @@ def test_generated_worlds_are_as_wide_as_their_robots_need():
 
 
 def test_the_sensor_tells_size_and_limits_of_each_robot():
-    env = make(16, sensors=["robot"])
-    for _ in range(2):
-        told = env.reset()["robot"]
-        for row, robot in enumerate(env.fleet):
-            outline, drive = robot.footprint, robot.drive
-            size = (-outline.back, outline.front, outline.half_width)
-            limits = (drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels))
-            turns = (drive.pivot(robot.wheels), yaw_gain(robot))
-            numbers = (*size, *limits, *turns, *robot.lidar_position, robot.lidar_view)
-            assert told[row].tolist() == pytest.approx(numbers)
-    alone = RoverEnv(sensors=["robot"], seed=0).reset()["robot"][0]
+    env = make(8, sensors=["robot"])
+    told = env.reset()["robot"]
+    for row, robot in enumerate(env.fleet):
+        outline, drive = robot.footprint, robot.drive
+        size = (-outline.back, outline.front, outline.half_width)
+        limits = (drive.max_speed, drive.fastest_turn(robot.wheels), drive.min_radius(robot.wheels))
+        turns = (drive.pivot(robot.wheels), yaw_gain(robot))
+        assert told[row].tolist() == pytest.approx((*size, *limits, *turns, *robot.lidar_position, robot.lidar_view))
+    alone = RoverEnv(sensors=["robot"], seed=0, backend="warp").reset()["robot"][0]
     rest = (yaw_gain(get_robot("rover_zero")), *get_robot("rover_zero").lidar_position, 2 * math.pi)
     assert alone[3:].tolist() == pytest.approx((1.0, 7.0, 0.0, 0.0, *rest))
-    sensor = RobotBody()
-    aside = alone.clone()
+    sensor, aside = RobotBody(), alone.clone()
     aside[9] = 0.1
     assert torch.equal(sensor.mirror(aside)[9], -aside[9])
     assert torch.equal(sensor.mirror(alone), alone)
@@ -136,9 +127,6 @@ def test_a_policy_for_several_robots_drives_any_and_one_for_a_robot_does_not():
         require_match(one, several)
     with pytest.raises(ValueError, match=r"made for actions of"):
         require_match(several, EnvConfig(robot="husky", sensors=("robot",), action=ActionConfig(max_speed=0.5)))
-
-
-def test_robots_for_evaluation_are_not_trained_with():
     config = training_config("ppo", robot="any:9998-10001", backend="warp", seed=0)
     with pytest.raises(ValueError, match=r"seeds from 10000 up are for evaluation.*'any:0-255', got 'any:10000'"):
         prepare(config)
@@ -153,7 +141,6 @@ def test_robots_for_evaluation_are_not_trained_with():
         ((), {}, "robot must be a name or a Robot, got tuple"),
         (("leo", "tank"), {}, "unknown robot 'tank'"),
         ("husky:3", {}, "robot 'husky:3' has a seed, and 'husky' is one robot"),
-        (("leo", 3), {}, "robot must be a name or a Robot, got int 3"),
         ("any:0-3", {"action": ActionConfig(max_sideways=0.5)}, "max_sideways needs a drive that moves sideways"),
     ],
 )
@@ -169,11 +156,3 @@ def test_each_seed_is_another_robot_and_always_the_same():
     assert robots[7] == get_robot("any:7")
     with pytest.raises(ValueError, match="'any:0-15' names several robots, and one is needed here"):
         get_robot("any:0-15")
-
-
-def test_lidars_of_different_robots_see_what_moves():
-    world = get_world("maze+walkers:3")
-    actions = random_actions(20, 4)
-    together = drive(make(4, world_n=world), actions)
-    for row in range(4):
-        assert torch.equal(drive(make(1, 3 + row, world_n=world), actions[:, row : row + 1])[:, 0], together[:, row])

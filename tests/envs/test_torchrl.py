@@ -9,18 +9,9 @@ import gymnasium
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from torchrl import envs
 from torchrl.collectors import Collector
-from torchrl.envs import (
-    ActionScaling,
-    Compose,
-    ExcludeTransform,
-    FrameSkipTransform,
-    GymWrapper,
-    RewardSum,
-    SerialEnv,
-    StepCounter,
-    TransformedEnv,
-)
+from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import Randomization, RoverEnv, make_env
@@ -31,8 +22,7 @@ OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "t
 
 
 def make(num_envs=3, **settings):
-    settings = {"world_n": "maze", "backend": "warp", "seed": 0, "length": 10, **settings}
-    return make_env(num_envs=num_envs, **settings)
+    return make_env(num_envs=num_envs, **{"world_n": "maze", "backend": "warp", "seed": 0, "length": 10, **settings})
 
 
 def rollout(env, steps=25):
@@ -46,24 +36,19 @@ def assert_same(a, b) -> None:
         assert torch.equal(value, b[key]), key
 
 
-# Nesting
-
-
 @pytest.mark.parametrize("num_envs", [None, 3])
 def test_nested_and_appended_transforms_are_the_same_and_nesting_does_not_warn(num_envs):
     appended = make(num_envs)
-    for transform in (ActionScaling(), StepCounter(), RewardSum()):
+    for transform in (envs.ActionScaling(), StepCounter(), RewardSum()):
         appended = appended.append_transform(transform)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        nested = TransformedEnv(make(num_envs), Compose(ActionScaling(), StepCounter(), RewardSum()))
+        nested = TransformedEnv(make(num_envs), Compose(envs.ActionScaling(), StepCounter(), RewardSum()))
     for env in (appended, nested):
         check_env_specs(env, break_when_any_done="both")
         env.set_seed(5)
     assert isinstance(appended, RewardedEnv)
     assert_same(rollout(appended), rollout(nested))
-    appended.close()
-    nested.close()
 
 
 def test_a_clone_of_the_transforms_works_on_another_environment():
@@ -74,22 +59,19 @@ def test_a_clone_of_the_transforms_works_on_another_environment():
     td = rollout(other)
     assert td["step_count"].max() == 3
     assert_same(td, rollout(train))
-    train.close()
-    other.close()
 
 
 def test_transforms_for_a_single_reward_work_without_the_components():
     env = make(num_envs=None)
     components = [key for key in env.reward_keys if key != "reward"]
-    env = TransformedEnv(env, Compose(ExcludeTransform(*components), FrameSkipTransform(4)))
+    env = TransformedEnv(env, Compose(envs.ExcludeTransform(*components), envs.FrameSkipTransform(4)))
     check_env_specs(env)
     assert env.rollout(2)["next", "outcome", "steps"].flatten().tolist() == [4, 8]
-    env.close()
 
 
 @pytest.mark.parametrize("num_envs", [None, 2])
 def test_serial_env_takes_it(num_envs):
-    env = SerialEnv(2, partial(make, num_envs))
+    env = envs.SerialEnv(2, partial(make, num_envs))
     env.set_seed(0)
     check_env_specs(env, break_when_any_done="both")
     env = TransformedEnv(env, StepCounter())
@@ -97,42 +79,32 @@ def test_serial_env_takes_it(num_envs):
     env.close()
 
 
-# Closing
-
-
 @pytest.mark.filterwarnings("ignore:The env passed to Collector is missing transforms:FutureWarning")
-@pytest.mark.parametrize("num_envs", [None, 3])
-@pytest.mark.parametrize("build", [make_env, RoverEnv])
+@pytest.mark.parametrize(("build", "num_envs"), [(make_env, 3), (make_env, None), (RoverEnv, 3)])
 def test_rollouts_within_and_after_a_collectors_loop(build, num_envs):
     """The collector closes its environment before it hands out the last batch."""
     env = build(world_n="maze", num_envs=num_envs, length=7, seed=0, backend="warp")
     frames = 6 * env.numel()
     batches = 0
-    for batch in Collector(env, env.rand_action, frames_per_batch=frames, total_frames=4 * frames):
+    for batch in Collector(env, env.rand_action, frames_per_batch=frames, total_frames=3 * frames):
         assert batch.shape == (*env.batch_size, 6)
         assert env.rollout(9, break_when_any_done=False).shape == (*env.batch_size, 9)
         assert env.rollout(9, break_when_all_done=True).shape == (*env.batch_size, 7)
         batches += 1
-    assert batches == 4
+    assert batches == 3
     assert env.rollout(9).shape == (*env.batch_size, 7)
 
 
-@pytest.mark.parametrize("backend", ["bullet", "warp"])
-@pytest.mark.parametrize("num_envs", [None, 3])
+@pytest.mark.parametrize(("num_envs", "backend"), [(None, "warp"), (3, "warp"), (3, "bullet")])
 def test_a_reset_after_closing_continues_as_without_closing(num_envs, backend):
     settings = {"backend": backend, "randomization": Randomization.typical()}
     closed, open_ = make(num_envs, **settings), make(num_envs, **settings)
-    for _ in range(3):
-        assert_same(rollout(closed), rollout(open_))
+    for _ in range(2):
+        assert_same(rollout(closed, 15), rollout(open_, 15))
         closed.close()
         assert closed.is_closed
     assert_same(closed.reset(), open_.reset())
     assert not closed.is_closed
-    closed.close()
-    open_.close()
-
-
-# Devices
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
@@ -150,8 +122,6 @@ def test_moving_it_to_the_cpu_sets_the_device(num_envs):
     check_env_specs(moved)
     with pytest.raises(ValueError, match=r"the task lives on cpu; build RoverEnv\(device='cuda'\) instead"):
         moved.to("cuda")
-    plain.close()
-    moved.close()
 
 
 def test_a_collector_sets_the_device():
@@ -163,31 +133,19 @@ def test_a_collector_sets_the_device():
 @pytest.mark.parametrize("device", ["cuda:99", "nonsense", torch.device("cuda", 99)])
 def test_an_unavailable_device_is_refused_with_the_available_ones(device):
     message = rf"device='{device}' is not available: PyTorch \S+ finds cpu"
-    for refuse in (available_device, partial(make, device=device), lambda: RoverEnv(device=device)):
+    for refuse in (available_device, lambda device: RoverEnv(device=device)):
         with pytest.raises(ValueError, match=message):
-            refuse(device) if refuse is available_device else refuse()
+            refuse(device)
 
 
-# TorchRL's GymWrapper around Gymnasium environments
+def make_vec():
+    settings = {"world_n": "maze", "backend": "warp", "length": 5, "time_limit": "truncated"}
+    settings |= {"vectorization_mode": "vector_entry_point", "autoreset_mode": AutoresetMode.DISABLED}
+    return envs.GymWrapper(gymnasium.make_vec("rover_rl/Rover-v0", num_envs=3, **settings))
 
 
-def make_vec(mode, **settings):
-    return gymnasium.make_vec(
-        "rover_rl/Rover-v0",
-        num_envs=3,
-        vectorization_mode="vector_entry_point",
-        world_n="maze",
-        backend="warp",
-        length=5,
-        time_limit="truncated",
-        autoreset_mode=mode,
-        **settings,
-    )
-
-
-def test_gym_wrapper_around_the_vector_environment_equals_the_native_environment():
-    env = GymWrapper(make_vec(AutoresetMode.DISABLED))
-    native = make(length=5)
+def test_torchrls_gym_wrapper_around_the_vector_environment_equals_the_native_environment():
+    env, native = make_vec(), make(length=5)
     env.set_seed(0)
     # GymWrapper resets when it is seeded.
     native.reset()
@@ -197,13 +155,11 @@ def test_gym_wrapper_around_the_vector_environment_equals_the_native_environment
     assert seen["next", "truncated"].any()
     for batch in Collector(env, None, frames_per_batch=15, total_frames=30):
         assert batch.shape == (3, 5)
-    native.close()
 
 
-def test_gym_wrapper_reads_the_infos():
-    env = GymWrapper(make_vec(AutoresetMode.DISABLED)).auto_register_info_dict()
+def test_torchrls_gym_wrapper_reads_the_infos():
+    env = make_vec().auto_register_info_dict()
     check_env_specs(env)
     td = rollout(env)
     assert td["next", "steps"][0].flatten().tolist() == [1, 2, 3, 4, 5] * 5
     assert td["next", "reward"].any()
-    env.close()

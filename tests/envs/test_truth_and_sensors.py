@@ -1,3 +1,5 @@
+"""What the sensors tell, what is true, and which of them events, rewards and critics know."""
+
 from __future__ import annotations
 
 import torch
@@ -7,12 +9,12 @@ from rover_rl import RewardComponent, RoverEnv, make_env
 from rover_rl.envs.config import Randomization
 
 NOISY = Randomization(range_noise=0.3, dropout=0.2, odometry_noise=0.3, imu_noise=0.2)
-ROWS = 16
+ROWS = 8
 
 
 def rollouts(**settings):
     """A rollout of random actions, and the states after its last step."""
-    env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3, **settings)
+    env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3, backend="warp", **settings)
     generator = torch.Generator().manual_seed(0)
 
     def policy(td):
@@ -22,7 +24,7 @@ def rollouts(**settings):
 
 
 def test_states_are_the_same_without_noise():
-    env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3)
+    env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3, backend="warp")
     env.step(env.rand_action(env.reset()))
     assert env.state.sensed.rover is env.rover_state
 
@@ -56,7 +58,8 @@ def test_the_privileged_observation_holds_the_truth():
     drawn = Randomization(
         friction=(0.5, 1.5), chassis_mass=(0.8, 1.2), motor_torque=(0.5, 1.0), latency=(1, 3), imu_noise=0.2
     )
-    env = make_env(world_n=["maze", "moon"], num_envs=ROWS, seed=0, randomization=drawn, privileged=True)
+    settings = {"num_envs": ROWS, "seed": 0, "backend": "warp", "randomization": drawn}
+    env = make_env(world_n=["maze", "moon"], privileged=True, **settings)
     check_env_specs(env)
     td = env.reset()
     privileged = td["privileged"]
@@ -75,8 +78,8 @@ def test_the_privileged_observation_holds_the_truth():
 
 
 def test_there_is_no_privileged_observation_unless_asked_for():
-    assert "privileged" not in RoverEnv(world_n="maze").observation_spec.keys()  # noqa: SIM118
-    single = RoverEnv(world_n="maze", num_envs=None, privileged=True).reset()
+    assert "privileged" not in RoverEnv(world_n="maze", backend="warp").observation_spec.keys()  # noqa: SIM118
+    single = RoverEnv(world_n="maze", num_envs=None, backend="warp", privileged=True).reset()
     assert single["privileged", "path_distance"].shape == (1,)
 
 
@@ -87,6 +90,6 @@ def test_a_reward_follows_the_truth():
         def value(self, outcome, observation):
             return outcome["linear_velocity"]
 
-    env = make_env(world_n="maze", num_envs=ROWS, seed=3, reward=[Speed()], randomization=NOISY)
+    env = make_env(world_n="maze", num_envs=ROWS, seed=3, backend="warp", reward=[Speed()], randomization=NOISY)
     td = env.step(env.reset().set("action", torch.ones(ROWS, 2)))["next"]
     assert torch.equal(td["reward"], env.base_env.rover_state.linear_velocity)

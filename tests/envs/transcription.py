@@ -167,11 +167,8 @@ class HeadingPid:
 class ContractRover:
     """Computes the contract's observations, commands, rewards and endings of one rover from raw sensor values.
 
-    Args:
-        bounds: bounds of the world, ``(too_far_away_x, too_far_away_y)``.
-        length: maximum number of steps per episode.
-        stuck_window: maximum number of entries of the position history.
-        lidar_points: number of points of the downsampled scan.
+    ``bounds`` are those of the world, ``(too_far_away_x, too_far_away_y)``, ``length`` is the maximum number of steps
+    of an episode, and ``stuck_window`` that of entries of the position history.
     """
 
     def __init__(
@@ -181,12 +178,8 @@ class ContractRover:
         stuck_window: int = STUCK_WINDOW,
         lidar_points: int = LIDAR_POINTS,
     ) -> None:
-        self.bounds = bounds
-        self.length = length
-        self.stuck_window = stuck_window
-        self.lidar_points = lidar_points
-        self.pid = HeadingPid()
-        self.total_steps = 0
+        self.bounds, self.length, self.stuck_window, self.lidar_points = bounds, length, stuck_window, lidar_points
+        self.pid, self.total_steps = HeadingPid(), 0
 
     def reset(self, reading: Reading, goal: Pair) -> None:
         self._read(reading)
@@ -225,12 +218,7 @@ class ContractRover:
         return speed, self.pid(yaw + offset, yaw, self.reading.dt)
 
     def step(self, reading: Reading, next_goal: Pair) -> Step:
-        """Computes the result of a step from the readings after it.
-
-        Args:
-            reading: sensor values after the step.
-            next_goal: goal that replaces the current one if it is reached.
-        """
+        """Computes the result of a step from the readings after it. ``next_goal`` replaces a goal that is reached."""
         self._read(reading)
         self.steps += 1
         self.total_steps += 1

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rover_rl.robots import get_robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.kinematics import Kinematics
-from rover_rl.sims.simulated_drives import SimulatedDrives
+from rover_rl.sims.rover_state import SimulatedDrives
 from tests.robots.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni
 
 ROVER = get_robot("rover_zero")

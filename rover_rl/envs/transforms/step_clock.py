@@ -27,13 +27,8 @@ class StepClock(Transform):
       steps, the transforms before this one, s.
 
     The times are part of the data, so that they are also available from collectors in other processes. On a GPU, each
-    measurement synchronizes with the device, unless the times are summed per batch.
-
-    Args:
-        env (rover_rl.RoverEnv): environment whose simulator and lidar are timed from now on.
-        worker: index of this process.
-        per_batch: whether the times are those at the end of the batch, and 0 before :meth:`batch_collected`. They are
-            measured with events of the device, without waiting for it. On the CPU, there are no events.
+    measurement synchronizes with the device, unless times are summed ``per_batch``: then they are those at the end of
+    the batch, measured with events of the device, and 0 before :meth:`batch_collected`.
     """
 
     def __init__(self, env: RoverEnv, worker: int = 0, per_batch: bool = False) -> None:

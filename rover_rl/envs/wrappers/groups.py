@@ -12,8 +12,7 @@ from torchrl.envs import EnvBase
 from rover_rl.envs.specs import done_spec
 from rover_rl.envs.wrappers.numpy_batch import base_env
 
-ENDS = ("done", "terminated", "truncated")
-"""Entries of the ends of episodes."""
+_ENDS = ("done", "terminated", "truncated")
 
 
 class GroupedRovers(EnvBase):
@@ -97,13 +96,11 @@ class GroupedRovers(EnvBase):
         return self._pack(after)
 
     def _pack(self, rows: TensorDictBase) -> TensorDictBase:
-        keys = {*self.env.observation_spec.keys(), *self.env.full_reward_spec.keys(), *ENDS} & {*rows.keys()}
+        keys = {*self.env.observation_spec.keys(), *self.env.full_reward_spec.keys(), *_ENDS} & {*rows.keys()}
         rovers = rows.select(*keys).unflatten(0, (*self.batch_size, self.agents))
         rovers.set("mask", ~self._ended)
-        if self._done_on_any:
-            done, terminated = rovers.get("done").any(1), rovers.get("terminated").any(1)
-        else:
-            done, terminated = rovers.get("done").all(1), rovers.get("terminated").all(1)
+        whole = torch.any if self._done_on_any else torch.all
+        done, terminated = whole(rovers.get("done"), 1), whole(rovers.get("terminated"), 1)
         ends = {"done": done, "terminated": terminated, "truncated": done & ~terminated}
         return TensorDict({"rovers": rovers, **ends}, self.batch_size, device=self.device)
 

@@ -87,13 +87,11 @@ class RoverParallelEnv(ParallelEnv):
             return {}, {}, {}, {}, {}
         step = self._batch.step(taken, drives)
         rows = {agent: self._row_of[agent] for agent in self.agents}
-        result = (
-            self._of_agents(step.observation),
-            {agent: float(step.reward[row]) for agent, row in rows.items()},
-            {agent: bool(step.terminated[row]) for agent, row in rows.items()},
-            {agent: bool(step.truncated[row]) for agent, row in rows.items()},
-            {agent: {key: value[row].item() for key, value in step.info.items()} for agent, row in rows.items()},
-        )
+        infos = {agent: {key: value[row].item() for key, value in step.info.items()} for agent, row in rows.items()}
+        rewards = {agent: float(step.reward[row]) for agent, row in rows.items()}
+        terminated = {agent: bool(step.terminated[row]) for agent, row in rows.items()}
+        truncated = {agent: bool(step.truncated[row]) for agent, row in rows.items()}
+        result = self._of_agents(step.observation), rewards, terminated, truncated, infos
         self.agents = [agent for agent, row in rows.items() if not step.ended[row]]
         return result
 

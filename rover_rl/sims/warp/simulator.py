@@ -17,9 +17,8 @@ from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Feature, Simulator, View
 from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.rover_state import Dynamics, Force, RoverState, beam_angles
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, SimulatedDrives, beam_angles
 from rover_rl.sims.scenes.table import SceneTable
-from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.kernels.dynamics import step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,9 +18,6 @@ from rover_rl.worlds.movers import Mover
 from rover_rl.worlds.region import Area, Range, Region
 from rover_rl.worlds.solids import Solids, hull
 from rover_rl.worlds.terrain import Terrain
-
-if TYPE_CHECKING:
-    from rover_rl.worlds.world import World
 
 FORMAT = "rover_rl world, version 1"
 ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
@@ -51,8 +48,8 @@ class _About:
     regions: dict[str, tuple[float, Range]]
 
 
-def write_archive(world: World, path: Path) -> None:
-    """Writes a world file, atomically. See :meth:`World.save`."""
+def write_archive(world: Any, path: Path) -> None:
+    """Writes a world file, atomically: that of :meth:`World.save`, whose module imports this one."""
     if not path.name.endswith(ARCHIVE_SUFFIX):
         raise ValueError(f"the name of a world file must end in {ARCHIVE_SUFFIX}, got {path.name!r}")
     regions = {name: region for name in REGIONS if (region := getattr(world, name)) is not None}

@@ -26,9 +26,8 @@ from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet, MassTable
 from rover_rl.sims import RoverState, Simulator
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.rover_state import Dynamics
+from rover_rl.sims.rover_state import Dynamics, SimulatedDrives
 from rover_rl.sims.settings import Connection
-from rover_rl.sims.simulated_drives import SimulatedDrives
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.pool import WorldPool
 from rover_rl.worlds.table import TerrainTable, WorldTable

@@ -33,9 +33,7 @@ def drive(world: World, start: tuple, action: tuple, steps: int, **settings) -> 
 
 def test_a_rover_that_stands_still_is_stuck():
     results = drive(flat_world(), (0.0, 0.0, 0.0), (0.0, 0.0), 40, task=TaskConfig(stuck_window=30))
-    assert len(results) == 30
-    assert step_events(results)[-1] == StepEvent.STUCK
-    assert results[-1]["reward"].item() == -25.0
+    assert (len(results), step_events(results)[-1], results[-1]["reward"].item()) == (30, StepEvent.STUCK, -25.0)
 
 
 @lru_cache

@@ -13,7 +13,7 @@ from torch import Tensor
 from rover_rl import RoverEnv, TaskConfig, World, make_env
 from rover_rl.worlds import Terrain
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import AREA, WORLD_NAMES, bare, scripted
+from tests.envs.contract.scripted_env import AREA, bare, scripted
 from tests.envs.contract.witness import NAME_OF_PHASE, Witness, check_witnessed, witness
 from tests.envs.scripted import Moment
 
@@ -53,7 +53,7 @@ def test_scripts_of_every_kind_give_what_the_transcription_says():
 
 
 ROLLOUT_ROWS, ROLLOUT_STEPS, ROLLOUT_LENGTH = 8, 160, 110
-EDGES = {"inspect": (-13.7, -20.0, 0.0), "moon": (9.5, 3.0, 0.0), "maze": (0.0, 0.0, 0.0)}
+EDGES = {"moon": (9.5, 3.0, 0.0), "maze": (0.0, 0.0, 0.0)}
 """Poses near the bounds, facing outward. Walls keep rovers from the bounds of the maze: its pose is the origin."""
 
 
@@ -91,7 +91,7 @@ def recorded(name: str) -> Witness:
     return seen
 
 
-@pytest.mark.parametrize("name", WORLD_NAMES)
+@pytest.mark.parametrize("name", ["moon", "maze"])
 def test_recorded_rollouts_give_what_the_transcription_says(name):
     rollout = recorded(name)
     assert len(rollout.verdicts) == ROLLOUT_ROWS * ROLLOUT_STEPS

@@ -26,14 +26,11 @@ def test_each_world_has_the_contracts_ranges_and_bounds(name):
     assert world.bounds == (table.too_far_away_x, table.too_far_away_y)
 
 
-def test_inspect_drops_the_rover_from_5_5_m_and_from_6_5_m_in_its_south_west_corner():
+def test_rovers_are_dropped_from_0_75_m_and_in_inspect_from_5_5_m_and_6_5_m_in_its_south_west_corner():
     points = torch.tensor([[-20.0, -20.0], [-25.0, -25.0], [-24.5, -25.0], [-25.0, -24.5], [-25.0, -20.0]])
     assert get_world("inspect").drop_height(points).tolist() == [5.5, 6.5, 5.5, 5.5, 5.5]
-
-
-@pytest.mark.parametrize("name", ["moon", "maze"])
-def test_the_other_worlds_drop_the_rover_from_0_75_m(name):
-    assert get_world(name).drop_height(torch.tensor([[0.0, 0.0], [-3.9, -3.9]])).tolist() == [0.75, 0.75]
+    for name in ("moon", "maze"):
+        assert get_world(name).drop_height(torch.tensor([[0.0, 0.0], [-3.9, -3.9]])).tolist() == [0.75, 0.75]
 
 
 @pytest.mark.parametrize("name", WORLD_NAMES)
@@ -43,16 +40,13 @@ def test_starts_are_drawn_in_the_worlds_ranges_with_any_yaw_and_goals_1_m_away(n
     keys = row_keys(0, rows, CPU)
     start = placement.draw_start(keys)
     goal = placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
-    for points, x_range, y_range in (
-        (start, table.rand_x_range, table.rand_y_range),
-        (goal, table.rand_goal_x_range, table.rand_goal_y_range),
-    ):
-        for axis, (low, high) in enumerate((x_range, y_range)):
-            assert points[:, axis].min() >= low
-            assert points[:, axis].max() <= high
+    drawn = {"start": (start, table.rand_x_range, table.rand_y_range)}
+    drawn["goal"] = (goal, table.rand_goal_x_range, table.rand_goal_y_range)
+    for points, *ranges in drawn.values():
+        for axis, (low, high) in enumerate(ranges):
             # Free cells cover nearly the whole range.
-            assert points[:, axis].min() < low + 1
-            assert points[:, axis].max() > high - 1
+            assert low <= points[:, axis].min() < low + 1
+            assert high - 1 < points[:, axis].max() <= high
     assert (goal - start[:, :2]).norm(dim=-1).min() >= 1.0
     assert start[:, 2].abs().max() <= math.pi
     if name != "inspect":

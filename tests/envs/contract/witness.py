@@ -13,15 +13,7 @@ from rover_rl.envs.task import StepEvent
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import OBSERVATION, assert_same_angle, bare
 
-NAME_OF_PHASE = {
-    StepEvent.FLIP: "flip",
-    StepEvent.JAM: "jam",
-    StepEvent.OUT_OF_BOUNDS: "out_of_bounds",
-    StepEvent.STUCK: "stuck",
-    StepEvent.GOAL: "goal",
-    StepEvent.COLLISION: "collision",
-    StepEvent.DENSE: "dense",
-}
+NAME_OF_PHASE = {event: event.name.lower() for event in StepEvent if StepEvent.FLIP <= event <= StepEvent.DENSE}
 
 
 @dataclass
@@ -50,12 +42,8 @@ class Verdict:
 class Witness:
     """Runs the transcription beside an environment, one rover per row.
 
-    The transcription receives only raw sensor values and the goals that the environment draws.
-
-    Args:
-        env: environment to check.
-        bounds: bounds of its world, ``((x_low, x_high), (y_low, y_high))`` in meters.
-        settings: further arguments of :class:`~tests.envs.transcription.ContractRover`.
+    The transcription, whose further arguments are ``settings``, receives only raw sensor values and the goals that the
+    environment draws.
 
     Attributes:
         first_observations: actual and expected observation after each reset of a row.
@@ -77,15 +65,9 @@ class Witness:
 
     def readings(self) -> list[contract.Reading]:
         raw = bare(self.env).rover_state
-        columns = zip(
-            raw.position.tolist(),
-            raw.orientation.tolist(),
-            bare(self.env).scan.tolist(),
-            raw.linear_velocity.flatten().tolist(),
-            raw.angular_velocity.flatten().tolist(),
-            raw.dt.flatten().tolist(),
-            strict=True,
-        )
+        speeds = raw.linear_velocity.flatten().tolist(), raw.angular_velocity.flatten().tolist()
+        places = raw.position.tolist(), raw.orientation.tolist(), bare(self.env).scan.tolist()
+        columns = zip(*places, *speeds, raw.dt.flatten().tolist(), strict=True)
         return [contract.Reading(*p, *contract.euler(q), ranges, v, w, dt) for p, q, ranges, v, w, dt in columns]
 
     def reset(self, td: TensorDict, rows: list[int]) -> None:
