@@ -81,7 +81,7 @@ def ranges_to_others(env: RoverEnv) -> np.ndarray:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_rovers_see_one_another_within_a_centimeter(backend: str) -> None:
-    x, y = np.meshgrid(np.linspace(-12, 12, 97), np.linspace(-12, 12, 97))
+    x, y = np.meshgrid(np.linspace(-6, 6, 49), np.linspace(-6, 6, 49))
     hills = World("hills", Terrain(0.25 * np.sin(0.9 * x) * np.cos(0.7 * y), cell=0.25))
     places = torch.tensor([(3.0 * i - 3, 3.0 * j - 3, 0.7 * i + 1.9 * j) for i in range(3) for j in range(3)])
     shared, alone = (make(9, agents, hills, backend=backend, lidar_beams=360) for agents in (9, 1))
@@ -106,7 +106,7 @@ def test_two_rovers_stop_each_other_and_feel_it(backend: str) -> None:
     start = torch.tensor([[-1.0, 0.0, 0.0], [1.0, 0.0, math.pi]])
     td = env.reset(start=start, goal=torch.tensor([[8.0, 0.0], [-8.0, 0.0]]))
     touched, places = [], []
-    for _ in range(120):
+    for _ in range(100):
         td = step(env, td, 1.0, 0.0)
         touched.append(td["outcome", "mover_contact"].squeeze(-1))
         places.append(env.rover_state.position[:, 0])
@@ -116,9 +116,9 @@ def test_two_rovers_stop_each_other_and_feel_it(backend: str) -> None:
     assert gap[first] == pytest.approx(0.534, abs=0.12)
     # They may turn until they stand side by side: the rover is 0.45 m wide.
     assert gap[first:].min() > 0.44
-    assert gap[-40:].max() < 0.8
+    assert gap[-30:].max() < 0.8
     assert touched[first:].float().mean(0).min() > 0.2
-    assert places[-40:].abs().max() < 0.6
+    assert places[-30:].abs().max() < 0.6
     assert env.rover_state.position[:, 2].abs().max() < 0.1
 
 
@@ -169,8 +169,8 @@ def records(env: RoverEnv, rows: slice, actions: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("world", [WorldPool("maze:0-4"), World("moving", FLAT.terrain, movers=[Mover(WALKS)])])
 def test_a_group_depends_on_itself_alone(world: World | WorldPool) -> None:
-    actions = 2 * torch.rand(40, 9, 2, generator=torch.Generator().manual_seed(0)) - 1
-    settings = {"length": 15, "end_on_goal": True, "task": EnvConfig().task}
+    actions = 2 * torch.rand(24, 9, 2, generator=torch.Generator().manual_seed(0)) - 1
+    settings = {"length": 10, "end_on_goal": True, "task": EnvConfig().task}
     several = records(make(9, 3, world, seed=4, **settings), slice(3, 6), actions)
     alone = records(make(3, 3, world, seed=7, **settings), slice(0, 3), actions[:, 3:6])
     assert torch.equal(several, alone)

@@ -60,7 +60,7 @@ def test_a_camera_looks_where_it_is_mounted_and_sees_what_moves():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_depths_and_kinds_are_those_of_rays_in_meshes(backend):
-    camera = {"size": (24, 32), "pitch": 0.2, "mount": (0.3, 0.1, 0.4)}
+    camera = {"size": (18, 24), "pitch": 0.2, "mount": (0.3, 0.1, 0.4)}
     depth, kinds = DepthCamera(**camera), SegmentationCamera(**camera)
     across = torch.arange(41) * 0.5
     terrain = Terrain(0.2 * across[:, None].sin() * (1.3 * across).cos(), cell=0.5)

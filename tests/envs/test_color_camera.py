@@ -103,7 +103,7 @@ def test_people_have_clothes_legs_and_skin_and_other_rovers_are_red():
 
 def test_channels_are_noisy_by_the_seed_of_the_row_alone_and_lost_pixels_are_black():
     plain, noisy = ColorCamera(size=(32, 32)), ColorCamera(name="noisy", size=(32, 32), noise=0.05, dropout=0.2)
-    env = RoverEnv(world_n=["moon"] * 3 + ["plaza:4"], num_envs=4, seed=0, backend="warp", sensors=[plain, noisy])
+    env = RoverEnv(world_n=["maze"] * 3 + ["plaza:4"], num_envs=4, seed=0, backend="warp", sensors=[plain, noisy])
     td = env.reset()
     exact, read = (td[key].unflatten(-1, (3, -1)) for key in ("colors", "noisy"))
     lost = (read == 0).all(1)

@@ -55,7 +55,7 @@ configs = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(configs)
 def test_a_description_comes_back_from_yaml_and_from_pickle(config: EnvConfig) -> None:
     assert env_from_plain(yaml.safe_load(yaml.safe_dump(plain_env(config))), "text") == config

@@ -36,7 +36,7 @@ def _means(env: RoverEnv, action: Tensor, steps: int) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_forces_and_torques_are_those_of_mechanics(backend: str) -> None:
     # Against a wall with the front and with the back; at rest; up a slope; struck from the left.
-    worlds = [WALLED, WALLED, WALLED, slope(10.0), STRUCK]
+    worlds = [WALLED, WALLED, WALLED, slope(10.0, 16.0), STRUCK]
     starts = [(2.15, -1.0, 0.0), (2.15, 1.0, math.pi), (-4.0, 0.0, 0.3), (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
     action = torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [0.5, 0.0], [0.0, 0.0]])
     with opened(worlds, starts, backend=backend, sensors=SENSORS) as env:

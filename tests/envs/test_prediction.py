@@ -15,7 +15,7 @@ from rover_rl.envs.sensors.standard import taken_at
 from rover_rl.rotations import wrap_angle
 from rover_rl.worlds import Terrain, World
 
-FLAT = World("flat", Terrain.flat((40.0, 40.0)))
+FLAT = World("flat", Terrain.flat((24.0, 24.0)))
 LATE = Randomization(scan_latency=(0, 5), state_latency=(0, 3), latency=(1, 1))
 KEYS = ("pose", "imu", "velocities", "target", "lidar", "scan_pose")
 STEPS = 24

@@ -177,14 +177,14 @@ def test_stepping_before_reset_and_after_close_is_refused_and_a_reset_builds_ano
     env.close()
 
 
-@pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
+@pytest.mark.parametrize("world", ["inspect", "moon"])
 def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
-    env = RoverEnv(world_n=world, num_envs=16, seed=11, lidar_beams=32)
+    env = RoverEnv(world_n=world, num_envs=8, seed=11, lidar_beams=32)
     td = env.reset()
     assert (td["lidar"] >= 0.4).all()
     before = td["pose"].clone()
     for _ in range(10):
-        td = env.step(td.set("action", torch.zeros(16, 2)))["next"]
+        td = env.step(td.set("action", torch.zeros(8, 2)))["next"]
         assert not td["done"].any()
         assert not td["outcome", "collision"].any()
     assert (td["pose"] - before).norm(dim=-1).max() < 0.02

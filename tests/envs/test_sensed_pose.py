@@ -11,9 +11,9 @@ from rover_rl import RoverEnv
 from rover_rl.envs.config import LidarConfig, PoseConfig, Randomization
 from rover_rl.worlds import Terrain, World
 
-LEVEL = World("level", Terrain.flat((56, 56)))
-X = torch.arange(225) * 0.25 - 28
-HILLSIDE = World("hillside", Terrain((math.tan(math.radians(12)) * X).expand(225, -1), 0.25))
+LEVEL = World("level", Terrain.flat((16, 16)))
+X = torch.arange(33) * 0.5 - 8
+HILLSIDE = World("hillside", Terrain((math.tan(math.radians(12)) * X).expand(33, -1), 0.5))
 
 
 def make(source="localized", world=LEVEL, num_envs=1, friction=1.0, **settings):
@@ -25,7 +25,7 @@ def make(source="localized", world=LEVEL, num_envs=1, friction=1.0, **settings):
 def drive(env, steps, speed=0.0, turn=0.0, yaw=0.0):
     """Returns the sensed and the true positions ``[N, steps + 1, 2]`` of rovers that start in the middle."""
     rows = env.num_envs
-    td = env.reset(start=torch.tensor([[0.0, 0.0, yaw]]).expand(rows, 3), goal=torch.full((rows, 2), 20.0))
+    td = env.reset(start=torch.tensor([[0.0, 0.0, yaw]]).expand(rows, 3), goal=torch.full((rows, 2), 6.0))
     sensed, true = [td["pose"]], [env.rover_state.position]
     for _ in range(steps):
         td = env.step(td.set("action", torch.tensor([[speed, turn]]).expand(rows, 2)))["next"]
@@ -35,13 +35,13 @@ def drive(env, steps, speed=0.0, turn=0.0, yaw=0.0):
 
 
 def test_dead_reckoning_agrees_with_the_truth_without_slip_and_drifts_with_it():
-    sensed, true = drive(make("odometry"), 100, speed=1.0)
+    sensed, true = drive(make("odometry"), 60, speed=1.0)
     way = (true[0, -1] - true[0, 0]).norm()
-    assert way > 4.5
+    assert way > 2.5
     assert (sensed - true)[0, -1].norm() < 0.01 * way
     # Across a slippery slope, the rover slides down, which no wheel notices.
     env = make("odometry", HILLSIDE, friction=0.25)
-    sensed, true = drive(env, 200, speed=0.5, yaw=math.pi / 2)
+    sensed, true = drive(env, 140, speed=0.5, yaw=math.pi / 2)
     assert (sensed - true)[0, -1].norm() > 0.05
     assert (sensed - true)[0, -1].norm() > 2 * (sensed - true)[0, 50].norm()
     # A new episode begins at the true pose.

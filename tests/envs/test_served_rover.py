@@ -47,8 +47,8 @@ def test_late_reports_have_the_stamp_of_their_time():
 
 def test_lost_scans_never_arrive_and_headings_jump():
     pose = PoseConfig("localized", drift=0, drift_heading=0, jump=0, jump_rate=20.0, jump_heading=0.2)
-    reports = served(200, randomization=Randomization(lost_scans=0.3), pose=pose)
-    assert 30 < sum(each.ranges is None for each in reports) < 90
+    reports = served(100, randomization=Randomization(lost_scans=0.3), pose=pose)
+    assert 12 < sum(each.ranges is None for each in reports) < 48
     assert 2 * torch.stack([each.state.orientation[0, 2] for each in reports]).std() > 0.1
 
 

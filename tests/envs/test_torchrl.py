@@ -100,7 +100,7 @@ def test_a_reset_after_closing_continues_as_without_closing(num_envs, backend):
     settings = {"backend": backend, "randomization": Randomization.typical()}
     closed, open_ = make(num_envs, **settings), make(num_envs, **settings)
     for _ in range(2):
-        assert_same(rollout(closed, 15), rollout(open_, 15))
+        assert_same(rollout(closed, 12), rollout(open_, 12))
         closed.close()
         assert closed.is_closed
     assert_same(closed.reset(), open_.reset())

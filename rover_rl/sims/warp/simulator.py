@@ -197,7 +197,7 @@ class WarpSimulator(Simulator):
 
     def run(self, recorded: Sequence[wp.Launch]) -> None:
         """Launches a recorded kernel on each thread and waits for them on the CPU; on a GPU, returns immediately."""
-        stream = stream_of(self.device)
+        stream = None if self.device.type == "cpu" else stream_of(self.device)
         others = [self._pool.submit(launch.launch, stream) for launch in recorded[1:]] if self._pool else []
         recorded[0].launch(stream)
         for other in others:
