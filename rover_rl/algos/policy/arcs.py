@@ -65,13 +65,8 @@ def hit_points(
 class Body(NamedTuple):
     """Robots in the frame of the pivot, ``[N, 1]`` each, m and m/s.
 
-    Attributes:
-        behind, ahead: reach of the footprint behind and ahead of the pivot, the middle of the rear axle.
-        half_width: half of its width.
-        radius: smallest radius of the arcs of the pivot.
-        pivot: x of the pivot in the base frame.
-        max_speed: largest speed.
-        reverse: cost of a meter backward: :data:`REVERSE`, or :data:`BLIND` where the lidar does not see behind.
+    The pivot is the middle of the rear axle, ``behind`` and ``ahead`` the reach of the footprint from there, ``radius``
+    the smallest one of its arcs, and ``reverse`` the cost of a meter backward.
     """
 
     behind: Tensor
@@ -84,7 +79,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, robot: RobotNumbers) -> Body:
-        """Returns that of robots. One that turns in place has some small radius."""
+        # One that turns in place has some small radius.
         return cls(
             behind=robot.behind + robot.pivot,
             ahead=robot.ahead - robot.pivot,

@@ -19,16 +19,13 @@ reverse    cost of driving backward
 standstill cost of neither driving nor turning
 ========== =============================================================================================
 
-Recovery: turning in place and backing off are trajectories like all others, so that the rover turns where nothing is
-free ahead, and backs off where it cannot turn. If all trajectories are rejected, the rover takes the one with the
-largest sum of the time until it touches a reading (s) and the clearance at its end (m). The rover does not slow down
-for the goal, which it drives through; near the goal, slow trajectories win where fast ones miss it.
+Turning in place and backing off are trajectories like all others, so that the rover turns where nothing is free ahead,
+and backs off where it cannot turn. If all trajectories are rejected, the rover takes the one with the largest sum of
+the time until it touches a reading (s) and the clearance at its end (m). It drives through the goal; near it, slow
+trajectories win where fast ones miss it.
 
-The constants were chosen by hand in training worlds, with one episode in each of maze:0-63, rooms:0-63, forest:0-63 and
-moon:0-31, in Warp, from about 50 settings, by contact-free successes, then by time. Among the better ones, differences
-are within the noise of 64 episodes. The command for one of the families::
-
-    rover-rl evaluate dwa --world maze:0-63 --episodes 1 --action-repeat 2 --seconds 45 --backend warp
+The constants were chosen by hand from about 50 settings in maze:0-63, rooms:0-63, forest:0-63 and moon:0-31, in Warp,
+by contact-free successes, then by time.
 
 Example:
     >>> evaluate(DynamicWindowPolicy(), draw_episodes("maze:10000", count=2), name="dwa", seconds=2)
@@ -166,12 +163,9 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         return torch.cat((speed, offset), -1)
 
     def points(self, lidar: Tensor) -> Tensor:
-        """Returns the points that lidar readings ``[N, points]`` (m) hit, in the base frame, ``[N, points, 2]``, m.
-
-        A reading is taken to come from the middle beam of its segment. Readings at the maximum range hit nothing.
-        """
+        """Returns the points that lidar readings ``[N, points]`` (m) hit, in the base frame, ``[N, points, 2]``, m."""
         config, (ahead, aside, _) = self.made_for.lidar, self._robot.lidar_position
-        # Beam 0 points forward, and the first of b beams of segment i is beam i b.
+        # Beam 0 points forward, and the first of b beams of segment i is beam i b. Its middle counts.
         x, y = hit_points(lidar, ahead, middle=max(0.0, (1 - lidar.shape[-1] / config.beams) / 2))
         return torch.stack((x, y + aside), -1).masked_fill((lidar >= config.max_range)[..., None], _FAR)
 
@@ -254,10 +248,7 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         )
 
     def _moving_clearance(self, sampled: Trajectories, position: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
-        """Returns the distance of the body in each pose from what moves, where that will be then, ``[N, S, K]``, m.
-
-        What moves has positions ``[N, O, 2]`` (m) in the base frame, velocities (m/s) and radii ``[N, O]`` (m).
-        """
+        """Returns the distance of the body in each pose from what moves, where that will be then, ``[N, S, K]``, m."""
         later = position[:, :, None] + sampled.time[:, None] * velocity[:, :, None]
         nearest = torch.full_like(sampled.x, math.inf)
         for offset in self._discs:

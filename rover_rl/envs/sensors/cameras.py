@@ -58,21 +58,14 @@ class PixelImage(Sensor):
 
     @abstractmethod
     def rays(self) -> tuple[Vectors, list[float]]:
-        """Returns the direction of each pixel in the frame of the device, and the range at which it reads 1 m.
-
-        The axes of the frame point ahead, left and up.
-        """
+        """Returns the direction of each pixel (ahead, left and up), and the range at which it reads 1 m."""
 
     def received(self, live: LiveRover) -> Tensor:
         """Returns the image or images ``[..., rows, columns]`` of a live rover. Raises ``ValueError`` without any."""
         raise ValueError(f"sensor {self.name!r} casts rays, which needs a simulated world: a live rover has none")
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Swaps left and right.
-
-        Raises:
-            ValueError: for a device that is not in the middle, or does not look ahead.
-        """
+        """Swaps left and right. Raises ``ValueError`` for a device that is not in the middle or does not look ahead."""
         if self.yaw or self.mount[1]:
             raise ValueError(
                 f"sensor {self.name!r} has no mirror image, as it is not in the middle or does not look ahead: train "
@@ -154,11 +147,8 @@ class Pinhole(PixelImage):
         return self.size[1] / 2 / math.tan(self.field_of_view / 2)
 
     def rays(self) -> tuple[Vectors, list[float]]:
-        """Returns the directions ``(1, -u / f, -v / f)``, turned down by the pitch, and their lengths.
-
-        A pixel lies ``u`` to the right of the middle of the image and ``v`` below it, and the focal length is ``f``,
-        all in pixels.
-        """
+        # (1, -u / f, -v / f), turned down by the pitch, for a pixel that lies u to the right of the middle of the image
+        # and v below it, with the focal length f, all in pixels.
         focal = self.focal_length
         v, u = torch.meshgrid(*(torch.arange(count) - (count - 1) / 2 for count in self.size), indexing="ij")
         directions = torch.stack((torch.ones_like(u), -u / focal, -v / focal), -1).reshape(-1, 3)
@@ -296,10 +286,8 @@ class SegmentationCamera(Pinhole, RayImage):
         return kinds.masked_fill(lost | self.lost(inputs) if self.dropout else lost, Seen.NOTHING)
 
     def _post(self, inputs: SensorInput, origins: Tensor, rays: Tensor) -> Tensor:
-        """Returns the ranges ``[N, K]`` at which rays of length 1 meet the side of the post; ``inf`` for no return.
-
-        A ray o + t d meets the circle with the radius r around the goal g where |o - g + t d| = r in the plane.
-        """
+        """Returns the ranges ``[N, K]`` at which rays of length 1 meet the side of the post; ``inf`` for no return."""
+        # A ray o + t d meets the circle with the radius r around the goal g where |o - g + t d| = r in the plane.
         offset, plane = origins[..., :2] - inputs.goal[:, None], rays[..., :2]
         a, b = plane.square().sum(-1), (offset * plane).sum(-1)
         under_root = b.square() - a * (offset.square().sum(-1) - POST_RADIUS**2)
@@ -365,10 +353,9 @@ class Lidar3D(RayImage):
         return torch.zeros(self.size) if points is None else self.range_image(points)
 
     def range_image(self, points: Tensor) -> Tensor:
-        """Returns the image ``[planes, beams]``, m, of points in the frame of the lidar, ``[P, 3]``, m.
+        """Returns the image ``[planes, beams]``, m, of the nearest points in each pixel, ``[P, 3]``, m.
 
-        Each point falls in the pixel with the nearest direction, and the nearest point of a pixel counts. Points
-        outside of the image, and those at the origin, which mean no return, are left out.
+        Points are in the frame of the lidar. Those outside of the image or at the origin (no return) are left out.
         """
         (planes, beams), (low, high) = self.size, self.elevation
         ahead, left, up = points.unbind(-1)
@@ -388,11 +375,7 @@ class Lidar3D(RayImage):
 
 @cache
 def turned_rays(sensor: PixelImage, device: torch.device) -> tuple[Tensor, Tensor, float]:
-    """Returns the rays of a device that looks to the left by its yaw.
-
-    Their directions in the frame of the robot, ``[K, 3]``, the ranges at which they read 1 m, ``[K]``, and the largest
-    of these.
-    """
+    """Returns directions of rays in the frame of the robot, ``[K, 3]``, ranges of 1 m, ``[K]``, and their largest."""
     directions, scales = sensor.rays()
     cos, sin = math.cos(sensor.yaw), math.sin(sensor.yaw)
     turned = [[cos * x - sin * y, sin * x + cos * y, z] for x, y, z in directions]

@@ -406,10 +406,7 @@ def taken_at(observation: Entries) -> tuple[Tensor, Tensor]:
 
 
 def seen_from_now(x: Tensor, y: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Returns x and y in the base frame now, ``[..., points]`` each, m, of points in that of the scan.
-
-    ``scan_pose`` are values of the sensor, ``[..., 6]``. ``None``: the scan is as new as the pose.
-    """
+    """Returns x and y in the base frame now, ``[..., points]`` each, m, of points in that of a late scan."""
     if scan_pose is None:
         return x, y
     ahead, left, turn = scan_pose[..., :1], scan_pose[..., 1:2], scan_pose[..., 5:]
