@@ -71,10 +71,10 @@ class AttemptCounter(AttemptEntries):
     """Counts the attempts to reach a goal that succeed and fail.
 
     An attempt lasts from the setting of a goal to its end: it succeeds if the goal is reached within 60 s, and fails if
-    the episode ends before, as in an evaluation. Episodes of training have a time limit, which would cut many attempts
-    off. So an attempt counts only if there is enough time when it begins: 60 s, or half of the longest episode if that
-    is less. Whether it counts does not depend on how it ends, so that the rate is not biased. It is a little too low
-    where many goals take longer than the time that is left.
+    the episode ends before, as in an evaluation. Time limits of training would cut many off. So an attempt counts only
+    if there is enough time when it begins: 60 s, or half of the longest episode if that is less. As this does not
+    depend on how it ends, the rate is not biased, but a little too low where many goals take longer than the time that
+    is left.
 
     It adds the nested entry ``attempts``, each int64 ``[N, 1]``: ``begun``, the number of steps of the episode before
     the current attempt, ``reached`` and ``failed``, the numbers of attempts that succeeded and failed in this step.

@@ -37,9 +37,8 @@ class Learnability:
     Curriculum Discovery" (SFL), NeurIPS 2024. It is the variance of success, 0.25 where every other attempt succeeds.
 
     Attempts lose weight with later ones, because the policy changes. Most worlds of a large pool have few attempts, so
-    that the estimate of a world starts from that of its group: the worlds of the same name, with difficulties in the
-    same tenth of the range from 0 to 1. The estimate of a group starts from that of the pool, and that of the pool from
-    0.5. Each of them counts as four attempts.
+    that the estimate of a world starts from that of the worlds of the same name and a similar difficulty, theirs from
+    that of the pool, and that from 0.5. Each of these counts as four attempts.
 
     ``attempts`` and ``successes`` are those in each world, with their weights; ``difficulty`` is nan for worlds that
     are named without one; all float64 ``[len(pool)]``.
@@ -117,9 +116,9 @@ class Curriculum(AttemptEntries):
     """Lets episodes draw the worlds in which the policy sometimes succeeds and sometimes fails.
 
     An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
-    the time limit if at least half of the episode went into it. The last attempts of other episodes do not count. The
-    attempts of all rows estimate the :class:`Learnability` of the worlds. After at least 64 attempts, they update the
-    weights of the draw (:meth:`~rover_rl.RoverEnv.set_world_weights`).
+    the time limit if at least half of the episode went into it. Those of all rows estimate the :class:`Learnability` of
+    the worlds, and update the weights of the draw after every 64 of them
+    (:meth:`~rover_rl.RoverEnv.set_world_weights`).
 
     It adds the nested entry ``attempt``, each int64 ``[N, 1]``: ``begun``, the number of steps of the episode before
     the current attempt, ``succeeded`` and ``failed``, the numbers of attempts that did so in this step.

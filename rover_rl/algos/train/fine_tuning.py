@@ -33,15 +33,10 @@ def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
     again, and only worlds that are drawn from a range have a curriculum. In the first part of the training, only the
     critic learns.
 
-    Args:
-        source: ``pretrained:NAME``, folder of a run, or checkpoint file.
-        **settings: fields of the parts of :class:`~rover_rl.algos.config.TrainingConfig`, for example ``world``,
-            ``reward``, ``randomization`` or ``max_minutes``. Robot, lidar, bounds of the action and networks must stay
-            those of the policy.
-
-    Raises:
-        FileNotFoundError: if there is no such policy.
-        ValueError: if the file holds no policy, or for an unknown setting.
+    ``source`` is ``pretrained:NAME``, the folder of a run, or a checkpoint file. Settings are fields of the parts of
+    :class:`~rover_rl.algos.config.TrainingConfig`, for example ``world``, ``reward`` or ``max_minutes``; robot, lidar,
+    bounds of the action and networks must stay those of the policy. Raises a ``FileNotFoundError`` if there is no such
+    policy, and a ``ValueError`` if the file holds none, or for an unknown setting.
     """
     source = str(source)
     config = load_policy(source).config

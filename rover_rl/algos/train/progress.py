@@ -51,10 +51,9 @@ def batch_statistics(batch: TensorDictBase, repeat: int) -> dict[str, float]:
 class Stopwatch:
     """Measures how the wall-clock time of training is spent.
 
-    ``with stopwatch("gradient steps"):`` measures activities of the training process. For collection, each batch holds
-    the times that its workers have spent on the simulator and the environment
-    (:class:`~rover_rl.envs.transforms.step_clock.StepClock`). The time spent waiting for a batch is divided in
-    proportion to them. Work of the collecting processes during other activities does not count.
+    ``with stopwatch("gradient steps"):`` measures activities of the training process. Of the time spent waiting for a
+    batch, the shares of the simulator and of the environment are those that its workers have measured
+    (:class:`~rover_rl.envs.transforms.step_clock.StepClock`).
     """
 
     def __init__(self) -> None:

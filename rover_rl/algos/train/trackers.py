@@ -43,13 +43,17 @@ class Trackers:
                 raise ValueError(f"the tracker {name} cannot be opened: {' '.join(str(error).split())}") from error
 
     def add(self, row: dict[str, float]) -> None:
-        self._each(lambda logger: (logger.log_metrics(row, step=int(row["steps"])), logger.flush()))
+        def send(logger: Logger) -> None:
+            logger.log_metrics(row, step=int(row["steps"]))
+            logger.flush()
+
+        self._each(send)
 
     def close(self) -> None:
         self._each(_close)
         self._open.clear()
 
-    def _each(self, action: Callable[[Logger], Any]) -> None:
+    def _each(self, action: Callable[[Logger], None]) -> None:
         for name, logger in [*self._open.items()]:
             try:
                 action(logger)
