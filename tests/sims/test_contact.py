@@ -15,8 +15,6 @@ SIDE = 0.18 + 0.045
 """Distance from the middle of the rover to the outside of its wheels, m."""
 WALL_X = 2.5
 """Near side of the wall, m."""
-
-
 WALLED = World(
     "walled", Terrain.flat((24, 24)), [box((WALL_X + 0.5, 0, 1), (1, 16, 2)), cylinder((-3, 0, 0.5), 0.2, 1.0)]
 )

@@ -8,12 +8,9 @@ import pytest
 import torch
 
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.warp import WarpSettings
 from rover_rl.worlds import Terrain, World, box
 from tests.sims.driven import FLAT, ROVER, drive, placed, slope
 
-CENTER = ROVER.center_of_mass
-"""Center of mass in the base frame, m."""
 ORIGIN = [(0.0, 0.0, 0.0)]
 DT = 0.05
 
@@ -78,30 +75,3 @@ def test_walls_stop_the_rover(backend):
     # The front of the wheels is 0.2635 m ahead of the base frame.
     tolerance = 0.01 if backend == "mujoco" else 0.05
     assert last.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=tolerance)
-
-
-def test_rover_tips_over_at_the_static_stability_angle():
-    """Across a slope, a rover tips over the outer edges of the lower wheels once its center of mass passes them."""
-    edge = ROVER.wheels.hubs[0][1] + ROVER.wheels.width / 2
-    height = CENTER[2] - (ROVER.wheels.hubs[0][2] - ROVER.wheels.radius)
-    tipping = math.degrees(math.atan2(edge, height))
-    assert 45 < tipping < 65
-    for degrees, stands in ((tipping - 2.5, True), (tipping + 2.5, False)):
-        # With high friction, the rover tips instead of sliding.
-        settings = WarpSettings(ground_friction=4.0)
-        simulator = placed(settings, slope(degrees, cell=0.1), [(0.0, 0.0, math.pi / 2)])
-        rolls = [quaternion_to_euler(state.orientation)[0, 0].item() for state in drive(simulator, (0.0, 0.0), 30)]
-        assert (math.degrees(max(map(abs, rolls))) < degrees + 5) == stands
-
-
-def test_obstacles_have_their_own_friction():
-    """The friction of a wall slows a rover that slides along it."""
-    world = World("wall", Terrain.flat((60, 60)), [box((0.0, 0.5, 0.5), (30.0, 0.4, 1.0))])
-    distances = []
-    for friction in (0.0, 0.25):
-        simulator = placed(WarpSettings(obstacle_friction=friction), world, [(-5.0, -0.05, 0.35)])
-        states = drive(simulator, (0.8, 0.6), 80)
-        distances.append((states[-1].position[0, 0] - states[0].position[0, 0]).item())
-        # Neither rover passes through the wall.
-        assert states[-1].position[0, 1] < 0.3 - 0.2
-    assert distances[0] > distances[1] + 0.05

@@ -12,7 +12,6 @@ import torch
 from rover_rl import RoverEnv, make_env
 from rover_rl.sims import Backend, Simulator, backend_names, make_simulator, register_backend
 from rover_rl.sims.bullet import BulletSettings
-from rover_rl.sims.bullet.simulator import BulletSimulator
 from tests.sims.driven import FLAT, ROVER
 
 MAKE = re.escape("make(worlds=, robot=, connection=, device=)")
@@ -28,8 +27,8 @@ class CustomSettings:
 
     substeps: int = 4
 
-    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
-        return BulletSimulator(worlds, robot, BulletSettings(substeps=self.substeps))
+    def make(self, **arguments: Any) -> Simulator:
+        return make_simulator(BulletSettings(substeps=self.substeps), **arguments)
 
     @classmethod
     def preset(cls, name: str) -> CustomSettings:
@@ -37,13 +36,6 @@ class CustomSettings:
 
 
 TWELVE = CustomSettings(12)
-
-
-class PlainBackend:
-    """Backend without settings and presets."""
-
-    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
-        return BulletSimulator(worlds, robot)
 
 
 def substeps(backend: Any, **arguments: Any) -> int:
@@ -86,45 +78,33 @@ class WithoutRobot:
         raise AssertionError("never called")
 
 
-class Broken:
-    """Backend whose make() fails."""
+class Returning:
+    """Backend whose make() returns a given object, or raises it."""
 
-    def make(self, **arguments) -> Simulator:
-        raise TypeError("inside")
+    def __init__(self, result: Any) -> None:
+        self.result = result
+
+    def make(self, **arguments) -> Any:
+        if isinstance(self.result, Exception):
+            raise self.result
+        return self.result
 
 
-WITHOUT_ROBOT = (
-    f"^backend .*WithoutRobot object.* must have a method {MAKE}: got an unexpected keyword argument 'robot'$"
-)
+RETURNED = r"^make\(\) of backend .* must return a rover_rl.* without"
 
 
 @pytest.mark.parametrize(
     ("backend", "error", "message"),
     [
         *((each, ValueError, f"^{WANTED}, got {re.escape(repr(each))}$") for each in (object(), 4, BulletSettings)),
-        (WithoutRobot(), ValueError, WITHOUT_ROBOT),
-        (PlainBackend, ValueError, r"PlainBackend'> must have .*: it is a class; pass an object of it$"),
-        (Broken(), TypeError, "^inside$"),
+        (WithoutRobot(), ValueError, f"^backend .*WithoutRobot object.* must have a method {MAKE}: .* 'robot'$"),
+        (Returning, ValueError, r"Returning'> must have .*: it is a class; pass an object of it$"),
+        # Errors inside of make() are not replaced.
+        (Returning(TypeError("inside")), TypeError, "^inside$"),
+        (Returning(None), ValueError, f"{RETURNED} close, control_dt, .* reset, robot_connected, state, step$"),
+        (Returning(Simulator()), ValueError, f"{RETURNED} control_dt, device, num_envs$"),
     ],
 )
-def test_what_is_no_backend_raises_before_it_is_called_and_errors_inside_make_are_not_replaced(backend, error, message):
+def test_what_is_no_backend_or_makes_no_simulator_raises(backend, error, message):
     with pytest.raises(error, match=message):
         make_env(world_n=FLAT, backend=backend)
-
-
-class Returning:
-    """Backend whose make() returns a given object."""
-
-    def __init__(self, simulator: Any) -> None:
-        self.simulator = simulator
-
-    def make(self, **arguments) -> Any:
-        return self.simulator
-
-
-def test_a_make_that_returns_no_simulator_raises_and_names_what_is_missing():
-    members = "close, control_dt, device, features, live, num_envs, reset, robot_connected, state, step"
-    missing = "control_dt, device, num_envs"
-    for simulator, names in ((None, members), (Simulator(), missing)):
-        with pytest.raises(ValueError, match=rf"^make\(\) of backend .* must return a rover_rl.* without {names}$"):
-            make_env(world_n=FLAT, backend=Returning(simulator))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
 from rover_rl import make_env
 from rover_rl.native.warp import wp
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.kernels import placing
-from rover_rl.worlds import Terrain, World, get_world
-from tests.sims.driven import ROVER, drive, in_world, placed
+from rover_rl.worlds import Terrain, World, box, get_world
+from tests.sims.driven import ROVER, drive, in_world, placed, slope
 
 HOPPER = 90
 """Compute capability 9.0 (H100, H200)."""
@@ -71,18 +74,6 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
                     assert outside.min() > ROVER.wheels.width / 2 - 0.01
 
 
-def test_ridge_between_the_wheels_carries_the_rover():
-    """High-centering: a ridge that is higher than the ground clearance lifts the chassis."""
-    heights = torch.zeros(161, 161)
-    heights[81, :] = 0.30
-    world = World("ridge", Terrain(heights, 0.25))
-    simulator = placed("warp", world, [(0.0, world.terrain.origin[1] + 81 * 0.25, 0.0)])
-    state = drive(simulator, (0.0, 0.0), 60)[-1]
-    # The belly is 65 mm above the base frame's origin.
-    assert state.position[0, 2] + 0.065 > 0.30 - 0.02
-    assert torch.isfinite(state.orientation).all()
-
-
 @pytest.mark.slow
 def test_kernels_compile_for_a_gpu(tmp_path):
     """On every machine. What they do there is tested in tests/gpu."""
@@ -91,3 +82,30 @@ def test_kernels_compile_for_a_gpu(tmp_path):
     text = code.read_text()
     assert f".target sm_{HOPPER}" in text
     assert ".entry place_" in text
+
+
+def test_rover_tips_over_at_the_static_stability_angle():
+    """Across a slope, a rover tips over the outer edges of the lower wheels once its center of mass passes them."""
+    edge = ROVER.wheels.hubs[0][1] + ROVER.wheels.width / 2
+    height = ROVER.center_of_mass[2] - (ROVER.wheels.hubs[0][2] - ROVER.wheels.radius)
+    tipping = math.degrees(math.atan2(edge, height))
+    assert 45 < tipping < 65
+    for degrees, stands in ((tipping - 2.5, True), (tipping + 2.5, False)):
+        # With high friction, the rover tips instead of sliding.
+        settings = WarpSettings(ground_friction=4.0)
+        simulator = placed(settings, slope(degrees, cell=0.1), [(0.0, 0.0, math.pi / 2)])
+        rolls = [quaternion_to_euler(state.orientation)[0, 0].item() for state in drive(simulator, (0.0, 0.0), 30)]
+        assert (math.degrees(max(map(abs, rolls))) < degrees + 5) == stands
+
+
+def test_obstacles_have_their_own_friction():
+    """The friction of a wall slows a rover that slides along it."""
+    world = World("wall", Terrain.flat((60, 60)), [box((0.0, 0.5, 0.5), (30.0, 0.4, 1.0))])
+    distances = []
+    for friction in (0.0, 0.25):
+        simulator = placed(WarpSettings(obstacle_friction=friction), world, [(-5.0, -0.05, 0.35)])
+        states = drive(simulator, (0.8, 0.6), 80)
+        distances.append((states[-1].position[0, 0] - states[0].position[0, 0]).item())
+        # Neither rover passes through the wall.
+        assert states[-1].position[0, 1] < 0.3 - 0.2
+    assert distances[0] > distances[1] + 0.05
