@@ -80,8 +80,8 @@ class MoverField:
 
     @property
     def forms(self) -> list[Part]:
-        """Parts of different kinds or sizes that occur. The list grows."""
-        return self._tables.forms
+        """Parts of different kinds or sizes that have occurred, in this order."""
+        return [*self._tables.forms.values()]
 
     def parts_of(self, world: World) -> list[Part]:
         """Returns the parts of rows in a world, by their index in ``parts``: other rovers, then its movers."""

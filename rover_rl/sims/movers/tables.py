@@ -29,15 +29,14 @@ class MoverTables:
         motions: classes of the motions that occur.
         motion: index of the motion of each mover in :attr:`motions`, -1 for none.
         radius: radius of each mover, m.
-        forms: parts of different kinds or sizes.
+        forms: parts of different kinds or sizes, by these.
         parts: what :class:`~rover_rl.worlds.movers.parts.Parts` are made of, by name.
     """
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
         self.motions: list[type[Motion]] = []
-        self.forms: list[Part] = []
-        self._number_of: dict[tuple[str, tuple[float, float, float]], int] = {}
+        self.forms: dict[tuple[str, tuple[float, float, float]], Part] = {}
         self.motion = SlotTable((), torch.int64, device, padding=-1)
         self.radius = SlotTable((), torch.float32, device)
         self.parts = {
@@ -72,10 +71,8 @@ class MoverTables:
 
     def form(self, part: Part) -> int:
         """Returns the index of a part in :attr:`forms`."""
-        number = self._number_of.setdefault((part.kind, part.size), len(self.forms))
-        if number == len(self.forms):
-            self.forms.append(part)
-        return number
+        self.forms.setdefault((part.kind, part.size), part)
+        return [*self.forms].index((part.kind, part.size))
 
     def _set_settings(self, slot: int, motion: type[Motion], movers: Sequence[Mover]) -> None:
         """Sets the settings of the movers with a motion. Those of other movers of the slot are padding."""

@@ -6,7 +6,6 @@ grid of 0.1 m.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -86,8 +85,7 @@ class Rect(NamedTuple):
         return Rect(self.bottom, self.left, self.top, self.right)
 
 
-@dataclass(frozen=True)
-class FloorPlan:
+class FloorPlan(NamedTuple):
     """Rooms (without their walls, the corridor first), doors (as thick as walls) and parts of the inner walls."""
 
     rooms: tuple[Rect, ...]
@@ -95,8 +93,7 @@ class FloorPlan:
     walls: tuple[Rect, ...]
 
     def transposed(self) -> FloorPlan:
-        parts = (tuple(rect.transposed() for rect in part) for part in (self.rooms, self.doors, self.walls))
-        return FloorPlan(*parts)
+        return FloorPlan(*(tuple(map(Rect.transposed, part)) for part in self))
 
 
 def floor_plan(
@@ -127,8 +124,8 @@ def _split(rng: np.random.Generator, part: Rect, smallest: int, walls: list[Rect
         return [part]
     if width < depth:
         turned: list[Rect] = []
-        rooms = [room.transposed() for room in _split(rng, part.transposed(), smallest, turned)]
-        walls += [wall.transposed() for wall in turned]
+        rooms = [*map(Rect.transposed, _split(rng, part.transposed(), smallest, turned))]
+        walls += map(Rect.transposed, turned)
         return rooms
     at = int(rng.integers(part.left + smallest, part.right - smallest - WALL + 1))
     walls.append(Rect(at, part.bottom, at + WALL, part.top))
@@ -171,8 +168,7 @@ def _door(rng: np.random.Generator, wall: Rect, door: int) -> Rect:
 def _without_doors(wall: Rect, doors: list[Rect]) -> list[Rect]:
     width, depth = wall.size
     if width < depth:
-        turned = [door.transposed() for door in doors]
-        return [part.transposed() for part in _without_doors(wall.transposed(), turned)]
+        return [*map(Rect.transposed, _without_doors(wall.transposed(), [*map(Rect.transposed, doors)]))]
     in_wall = sorted(door for door in doors if door.overlaps(wall) and door[1::2] == wall[1::2])
     ends = [wall.left, *(end for door in in_wall for end in (door.left, door.right)), wall.right]
     return [wall._replace(left=left, right=right) for left, right in zip(ends[::2], ends[1::2], strict=True)]

@@ -73,11 +73,9 @@ class Parts:
 
 def corners(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -> list[np.ndarray]:
     """Returns the corners of parts ``[P, ...]``, as in one row of :class:`Parts`, ``[corners, 3]`` of each, m."""
-    return [
-        Rotation.from_quat(turn.numpy()).apply(Part(KINDS[number], tuple(size), (0.0, 0.0, 0.0)).corners())
-        + center.numpy()
-        for number, size, center, turn in zip(kind.tolist(), (2 * half).tolist(), position, orientation, strict=True)
-    ]
+    parts = [Part(KINDS[number], size, (0.0, 0.0, 0.0)) for number, size in zip(kind, (2 * half).tolist(), strict=True)]
+    places = zip(parts, position.numpy(), orientation.numpy(), strict=True)
+    return [Rotation.from_quat(turn).apply(part.corners()) + center for part, center, turn in places]
 
 
 def outlines(kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor) -> list[np.ndarray]:
