@@ -141,11 +141,13 @@ def test_a_mesh_without_its_pictures_is_read_and_the_loss_is_named_once(tmp_path
             '<library_images><image id="i"><init_from>no.png</init_from></image></library_images><library_effects>'
             '<effect id="e"><profile_COMMON><newparam sid="s"><surface type="2D"><init_from>i</init_from></surface>'
             '</newparam><newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam><technique sid="c">'
-            '<lambert><diffuse><texture texture="t" texcoord="U"/></diffuse></lambert></technique></profile_COMMON>'
-            '</effect></library_effects><library_materials><material id="m"><instance_effect url="#e"/></material>'
-            "</library_materials>"
+            '<lambert><diffuse><texture texture="t" texcoord="U"/></diffuse></lambert><extra>'
+            '<technique profile="FCOLLADA"><bump><texture texture="t" texcoord="U"/></bump></technique></extra>'
+            "</technique></profile_COMMON></effect></library_effects><library_materials>"
+            '<material id="m"><instance_effect url="#e"/></material></library_materials>'
         )
         path.write_text(path.read_text().replace("<library_geometries>", effect + "<library_geometries>"))
+        (tmp_path / "no.png").write_bytes(b"no picture")
     bodies = [shape("collision", f'<mesh filename="{path.name}"/>', f"0 0 {z}") for z in (0.1, 0.3)]
     with pytest.warns(UserWarning, match=f"^machine.urdf: .*the mesh {path.name} is read without") as caught:
         Robot.from_urdf(rover_with(more="".join(bodies)).write(tmp_path), options=RobotOptions())

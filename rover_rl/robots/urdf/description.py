@@ -31,7 +31,6 @@ _LIGHT = 0.1
 class Link(NamedTuple):
     """Rigid part of a robot: its mass about the center of mass, which is at a frame, and its shapes."""
 
-    name: str
     inertial: tuple[Mass, Frame] | None
     collisions: tuple[Shape, ...]
     visuals: tuple[Shape, ...]
@@ -236,7 +235,7 @@ def _stated_mass(links: list[ET.Element]) -> float:
     return total
 
 
-def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:
+def _read(root: ET.Element, tag: str, read: Callable[[ET.Element], Any]) -> dict[str, Any]:
     """Reads all links or joints, by name."""
     parts: dict[str, Any] = {}
     for element in root.findall(tag):
@@ -244,27 +243,29 @@ def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) ->
         if name in parts:
             raise ValueError(f"two {tag}s are named {name!r}")
         try:
-            parts[name] = read(name, element)
+            parts[name] = read(element)
         except ValueError as error:
             raise ValueError(f"{tag} {name!r}: {error}") from error
     return parts
 
 
-def _link(name: str, element: ET.Element, materials: Mapping[str | None, tuple[float, ...]]) -> Link:
+def _link(element: ET.Element, materials: Mapping[str | None, tuple[float, ...]]) -> Link:
     inertial = element.find("inertial")
     shapes = (_shape(each, {}) for each in element.findall("collision"))
     visuals = (_shape(each, materials) for each in element.findall("visual"))
-    return Link(name, None if inertial is None else _inertial(inertial), tuple(shapes), tuple(visuals))
+    return Link(None if inertial is None else _inertial(inertial), tuple(shapes), tuple(visuals))
 
 
-def _joint(name: str, element: ET.Element) -> Joint:
+def _joint(element: ET.Element) -> Joint:
     parent, below = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
     axis, limit, limits = element.find("axis"), element.find("limit"), None
     # The default axis of URDF is x.
     direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3, "1 0 0"))
     if limit is not None and {"lower", "upper"} & set(limit.keys()):
         limits = _numbers(limit, "lower", 1, "0")[0], _numbers(limit, "upper", 1, "0")[0]
-    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction, limits)
+    return Joint(
+        element.get("name", ""), _attribute(element, "type"), parent, below, _frame(element), direction, limits
+    )
 
 
 def _inertial(element: ET.Element) -> tuple[Mass, Frame]:
