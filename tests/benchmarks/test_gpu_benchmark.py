@@ -21,7 +21,7 @@ from benchmarks.options import Options
 
 @pytest.fixture
 def options(tmp_path: Path) -> Options:
-    small = {"gpu_rovers": (4, 8), "gpu_beams": (32,), "gpu_worlds": ("maze:0-1",), "gpu_learners": (4,)}
+    small = {"gpu_rovers": (4,), "gpu_beams": (32,), "gpu_worlds": ("maze:0-1",), "gpu_learners": (4,)}
     return Options(device="cpu", **small, warp_envs=8, gpu_seconds=0.01, out=tmp_path)
 
 
@@ -41,14 +41,13 @@ def test_a_rehearsal_on_the_cpu_measures_everything(
     results = gpu.measure(options)
     assert results is not None
     assert json.loads((tmp_path / "gpu.json").read_text()) == results
-    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze:0-1", 4), ("maze:0-1", 8)]
+    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze:0-1", 4)]
     for row in results["speed"]:
         # Physics and lidar are a part of the step.
         assert row["physics"] > row["environment"] > 0
         assert row["lidar"] > row["environment"]
         assert row["step_s"] > 0
-    steps = [(row["rovers"], row["part"]) for row in results["steps"]]
-    assert steps == [(rovers, part) for rovers in (4, 8) for part in ("reset", "step")]
+    assert [(row["rovers"], row["part"]) for row in results["steps"]] == [(4, "reset"), (4, "step")]
     assert all(row["wall_s"] > 0 for row in results["steps"])
     assert all(row["steps_per_s"] > 0 for row in results["training"])
     assert {row["map"] for row in results["training"]} == {True, False}
