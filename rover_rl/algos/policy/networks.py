@@ -227,7 +227,7 @@ def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
 
 
 class NormalParameters(nn.Module):
-    """Splits its input into the mean and the standard deviation, ``MIN_STD`` to ``max_std``, of a normal distribution.
+    """Splits ``[..., 2 n]`` into mean and standard deviation, ``MIN_STD`` to ``max_std``, of a normal distribution.
 
     Without an upper bound it grows where the mean matters little, such as in front of a wall, and the policy relies on
     random actions to escape: without exploration, it gets stuck.
@@ -250,10 +250,7 @@ def make_critic(
     device: torch.device | str | None = None,
     privileged: bool = False,
 ) -> ValueOperator:
-    """Creates a state-value function from observation to ``state_value [..., 1]``: see :func:`make_actor`.
-
-    With ``privileged``, it also reads the nested observation ``privileged``.
-    """
+    """Creates a state-value function from observation, or also the privileged one, to ``state_value [..., 1]``."""
     encoder = encoder or ObservationEncoder()
     beside = PrivilegedEncoder() if privileged else None
     features = encoder.features + (beside.features if beside else 0)
@@ -267,10 +264,7 @@ def make_action_critic(
     action: ActionConfig | None = None,
     device: torch.device | str | None = None,
 ) -> ValueOperator:
-    """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
-
-    The features are those of the ``encoder``. See :func:`make_actor`.
-    """
+    """Creates an action-value function from encoded ``features`` and action to ``state_action_value [..., 1]``."""
     network = _ActionCritic(encoder, hidden, action_spec(action))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 

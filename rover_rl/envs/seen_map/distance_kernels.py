@@ -23,14 +23,9 @@ def find_closed(
 
     Those are cells that no beam has passed or come near, where the lidar does not see now, and those out of bounds.
 
-    Args:
-        centers: cells in the middle of the windows.
-        bounds: lower x and y, and upper x and y, in cells.
-        lidars: x and y of the lidars (cells), headings (rad), and distances within which nothing is unknown (cells).
-        views: whether each reading sees, ``[N, P]``.
-        offset: half of a beam, in readings.
-        passes: 1 in cells that beams have passed.
-        closed: results, where the cells are stored.
+    Lengths are in cells. ``lidars`` are x and y, headings (rad), and distances within which nothing is unknown, and
+    ``views`` tell whether each reading sees. ``offset`` is half of a beam, in readings, and ``passes`` are 1 in cells
+    that beams have passed. Results are where the cells are stored.
     """
     n, cell = wp.tid()
     column = (cell & LAST) + centers[n][0] - HALF

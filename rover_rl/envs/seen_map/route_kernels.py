@@ -262,15 +262,13 @@ def plan_routes(
     """Plans the routes to the goals of rows ``first`` to ``last - 1``; thread ``t`` does every T-th one from ``t`` on.
 
     Args:
-        goals: x and y of the goals, ``[N, 2]``, m.
-        bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
-        planned: rows to plan for, ``[N]``. The results of others do not change.
-        centers: cells in the middle of the windows.
-        levels, doubts: the map: see ``scan_kernels.Cells``.
+        goals, bounds: x and y of the goals, and lower and upper x and y of the area that routes stay in, m.
+        planned: rows to plan for. The results of others do not change.
+        centers, levels, doubts: cells in the middle of the windows, and the map: see ``scan_kernels.Cells``.
         costs, heads, following, preceding, reached: working memory, ``[T, SIZE * SIZE]``, and ``[T, BUCKETS]`` for
             ``heads``. Between plans, all costs are ``UNKNOWN_COST``.
         corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
-        lengths: results: cost of the route, as the length of an open route of that cost, ``[N]``, m; -1 without a path.
+        lengths: results: cost of the route, as the length of an open route of that cost, m; -1 without a path.
     """
     t = wp.tid()
     for i in range(first + t, last, costs.shape[0]):
@@ -322,16 +320,9 @@ def close_ways(
     Thread ``(t, m)`` does so for mover ``m`` of row ``first + t``. Threads of one row that write to the same cell write
     the same.
 
-    Args:
-        planned: rows to plan for.
-        centers: cells in the middle of the windows.
-        places: x and y of the rovers, ``[N, 2]``, in cells of the world, as all lengths here.
-        ways: x, y, velocity along x and y (1/s), and radius of what moves, ``[N, K, 5]``. A negative one counts for
-            nothing.
-        speeds: speeds of the rovers, 1/s.
-        levels: level of each cell, to which ``CROSSED`` is added in those that are closed.
-        closes: whether to close the cells, or to open them again.
-        first: first row.
+    Lengths are in cells of the world. ``places`` and ``speeds`` are those of the rovers, and ``ways`` x, y, velocity
+    along x and y, and radius of what moves, ``[N, K, 5]``; a negative one counts for nothing. ``CROSSED`` is added to
+    the ``levels`` of cells that are closed.
     """
     t, m = wp.tid()
     i = t + first

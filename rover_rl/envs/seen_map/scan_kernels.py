@@ -153,11 +153,9 @@ def clear_window(cells: Cells):
 
 @wp.func
 def close_steep(x: float, y: float, cells: Cells):
-    """Closes cells between that of a point and others nearby, if the ground between them is too steep.
+    """Closes the cell halfway between that of a point and others nearby, if the ground between them is too steep.
 
-    The heights may be those of the nearest or of the farthest points of two cells that are n cells apart: at most n + 1
-    cells. Ground that rises by more than ``tan(MAX_TILT)`` of that distance is steeper than ``MAX_TILT`` somewhere. The
-    cell halfway, rounded to the higher one, is closed.
+    Heights of two cells that are n cells apart may be those of points n + 1 cells apart.
     """
     column = int(wp.floor(x))
     row = int(wp.floor(y))
