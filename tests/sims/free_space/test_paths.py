@@ -96,9 +96,10 @@ def test_nothing_is_narrow_where_roomy_cells_connect_everything():
 def test_the_footprint_is_free_in_all_orientations_of_narrow_cells():
     world = get_world("forest:3")
     free, outline = free_space(world, ROVER), ROVER.footprint
-    cell, k = np.nonzero((free.narrow_orientations.numpy()[:, None] >> np.arange(32)) & 1)
+    # Every fifth pose.
+    cell, k = (part[::5] for part in np.nonzero((free.narrow_orientations.numpy()[:, None] >> np.arange(32)) & 1))
     places = (free.passable & ~free.roomy).nonzero().numpy()[cell, ::-1] * free.cell + free.origin
-    assert len(places) > 2500
+    assert len(places) > 500
     for side in (-1, 1):
         # At both ends of the bin.
         yaw = (2 * k + side) * math.pi / 64

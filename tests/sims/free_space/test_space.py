@@ -251,9 +251,9 @@ def test_on_rough_ground_the_lowest_wheel_touches_the_ground_whatever_the_batch(
         assert torch.equal(alone[1][0], rotation[row])
 
 
-@pytest.mark.parametrize("name", ["moon", "maze"])
+@pytest.mark.parametrize("name", ["hills", "maze"])
 def test_a_map_shows_the_free_space_and_elevation_where_there_is_some(name, tmp_path):
-    path = tmp_path / f"{name}.png"
+    path = tmp_path / "map.png"
     figure = draw_world(get_world(name), ROVER, path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert name in figure.axes[0].get_title()
