@@ -18,7 +18,7 @@ import hashlib
 import json
 import sys
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from tempfile import TemporaryDirectory
 from typing import Literal, TypeAlias, get_args
@@ -29,10 +29,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from benchmarks.stored import stored_policies, stored_worlds
-from rover_rl import EnvConfig, LidarConfig, Randomization, make_env
+from rover_rl import Randomization, make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, draw_episodes, stored_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.names import BASELINES, make_baseline
@@ -109,8 +109,9 @@ def policy_digest(name: str, count: int) -> tuple[str, float]:
 
 
 def baseline_digest(name: str) -> tuple[str, float]:
-    env = EnvConfig(backend="warp", lidar=LidarConfig(points=128))
-    return evaluation_digest(evaluate(make_baseline(name), draw_episodes("maze:50000-50015", 1), name=name, env=env))
+    policy = make_baseline(name)
+    env = replace(environment_for(policy, None), backend="warp")
+    return evaluation_digest(evaluate(policy, draw_episodes("maze:50000-50015", 1), name=name, env=env))
 
 
 def evaluation_digest(result: Evaluation) -> tuple[str, float]:
