@@ -96,6 +96,7 @@ nitpick_ignore = [
         *(
             "Area",
             "AutoresetMode",
+            "Connection",
             "EnvBase",
             "Missing",
             "Path",
@@ -114,7 +115,9 @@ nitpick_ignore = [
             "rover_rl.worlds.terrain.TerrainRows",
             "OtherRovers",
             "rover_rl.sims.free_space.fitting.Source",
+            "'rover_rl.RoverEnv'",
             "TimeLimit",
+            "TypeAliasForwardRef",
             "Transform",
             "Unknown",
             "Up",

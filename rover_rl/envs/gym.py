@@ -93,7 +93,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
 
     For a window, use ``gymnasium.wrappers.HumanRendering``, or ``gymnasium.make(..., render_mode="human")``.
 
-    ``env`` is a ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` of one (:attr:`base_env`). The
+    ``env`` is a ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` of one (``base_env``). The
     options are those of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. ``reward_config`` are the parameters
     of the contract's reward, and ``None`` if this class has not added it.
 

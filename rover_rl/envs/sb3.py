@@ -22,7 +22,7 @@ class SB3VecEnv(VecEnv):
     A row whose episode ends is reset in the same step. Its info then contains ``terminal_observation``,
     ``TimeLimit.truncated`` and the ``info`` of :class:`~rover_rl.GymWrapper`. The infos of the other rows are empty.
 
-    ``env`` is a ``RoverEnv`` or a ``TransformedEnv`` of one (:attr:`base_env`), and the options are those of
+    ``env`` is a ``RoverEnv`` or a ``TransformedEnv`` of one (``base_env``), and the options are those of
     :class:`~rover_rl.GymWrapper`. The default of ``time_limit`` is ``"truncated"``, so that algorithms bootstrap the
     value at the end of an episode's length. Attributes and methods are those of the ``RoverEnv``, for all rows.
 

@@ -310,7 +310,8 @@ class SensorDelays(Stage):
     were taken.
 
     Attributes:
-        scan, state: delays of the scans and of the other sensors, control steps, int64 ``[N, 1]``.
+        scan: delays of the scans, control steps, int64 ``[N, 1]``.
+        state: delays of the other sensors, control steps, int64 ``[N, 1]``.
         scan_step: step at which the last scan was taken that is not lost, int64 ``[N, 1]``.
         known: pose that is known: x, y and z (m), pitch, roll and yaw (rad), ``[N, 6]``.
     """

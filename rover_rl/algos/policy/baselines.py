@@ -98,7 +98,7 @@ class ScriptedPolicy(TensorDictModuleBase):
     of 64 directions: free, and preferably towards the goal and ahead. See :func:`drive_towards`. A robot that does not
     turn in place drives to a place in this direction in arcs, forward and backward.
 
-    Its distances are tuned for ``rover_zero`` and follow the outline of other robots: see :class:`Lane`.
+    Its distances are tuned for ``rover_zero`` and follow the outline of other robots.
     """
 
     def __init__(self, robot: str | Robot = "rover_zero") -> None:

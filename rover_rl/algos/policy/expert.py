@@ -48,7 +48,7 @@ class PrivilegedExpert:
 
     A robot that does not turn in place follows it in arcs, forward and backward. A policy without the map and the pose
     can imitate it: see ``imitation`` in :class:`~rover_rl.algos.config.PPOConfig`. ``worlds`` are usually
-    ``RoverEnv.pool``. Observations must contain :data:`READ`, and are on the ``device``.
+    ``RoverEnv.pool``. Observations must contain ``READ``, and are on the ``device``.
     """
 
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:

@@ -54,7 +54,7 @@ class GridPlanner(TensorDictModuleBase):
 
     The policy reads ``lidar``, ``imu`` and ``route``, for a robot that does not turn in place ``velocities``, and where
     scans can be late ``scan_pose``. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment
-    that it drives in: see :func:`beams_and_contacts`.
+    that it drives in.
     """
 
     trained_action_repeat = 4

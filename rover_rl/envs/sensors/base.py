@@ -121,11 +121,13 @@ class SensorInput:
     """What sensors read from.
 
     Attributes:
-        truth, sensed: true state of the rovers, and as lidar, IMU and wheel odometry report it, ``[N]``.
+        truth: true state of the rovers, ``[N]``.
+        sensed: state of the rovers as lidar, IMU and wheel odometry report it, ``[N]``.
         pose: pose that the sensors report, ``[N]``.
         target: distance (m) and relative angle (rad) of the goals from the pose that is known, which may be late.
         goal: places of the goals in the world frame, ``[N, 2]``, m.
-        steps, keys: number of steps and random keys of the episodes, int64 ``[N, 1]``.
+        steps: number of steps of each row's episode, int64 ``[N, 1]``.
+        keys: random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
         bounds: lower x and y, and upper x and y of each row's world, ``[N, 4]``, m.
         rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.

@@ -85,7 +85,9 @@ class RayImage(PixelImage):
     It shows ground, obstacles, movers and the other rovers of a group, but not the robot itself. A pixel without a
     return reads ``max_range``, and one closer than ``min_range`` or lost reads 0, as those of most devices do.
 
-    Args, beside those of :class:`PixelImage`:
+    It also has the settings of :class:`PixelImage`.
+
+    Args:
         min_range, max_range: least and largest distance, m.
     """
 
@@ -127,7 +129,9 @@ class RayImage(PixelImage):
 class Pinhole(PixelImage):
     """Image of a pinhole camera with square pixels: base of cameras.
 
-    Args, beside those of :class:`PixelImage`:
+    It also has the settings of :class:`PixelImage`.
+
+    Args:
         field_of_view: horizontal field of view, rad.
         pitch: angle by which the camera looks down, rad.
     """
@@ -166,7 +170,9 @@ class DepthCamera(Pinhole, RayImage):
     (K. Khoshelham and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications",
     Sensors 12, 2012).
 
-    Args, beside those of :class:`RayImage` and :class:`Pinhole`:
+    It also has the settings of :class:`RayImage` and :class:`Pinhole`.
+
+    Args:
         noise: standard deviation of the depth at 1 m, m.
         topic: topic of the images of a live rover, a ``sensor_msgs/Image``, or a ``sensor_msgs/CompressedImage`` if it
             ends in ``/compressed`` or ``/compressedDepth``. ``None``: that of the connection. The camera must see what
@@ -198,7 +204,9 @@ class ColorCamera(Pinhole):
     itself is not seen, nor its shadow, and corners are not darker than what is around them. People have shoulders and a
     head, while rays of other sensors meet a cylinder in their place.
 
-    Args, beside those of :class:`Pinhole`:
+    It also has the settings of :class:`Pinhole`.
+
+    Args:
         noise: standard deviation of each channel.
         dropout: fraction of the pixels that are lost. They are black.
         topic: topic of the images of a live rover, as for :class:`DepthCamera`.
@@ -309,7 +317,9 @@ class Lidar3D(RayImage):
     The first row is the highest plane. Beams are equally spaced over the field of view, from left to right; those of a
     full turn begin behind the robot.
 
-    Args, beside those of :class:`RayImage`:
+    It also has the settings of :class:`RayImage`.
+
+    Args:
         size: numbers of planes and of the beams of each.
         field_of_view: horizontal field of view, rad.
         elevation: angles of the lowest and the highest plane above the horizon, rad.

@@ -25,7 +25,7 @@ class GroupedRovers(EnvBase):
     ``[G, 1]`` are true once all of its rovers are done, all terminated, or some truncated, or with ``done_on_any``,
     once one is. ``group_map`` is that of TorchRL: ``{"rovers": ["rover_0", ...]}``.
 
-    ``env`` is a ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one (:attr:`base_env`). ``reset(start=...,
+    ``env`` is a ``RoverEnv`` with a batch, or a ``TransformedEnv`` of one (``base_env``). ``reset(start=...,
     goal=...)`` sets start poses ``[G, agents, 3]`` and goals ``[G, agents, 2]``.
 
     Example:

@@ -26,7 +26,7 @@ class RoverParallelEnv(ParallelEnv):
     Observations, actions, rewards and ``info`` of an agent are those of :class:`~rover_rl.GymWrapper`. A rover whose
     episode has ended leaves ``agents``, and stays where it is until the next reset, seen by the others.
 
-    ``env`` is a ``RoverEnv`` with ``num_envs`` equal to ``agents``, or a ``TransformedEnv`` of one (:attr:`base_env`),
+    ``env`` is a ``RoverEnv`` with ``num_envs`` equal to ``agents``, or a ``TransformedEnv`` of one (``base_env``),
     and the options are those of :class:`~rover_rl.envs.wrappers.numpy_batch.NumpyBatch`. The default of ``time_limit``
     is ``"truncated"``.
 
