@@ -1,8 +1,8 @@
 """Rollouts are the same, to the last bit, as when ``digests.json`` was written: by world, robot and simulator.
 
-Floating-point results depend on the processor and on the versions of the libraries, so that the digests hold on the
-machines that they were made on, and the tests are skipped elsewhere. After a change of numbers on purpose, write the
-file again::
+Floating-point results depend on the processor and on the versions of the libraries, so that the file has digests for
+each machine that they were made on, and the tests are skipped elsewhere. After a change of numbers on purpose, write
+the file again, and on another machine add its digests, both with::
 
     python -m tests.test_digests
 """
@@ -15,7 +15,6 @@ import platform
 import re
 import sys
 from importlib.metadata import version
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -25,12 +24,15 @@ from tensordict import TensorDictBase
 from rover_rl import make_env
 
 FILE = Path(__file__).with_name("digests.json")
-BACKENDS = ("bullet", "warp", "mujoco")
 CASES = [
-    *product(("inspect", "moon", "maze"), ("rover_zero",), BACKENDS),
-    *product(("hills:3", "rooms:3", "plaza:3"), ("rover_zero",), ("warp",)),
-    *product(("maze",), ("leo", "husky", "racer"), ("warp",)),
-    *product(("maze",), ("jackal", "hunter"), BACKENDS),
+    *(("moon", "rover_zero", backend) for backend in ("bullet", "warp", "mujoco")),
+    ("inspect", "rover_zero", "bullet"),
+    ("maze", "rover_zero", "warp"),
+    ("hills:3", "rover_zero", "warp"),
+    ("plaza:3", "rover_zero", "warp"),
+    ("maze", "racer", "warp"),
+    ("maze", "hunter", "bullet"),
+    ("maze", "jackal", "mujoco"),
 ]
 KEYS = ("lidar", "pose", "imu", "target", "velocities", "reward", "terminated", "truncated")
 ROVERS, STEPS = 4, 200
@@ -65,12 +67,15 @@ def digest(world: str, robot: str, backend: str) -> str:
 @pytest.mark.parametrize(("world", "robot", "backend"), CASES)
 def test_rollouts_have_the_bits_that_they_had(world: str, robot: str, backend: str) -> None:
     stored = json.loads(FILE.read_text())
-    if stored["machine"] != machine():
-        pytest.skip(f"the digests were made on {stored['machine']}")
-    assert digest(world, robot, backend) == stored["digests"][f"{world} {robot} {backend}"]
+    if machine() not in stored:
+        pytest.skip(f"the digests were made on {[*stored]}")
+    assert digest(world, robot, backend) == stored[machine()][f"{world} {robot} {backend}"]
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    digests = {" ".join(case): digest(*case) for case in CASES}
-    FILE.write_text(json.dumps({"machine": machine(), "digests": digests}, indent=1) + "\n")
+    made = {" ".join(case): digest(*case) for case in CASES}
+    old = json.loads(FILE.read_text())
+    # Elsewhere, what has changed here is no longer known.
+    kept = {name: other for name, other in old.items() if old.get(machine(), made) == made}
+    FILE.write_text(json.dumps({**kept, machine(): made}, indent=1) + "\n")
