@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from rover_rl.algos.workers import usable_cores
+from rover_rl.algos.workers import interrupts_held, usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
 from rover_rl.worlds import World
 
@@ -61,8 +61,9 @@ def _in_processes(
     given: list[futures.Future[bytes]] = []
     processes: set[BaseProcess] = set()
     try:
-        for number, item in enumerate(items):
-            given.append(pool.submit(_apply, dumps((work, item)), number))
+        with interrupts_held():
+            for number, item in enumerate(items):
+                given.append(pool.submit(_apply, dumps((work, item)), number))
         processes |= set(multiprocessing.active_children()) - others
         while True:
             done, pending = futures.wait(given, _POLL_INTERVAL, futures.FIRST_EXCEPTION)
@@ -76,8 +77,9 @@ def _in_processes(
     except BrokenProcessPool as error:
         raise ChildProcessError(_how_ended(processes, error)) from error
     finally:
+        finished = all(future.done() for future in given)  # so are canceled ones
         pool.shutdown(wait=False, cancel_futures=True)
-        if not all(future.done() for future in given):
+        if not finished:
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
 

@@ -28,6 +28,7 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
+from rover_rl.algos.workers import interrupts_held
 
 Batches: TypeAlias = Iterator[TensorDictBase]
 MakeEnv: TypeAlias = Callable[..., EnvBase]
@@ -158,7 +159,8 @@ def _in_processes(config: TrainingConfig, actor: ProbabilisticActor, make_env: M
         logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
         # Asynchronous batches come from one worker each and are not concatenated.
         joined = None if config.algorithm.asynchronous else 0
-        collector = _collector(config, actor, make_env, logs, cat_results=joined, **options)
+        with interrupts_held():
+            collector = _collector(config, actor, make_env, logs, cat_results=joined, **options)
         try:
             yield _watched(collector, logs)
         finally:
