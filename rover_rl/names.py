@@ -41,8 +41,8 @@ class Name(Sequence["Name"]):
     - ``maze:0-99@0.2-0.8`` is ``difficulty=(0.2, 0.8)``: each seed has its own, spread evenly
     - ``maze:7*1.6`` is ``scale=1.6``, from 0.5 to 10
 
-    A name is the sequence of the names of its seeds, which are one without a range. ``part`` is a registered name,
-    ``module:attribute``, or the path of a file.
+    As a sequence, it has a name for each seed of its range; one without a range is its only item. ``part`` is a
+    registered name, ``module:attribute``, or the path of a file.
 
     Example:
         >>> Name.parse("my_package:canyon:7@0.3*1.6")

@@ -356,7 +356,7 @@ def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequ
     """Returns the entries that the driver of ``prior="route"`` reads.
 
     A robot that does not turn in place drives in arcs, which begin at its speed. An observation that ``tells_robot``
-    may be of any. If it has the pose of the scan, the driver reads that, too.
+    may be that of such a robot. If it has the pose of the scan, the driver reads that, too.
     """
     late = [SCAN_POSE] if SCAN_POSE in observation else []
     in_arcs = tells_robot or not turns_in_place
@@ -410,7 +410,7 @@ _SAC = {"num_envs": 64, "total_steps": 400_000}
 
 
 def default_config(algo: str, backend: BackendLike = "warp") -> TrainingConfig:
-    """The default settings of ``"ppo"`` or ``"sac"``. In Warp, rovers are more and batches larger than elsewhere."""
+    """The default settings of ``"ppo"`` or ``"sac"``. Warp has more rovers and larger batches."""
     settings = _SAC if algo == "sac" else {} if _name(backend) == "warp" else _PPO_ELSEWHERE
     return with_settings(TrainingConfig(algorithm=ALGORITHMS[algo]()), backend=backend, **settings)
 

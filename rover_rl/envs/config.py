@@ -359,8 +359,8 @@ class Randomization(Settings):
     severity: tuple[float, float] = _UNCHANGED
     """Range of the scale factor of all noise, lost beams and scans, and of the errors of a localization."""
     lidar_view: tuple[float, float] | None = None
-    """Range of the angle that the lidar sees, centered on straight ahead, rad, never more than that of the robot, which
-    is None. Beams outside of it have no return."""
+    """Range of the angle that the lidar sees, centered on straight ahead, rad, at most that of the robot (``None``).
+    Beams outside of it have no return."""
     dead_sectors: int = 0
     """Largest number of sectors, at most 16, in which the lidar sees nothing, as behind a part of the robot or dirt.
     Each episode has from 0 to this many, in any direction."""

@@ -130,7 +130,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         """Begins the next episode, with a new seed or that of before.
 
         The options are ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m). Raises ``ValueError`` for
-        another one, a wrong shape, or a seed that is out of range.
+        another option, a wrong shape, or a seed that is out of range.
         """
         super().reset(seed=None if seed is None else check_seed(seed))
         options = {key: np.asarray(value)[None] for key, value in (options or {}).items()}

@@ -55,7 +55,7 @@ class MoverTracker:
       behind people, beams must also pass where it was.
 
     It is a Warp kernel with a thread for each row. The tracks are one tensor, which a policy keeps as its memory.
-    ``robot`` carries the ``lidar``, or are the robots of the rows, and scans are ``interval`` (s) apart.
+    ``robot``, or each robot of a fleet in its row, carries the ``lidar``. Scans are ``interval`` (s) apart.
     """
 
     def __init__(self, robot: Robot | Fleet, lidar: LidarConfig, interval: float) -> None:

@@ -25,8 +25,8 @@ Track = wp.types.vector(length=STATE, dtype=wp.float32)
 FIRST, COUNT, NEAR, SIZE, WIDTH = map(wp.constant, range(5))
 """Numbers of a cluster: its first reading, their number, the least range, its radius and its width."""
 RIGHT, LEFT, CENTER_X, CENTER_Y, OWNER, NEAREST, COST, CLUSTER = map(wp.constant, range(5, 13))
-"""Whether the edges of the first and of the last reading are real, its center, its track, which one is nearest by how
-much, and the number of these numbers."""
+"""Further numbers of a cluster: whether the edges of its first and last reading are real, its center, its track, the
+nearest track and the cost of that, and how many numbers a cluster has."""
 Cluster = wp.types.vector(length=CLUSTER, dtype=wp.float32)
 NOBODY, TOO_WIDE = wp.constant(-1.0), wp.constant(-2.0)
 """Owners of clusters without a track, and of those that are too wide for one."""

@@ -33,9 +33,9 @@ _CANDIDATES = 8
 class Placement:
     """Draws start poses and goals for a batch whose rows may be in different worlds.
 
-    ``robot`` determines the free space, or a function that returns that of a world. Goals are at least
-    ``min_goal_distance`` (m) away from the rover. ``bounds`` are those of each row's world, ``[N, 4]``, m: lower x and
-    y (``bounds_low``), and upper x and y (``bounds_high``).
+    ``robot`` is the one that needs the free space, or a function that returns the free space of a world. Goals are at
+    least ``min_goal_distance`` (m) away from the rover. ``bounds`` are those of each row's world, ``[N, 4]``, m: lower
+    x and y (``bounds_low``), and upper x and y (``bounds_high``).
     """
 
     def __init__(self, worlds: WorldTable, robot: Robot | Callable[[World], Robot], min_goal_distance: float) -> None:

@@ -50,8 +50,8 @@ class RewardComponent(Transform):
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
         """Returns the value of the component in active rows: one number for all rows, or ``[N, 1]``.
 
-        It gets the ``outcome`` of the step, see :mod:`rover_rl.envs.task`, and the whole result of the step, including
-        the ``observation``. An unbatched environment has one row.
+        It gets the ``outcome`` of the step (see :mod:`rover_rl.envs.task`) and, as ``observation``, the whole result of
+        the step. An unbatched environment has one row.
         """
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -202,9 +202,9 @@ class ActionRatePenalty(ConfiguredComponent):
 
 
 class MoverContactPenalty(ConfiguredComponent):
-    """Penalty for contacts with movers, by whose fault they are, or 0 without movers. Not a part of the contract.
+    """Penalty for contacts with movers, one for those at fault of the rover and one for the others; 0 without movers.
 
-    A rover whose wheels turned by less than 0.05 m/s before the step has been run into.
+    A rover whose wheels turned by less than 0.05 m/s before the step has been run into. Not a part of the contract.
     """
 
     name = "mover_contact"

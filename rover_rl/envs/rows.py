@@ -34,8 +34,8 @@ def first_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
 class Episodes:
     """Number of the episode of each row since it was seeded, and the random keys of rows and episodes.
 
-    ``keys`` are those of the episodes, int64 ``[N, 1]``, ``world_keys`` those that what happens in the worlds depends
-    on, and ``world_steps`` the steps of each world's episode, int64 ``[N, 1]``. ``None``: that of its row.
+    ``keys`` are those of the episodes, int64 ``[N, 1]``, ``world_keys`` those of what happens in the worlds, and
+    ``world_steps`` the steps of each world's episode, int64 ``[N, 1]``; ``None``: those of its row.
     """
 
     world_keys: Tensor

@@ -1,4 +1,4 @@
-"""Robots: a body, which a URDF describes, a drive and sensors each. ``Robot`` is imported on first use."""
+"""Robots: each has a body, which a URDF describes, a drive and sensors. ``Robot`` is imported on first use."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class Drive(ABC):
 
     @property
     def rollers(self) -> tuple[float | None, ...]:
-        """Direction of the ideal roller of each wheel on the ground, rad from +x; ``None`` for a tire. Empty without.
+        """Direction of the ideal roller of each wheel on the ground, rad from +x; ``None`` for a tire. Empty: no such.
 
         Such a wheel transfers force along the axle of its roller only, and moves freely across it.
         """

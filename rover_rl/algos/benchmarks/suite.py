@@ -245,7 +245,7 @@ class Result:
 
 
 def mean_rate(flags: Tensor) -> Estimate:
-    """Mean of flags ``[courses, runs]``. Its interval is Wilson's for one run each or equal ones, else a bootstrap."""
+    """Mean of flags ``[courses, runs]``. Its interval is Wilson's for one run each or equal flags, else a bootstrap."""
     rates = flags.mean(1)
     if flags.shape[1] == 1 or flags.min() == flags.max():
         return proportion(round(rates.sum().item()), len(rates))

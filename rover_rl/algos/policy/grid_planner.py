@@ -54,7 +54,7 @@ class GridPlanner(TensorDictModuleBase):
 
     The policy reads ``lidar``, ``imu`` and ``route``, for a robot that does not turn in place ``velocities``, and where
     scans can be late ``scan_pose``. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment
-    that it drives in.
+    that it drives in, with a lidar reading for each beam, and episodes that end when the body touches something.
     """
 
     trained_action_repeat = 4

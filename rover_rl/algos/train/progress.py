@@ -141,7 +141,7 @@ class ProgressLog:
         status = (
             f"{speed:,.0f} steps/s, "
             f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
-            f"success {reached / attempts if attempts else math.nan:.0%} while exploring, "
+            f"success {f'{reached / attempts:.0%}' if attempts else '-'} while exploring, "
             f"return {self._mean('episode_return'):.0f}"
         )
         self._display.update(share, status)

@@ -1,4 +1,4 @@
-"""Sensors that every rover has: lidar, pose, IMU, target and wheel odometry. And what is known of its scans.
+"""Sensors that every rover has, lidar, pose, IMU, target and wheel odometry, and two that tell of its scans.
 
 ``lidar_mask`` tells which readings beams cover, and ``scan_pose`` where the scan was taken.
 """

@@ -1,6 +1,6 @@
 """Finds the wheels of a URDF, and decides by them which drive a robot has.
 
-Wheels are told by the type and axis of their joints and by their shapes, by names as a tie-break.
+Wheels are told by the type and axis of their joints and by their shapes, and by names where these are not enough.
 """
 
 from __future__ import annotations
