@@ -118,6 +118,8 @@ def load_policy(name: str) -> Checkpoint:
     if name.startswith(PRETRAINED):
         return load_pretrained(name.removeprefix(PRETRAINED))
     if not Path(name).exists():
+        if name in (*BASELINES, RANDOM):
+            raise FileNotFoundError(f"no checkpoint at {name}: {name!r} is a policy without training")
         # The name of a pretrained policy, with a typing error or without its prefix.
         names = get_close_matches(name.rpartition(":")[2], pretrained_names(), n=1)
         similar = f", perhaps {PRETRAINED + names[0]!r}" if names else perhaps(name, [*BASELINES, RANDOM])

@@ -36,3 +36,5 @@ def test_help_errors_and_docs_name_baselines_and_unknown_ones_are_refused(capsys
         make_baseline("dwb")
     with pytest.raises(ValueError, match="unknown robot 'tank'"):
         make_baseline("dwa", "tank")
+    assert main(["export", "scripted"]) == 2
+    assert "no checkpoint at scripted: 'scripted' is a policy without training" in capsys.readouterr().err
