@@ -44,7 +44,7 @@ class ShowRobot:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
             robot = get_robot(name)
-        out = self.out or Path(f"{robot.name}.robot.png")
+        out = self.out or Path(f"{robot.name.replace(':', '-')}.robot.png")
         check_outputs(out, inputs=[self.robot], force=self.force)
         lines = describe(robot)
         print("\n".join(lines))
