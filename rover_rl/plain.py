@@ -1,4 +1,4 @@
-"""Conversion of configuration dataclasses to and from plain data for YAML and JSON. Does not import PyTorch."""
+"""Conversion of configuration dataclasses to and from plain data for YAML and JSON, without PyTorch."""
 
 from __future__ import annotations
 

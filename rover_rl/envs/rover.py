@@ -19,8 +19,7 @@ from rover_rl.envs import placement, privileged, rows, specs, stages, task
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
-from rover_rl.sims.base import View
-from rover_rl.sims.rover_state import RoverState
+from rover_rl.sims.base import RoverState, View
 from rover_rl.worlds import World
 
 

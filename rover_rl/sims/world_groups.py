@@ -1,4 +1,4 @@
-"""What simulators share that keep the rovers of a world together, such as Bullet and MuJoCo."""
+"""Base of simulators that keep the rovers of a world together, as Bullet and MuJoCo do."""
 
 from __future__ import annotations
 

@@ -67,7 +67,6 @@ class MoverTables:
             table[slot] = torch.tensor(values[name], dtype=table.values.dtype).reshape(-1, *table.values.shape[2:])
         for motion in set(kinds):
             self._set_settings(slot, motion, movers)
-            self._set_settings(slot, motion, movers)
 
     def form(self, part: Part) -> int:
         """Returns the index of a part in :attr:`forms`."""

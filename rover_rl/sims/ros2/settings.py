@@ -68,8 +68,8 @@ class Ros2Settings:
     min_reversal: float = MIN_REVERSAL
     """Smallest yaw rate that changes the turning direction, rad/s. With less, the rover stops turning."""
     reset: PoseReset = "auto"
-    """What moves the rover to the start of an episode: ign (Gazebo Fortress) or gz (Harmonic), Gazebo's command; topic,
-    a geometry_msgs/PoseStamped; manual, a prompt to a person on the terminal; none: episodes start where the rover is;
+    """Means of moving the rover to its start: ign (Gazebo Fortress) or gz (Harmonic), Gazebo's command; topic, a
+    geometry_msgs/PoseStamped; manual, a prompt to a person on the terminal; none: episodes start where the rover is;
     auto: topic if a node subscribes to reset_topic, else ign or gz if it is installed, else none."""
     model: str = "rover_zero4wd"
     """Name of the rover in Gazebo."""
