@@ -3,6 +3,7 @@
 Packages:
     ``rover_rl.envs``: the environment: observations, actions, rewards, configuration, and the Gymnasium and
     Stable-Baselines3 classes.
+    ``rover_rl.tasks``: named tasks, with worlds to train and to test in.
     ``rover_rl.sims``: simulators, one of which is a real rover.
     ``rover_rl.robots``, ``rover_rl.worlds``: robots and worlds.
     ``rover_rl.algos``: PPO and SAC: training, evaluation, video and deployment.
@@ -18,7 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from rover_rl.envs.parts import TASKS, task_gym_id
+
 if TYPE_CHECKING:
+    from rover_rl.envs.actions import Action as Action
     from rover_rl.envs.config import ActionConfig as ActionConfig
     from rover_rl.envs.config import EnvConfig as EnvConfig
     from rover_rl.envs.config import LidarConfig as LidarConfig
@@ -26,9 +30,14 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import Randomization as Randomization
     from rover_rl.envs.config import RewardConfig as RewardConfig
     from rover_rl.envs.config import TaskConfig as TaskConfig
+    from rover_rl.envs.events import Event as Event
     from rover_rl.envs.gym import GymVectorWrapper as GymVectorWrapper
     from rover_rl.envs.gym import GymWrapper as GymWrapper
     from rover_rl.envs.make import make_env as make_env
+    from rover_rl.envs.parts import register_action as register_action
+    from rover_rl.envs.parts import register_event as register_event
+    from rover_rl.envs.parts import register_task as register_task
+    from rover_rl.envs.parts import register_termination as register_termination
     from rover_rl.envs.rewards import RewardComponent as RewardComponent
     from rover_rl.envs.rewards import contract_reward as contract_reward
     from rover_rl.envs.rewards import register_reward as register_reward
@@ -36,10 +45,13 @@ if TYPE_CHECKING:
     from rover_rl.envs.sensors.base import Sensor as Sensor
     from rover_rl.envs.sensors.suite import register_sensor as register_sensor
     from rover_rl.envs.specs import Bounds as Bounds
+    from rover_rl.envs.terminations import Termination as Termination
     from rover_rl.robots import Robot as Robot
     from rover_rl.robots import RobotOptions as RobotOptions
     from rover_rl.robots import register_robot as register_robot
     from rover_rl.sims.backends import register_backend as register_backend
+    from rover_rl.tasks.task import Task as Task
+    from rover_rl.tasks.task import get_task as get_task
     from rover_rl.worlds import Terrain as Terrain
     from rover_rl.worlds import World as World
     from rover_rl.worlds import box as box
@@ -62,17 +74,28 @@ LEARNING_DEFAULTS: dict[str, Any] = {
 }
 """Arguments that this ID stands for."""
 
-if ENV_ID not in gymnasium.registry:
-    for id_, defaults in ((ENV_ID, {}), (LEARNING_ENV_ID, LEARNING_DEFAULTS)):
-        gymnasium.register(
-            id=id_,
-            entry_point="rover_rl.envs.gym:RoverEnv",
-            vector_entry_point="rover_rl.envs.gym:make_vector_env",
-            kwargs=defaults,
-        )
+
+def _register_gymnasium() -> None:
+    of_task = {task_gym_id(name): {"task": name, **LEARNING_DEFAULTS} for name in TASKS.names()}
+    for id_, defaults in {ENV_ID: {}, LEARNING_ENV_ID: LEARNING_DEFAULTS, **of_task}.items():
+        if id_ not in gymnasium.registry:
+            gymnasium.register(
+                id=id_,
+                entry_point="rover_rl.envs.gym:RoverEnv",
+                vector_entry_point="rover_rl.envs.gym:make_vector_env",
+                kwargs=defaults,
+            )
+
+
+_register_gymnasium()
 
 _HOMES = {
     "rover_rl.envs.config": "ActionConfig EnvConfig LidarConfig PoseConfig Randomization RewardConfig TaskConfig",
+    "rover_rl.envs.actions": "Action",
+    "rover_rl.envs.events": "Event",
+    "rover_rl.envs.parts": "register_action register_event register_task register_termination",
+    "rover_rl.envs.terminations": "Termination",
+    "rover_rl.tasks.task": "Task get_task",
     "rover_rl.envs.gym": "GymVectorWrapper GymWrapper",
     "rover_rl.envs.make": "make_env",
     "rover_rl.envs.rewards": "RewardComponent contract_reward register_reward",

@@ -1,4 +1,4 @@
-"""Registry of the parts of an environment (worlds, robots, sensors, rewards, backends) by name.
+"""Registry of the parts of an environment (worlds, robots, sensors, rewards, tasks, ...) by name.
 
 A name refers to a built-in part, a registered part, an entry point of an installed package, or a Python object in the
 form ``module:attribute``, in this order. Does not import PyTorch.
@@ -16,6 +16,8 @@ from importlib.util import find_spec
 from inspect import signature
 from types import ModuleType
 from typing import Any
+
+from rover_rl.names import Name
 
 
 class Registry:
@@ -74,6 +76,22 @@ class Registry:
             if not settings:
                 raise
             raise ValueError(f"{self._kind} {name!r} does not take the settings {settings}: {error}") from error
+
+    def make(self, given: Any, kind: type) -> Any:
+        """Returns a part of a class ``kind``: ``given``, or what the name, class or function that is given makes.
+
+        A name may have settings, as in ``"depth(size=(24, 32))"``. Raises ``ValueError`` for anything else.
+        """
+        name = Name.parse(given) if isinstance(given, str) else Name(str(given))
+        part = self.find(name.part) if isinstance(given, str) else given
+        if callable(part) and not isinstance(part, kind):
+            part = self.call(name.part, part, **name.settings)
+        elif name.settings:
+            raise ValueError(f"{self._kind} {name.part!r} has its settings already, and takes none, got {given!r}")
+        if not isinstance(part, kind):
+            a = f"a{'n' * (self._kind[0] in 'aeiou')} {self._kind}"
+            raise ValueError(f"{a} must be a {kind.__name__}, or a function or class that makes one, got {part!r}")
+        return part
 
     def _unknown(self, name: str, path: str) -> str:
         known = self.names()

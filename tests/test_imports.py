@@ -44,6 +44,7 @@ LAYERS = (
     ("sims.backends", "sims.effective_track"),
     ("sims.__init__",),
     ("envs",),
+    ("tasks",),
     ("algos.archives", "algos.config", "algos.config_files", "algos.workers"),
     ("algos.policy", "algos.pretrained"),
     ("algos.driving",),

@@ -12,6 +12,7 @@ from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, c
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
+from rover_rl.tasks.task import get_task
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 CurriculumKind: TypeAlias = Literal["none", "learnability"]
@@ -186,6 +187,8 @@ class RunConfig:
     """Number of policies kept along the way, evenly spaced, to see later how fast it learned."""
     logger: tuple[TrackerName, ...] = ()
     """Trackers that get what progress.csv gets: csv, tensorboard, wandb, trackio, mlflow (extras of these names)."""
+    task_name: str | None = None
+    """Task that is learned, if it has a name."""
     started_from: str | None = None
     """Policy that the training starts from: pretrained:NAME, folder of a run, or checkpoint. Default: a new policy."""
 
@@ -424,6 +427,20 @@ def training_config(algo: str, **settings: Any) -> TrainingConfig:
     if algo not in ALGORITHMS:
         raise ValueError(f"algo must be one of {sorted(ALGORITHMS)}, got {algo!r}")
     return with_settings(default_config(algo, settings.get("backend", "warp")), **settings)
+
+
+def task_config(name: str, learner: str | None = None, **settings: Any) -> TrainingConfig:
+    """Settings of a learner of a task, by default of its first one, with other settings by their names alone.
+
+    Raises a ``ValueError`` for an unknown task, learner or setting.
+    """
+    task = get_task(name)
+    if learner is not None and learner not in task.learners:
+        raise ValueError(f"task {name} has the learners {[*task.learners]}, got {learner!r}")
+    given = {"observation": task.observation, **task.learners[learner or next(iter(task.learners))]}
+    config = default_config(given.pop("algo", PPOConfig.name), task.env.backend)
+    env = replace(task.env, num_envs=config.num_envs, seed=config.seed)
+    return with_settings(replace(config, env=env), task_name=name, **given | settings)
 
 
 def with_settings(config: TrainingConfig, **settings: Any) -> TrainingConfig:

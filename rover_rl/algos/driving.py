@@ -24,6 +24,7 @@ from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
+from rover_rl.envs.terminations import TOLD
 
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",
@@ -62,8 +63,15 @@ class Step(NamedTuple):
 
 
 def ending_of(observation: TensorDictBase) -> str:
-    """Ending of an episode by the observation of one rover, ``[]`` or ``[1]``, after its last step."""
-    return ENDINGS[StepEvent(int(observation["outcome", "phase"]))] if observation["terminated"] else TIME_LIMIT
+    """Ending of an episode by the observation of one rover, ``[]`` or ``[1]``, after its last step.
+
+    Those of one's own are called as the termination, without ``_``.
+    """
+    if not observation["terminated"]:
+        return TIME_LIMIT
+    if (ending := ENDINGS.get(StepEvent(int(observation["outcome", "phase"])))) is not None:
+        return ending
+    return next(name.replace("_", " ") for name, ended in observation[TOLD].items() if ended)
 
 
 def rovers_in(env: EnvBase) -> RoverEnv:

@@ -7,7 +7,7 @@ from functools import partial
 from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import EnvConfig
+    from rover_rl.tasks.task import Task
 
+_OF_TASK = "The name of a task before them (rover-rl tasks) judges them in its test."
 EXACT = "exact"
 """Name of exact sensors beside those of imperfections."""
 
@@ -48,7 +50,7 @@ class Evaluate:
 
     policies: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="POLICY ...", help=f"{SEVERAL_POLICIES} Also drive logs ({LOG})."),
+        tyro.conf.arg(metavar="[TASK] POLICY ...", help=f"{SEVERAL_POLICIES} Also drive logs ({LOG}). {_OF_TASK}"),
     ]
     world: tuple[str, ...] = ()
     """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.
@@ -90,8 +92,30 @@ class Evaluate:
     opens offline (needs the extra view)."""
     force: bool = False
     """Write over files that rover-rl did not make."""
+    task: tyro.conf.Suppress[Any] = None
+    """Task whose test it is."""
 
     def __call__(self) -> int:
+        from rover_rl.algos.evaluation.tasks import split_task
+
+        task, policies = split_task(self.policies)
+        return self._evaluate() if task is None else self._of_task(task, policies)._evaluate()
+
+    def _of_task(self, task: Task, policies: tuple[str, ...]) -> Evaluate:
+        """Returns the command for the test of a task, whose settings are the defaults of the options."""
+        if self.environment.env is not None:
+            raise ValueError(f"--env is another environment than that of the task {task.name}: give one of them")
+        worlds = (task.test_world,) if isinstance(task.test_world, str) else task.test_world
+        return replace(
+            self,
+            task=task,
+            policies=policies,
+            world=self.world or worlds,
+            count=self.count or task.episodes,
+            seconds=self.seconds or task.seconds,
+        )
+
+    def _evaluate(self) -> int:
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all
         from rover_rl.algos.evaluation.plots import draw_paths
@@ -111,7 +135,8 @@ class Evaluate:
         words = [word for word in self.policies if not word.endswith(LOG)]
         if self.html is not None and not words:
             raise ValueError(f"--html shows drives of policies; of a log: rover-rl film LOG{LOG} --html {self.html}")
-        policies = resolve_policies(words, self.world, self.environment.given_robot) if words else []
+        robot = self.environment.given_robot or (self.task and self.task.test_env.robot)
+        policies = resolve_policies(words, self.world, robot) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
@@ -176,7 +201,9 @@ class Evaluate:
         return [*names] or [None]
 
     def _env(self, policy: Policy | None, backend: str | None, imperfection: str = "") -> EnvConfig:
-        env = self.environment.description(policy, backend)
+        from rover_rl.algos.evaluation.tasks import test_env
+
+        env = self.environment.description(policy, backend, self.task and test_env(self.task, policy))
         env = imperfect(env, imperfection) if imperfection else env
         return env if self.agents is None else replace(env, agents=self.agents)
 

@@ -56,15 +56,16 @@ class EnvOptions:
         """The robot that is named, with its options."""
         return None if self.robot is None else with_options(self.robot, self.robot_options)
 
-    def description(self, policy: Policy | None, backend: str | None) -> EnvConfig:
-        """Returns the environment for a policy, in a backend."""
+    def description(self, policy: Policy | None, backend: str | None, given: EnvConfig | None = None) -> EnvConfig:
+        """Returns the environment for a policy, in a backend: that of ``--env``, else a ``given`` one."""
         from rover_rl.algos.evaluation.evaluate import default_backend, environment_for
 
-        config = environment_for(policy, None if self.env is None else read_env(self.env))
+        given = given if self.env is None else read_env(self.env)
+        config = environment_for(policy, given)
         options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
         changes["robot_options"] = self.robot_options
-        if self.env is None and backend is None:
+        if given is None and backend is None:
             changes["backend"] = default_backend(self.robot or config.robot)
         if self.guard != GuardConfig():
             changes["guard"] = self.guard

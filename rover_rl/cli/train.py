@@ -22,6 +22,7 @@ from rover_rl.algos.config import (
     RunConfig,
     TrainingConfig,
     default_config,
+    task_config,
     with_settings,
 )
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
@@ -45,6 +46,7 @@ INTERRUPTED = 130
 class RunOptions(RunConfig):
     """Settings of the run, with the policy that it starts from as --from."""
 
+    task_name: tyro.conf.Suppress[str | None] = None
     started_from: Annotated[str | None, tyro.conf.arg(name="from")] = None
     """Policy to train further, in a new run: pretrained:NAME, folder of a run, or checkpoint. Other options override
     the settings of its training (docs/training.md#fine-tuning)."""
@@ -58,6 +60,11 @@ class Train:
     checkpoint and ends the run; --resume continues it.
     """
 
+    task: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="TASK")] = None
+    """Task to learn: a name (rover-rl tasks lists them), or module:attribute. Its settings are the defaults of all
+    options. Name it first."""
+    learner: str | None = None
+    """Learner of the task whose settings are the defaults, such as ppo, ppo-gru or sac. Default: the task's first."""
     algo: Literal["ppo", "sac"] = "ppo"
     """Learning algorithm. --algo sac --help shows the options of SAC."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
@@ -82,6 +89,8 @@ class Train:
     network: Annotated[NetworkConfig, FLAT] = field(default_factory=NetworkConfig)
     collection: Annotated[CollectionConfig, FLAT] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, FLAT] = field(default_factory=PPOConfig)
+    first_word: tyro.conf.Suppress[str | None] = None
+    """Task whose settings are the defaults."""
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 
@@ -95,6 +104,8 @@ class Train:
 
     def __call__(self) -> int:
         config = self.config
+        if self.task != self.first_word:
+            raise ValueError(f"name the task before the options: rover-rl train {self.task} ...")
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
         if self.seeds and self.resume is not None:
@@ -106,7 +117,8 @@ class Train:
                 print(f"Page: {page.address}, in some seconds", flush=True)
             if self.seeds:
                 return self._train_seeds(config, page)
-            return train_one(config, self.resume, "To evaluate it: rover-rl evaluate {}", page)
+            of_task = f"{self.run.task_name} " if self.run.task_name else ""
+            return train_one(config, self.resume, f"To evaluate it: rover-rl evaluate {of_task}{{}}", page)
 
     def _train_seeds(self, config: TrainingConfig, page: TrainingPage | None) -> int:
         """Trains a policy for each seed. A run that diverges does not keep the others from being trained."""
@@ -149,9 +161,12 @@ def train_one(
 def train_defaults(args: Sequence[str]) -> Train:
     """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run."""
     given = _early_options(args)
-    if sum(source is not None for source in (given.config, given.resume, given.source)) > 1:
-        raise ValueError("--config and --from start a new run, and --resume continues one: give one of them")
-    config = _starting_settings(given)
+    task = args[1] if args[:1] == ["train"] and len(args) > 1 and not args[1].startswith("-") else None
+    if sum(source is not None for source in (task, given.config, given.resume, given.source)) > 1:
+        raise ValueError("a task, --config and --from start a new run, and --resume continues one: give one of them")
+    if given.learner is not None and task is None:
+        raise ValueError("--learner is one of those of a task: rover-rl train TASK --learner NAME")
+    config = _starting_settings(given) if task is None else task_config(task, given.learner)
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
     if given.randomize is not None:
@@ -161,7 +176,8 @@ def train_defaults(args: Sequence[str]) -> Train:
     if settings is not None:
         parts["env"] = replace(config.env, backend=name_of(settings))
     # tyro makes options of the fields that the default has: those of the algorithm.
-    return Train(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
+    named = {"task": task, "first_word": task, "learner": given.learner}
+    return Train(algo=config.algo, backend_settings=settings, **named, **parts)  # type: ignore[arg-type]
 
 
 def _imperfection(names: Sequence[str]) -> str:
@@ -172,7 +188,7 @@ def _imperfection(names: Sequence[str]) -> str:
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for option in ("--algo", "--config", "--resume", "--backend", "--total-steps"):
+    for option in ("--algo", "--learner", "--config", "--resume", "--backend", "--total-steps"):
         parser.add_argument(option, nargs="?")
     parser.add_argument("--from", dest="source", nargs="?")
     parser.add_argument("--world", nargs="*")

@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, 
 import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive, check_seed
+from rover_rl.envs.parts import ACTIONS, HEADING, TASKS
+from rover_rl.names import Name
 from rover_rl.plain import from_plain, take_numbers, to_plain
 from rover_rl.registry import perhaps
 from rover_rl.robots import names_several
@@ -42,11 +44,13 @@ if TYPE_CHECKING:
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = Any
     SensorLike: TypeAlias = Any
+    TerminationLike: TypeAlias = Any
+    EventLike: TypeAlias = Any
     RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
     WorldLike = RewardLike = RobotLike = str | tuple[str, ...]
-    BackendLike = SensorLike = str
+    BackendLike = SensorLike = TerminationLike = EventLike = str
     # The options --robot.drive and so on, beside --robot.
     RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
@@ -139,8 +143,12 @@ class PoseConfig(Settings):
 
 @dataclass(frozen=True)
 class ActionConfig(Settings):
-    """Bounds of the action. Actions outside of them are clipped."""
+    """Action of a policy, and its bounds. Actions outside of them are clipped."""
 
+    kind: Annotated[str, tyro.conf.arg(name="")] = HEADING
+    """Action: heading (speed and heading offset, as in the contract), twist (speed and yaw rate), wheels (speeds of the
+    left and right wheels), residual (what to add to the action of a driver who follows the route on what has been
+    seen), or module:attribute of an Action."""
     min_speed: float | None = None
     """Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive."""
     max_speed: float | None = None
@@ -149,7 +157,10 @@ class ActionConfig(Settings):
     """Maximum absolute heading offset, rad. It is at most that at which the robot turns as fast as it can."""
     max_sideways: float = 0.0
     """Maximum absolute speed to the left, m/s, of a drive that moves sideways. 0 leaves it out of the action."""
+    max_yaw_rate: float | None = None
+    """Maximum absolute yaw rate, rad/s, of an action that has one, as twist. Default: that of the robot's drive."""
 
+    positive = ("max_yaw_rate",)
     not_negative = ("max_sideways",)
 
     def __post_init__(self) -> None:
@@ -171,9 +182,12 @@ class ActionConfig(Settings):
         robots = get_robots(robot)
         most = max(robot.drive.max_speed for robot in robots)
         low, high = -most if self.min_speed is None else self.min_speed, self.max_speed
-        turn = max(robot.drive.fastest_turn(robot.wheels) for robot in robots)
-        turn = min(self.max_turn, turn / gain) if gain > 0 else self.max_turn
-        return replace(self, min_speed=low, max_speed=most if high is None else high, max_turn=turn)
+        fastest = max(robot.drive.fastest_turn(robot.wheels) for robot in robots)
+        turn = min(self.max_turn, fastest / gain) if gain > 0 else self.max_turn
+        bounds = replace(self, min_speed=low, max_speed=most if high is None else high, max_turn=turn)
+        return (
+            bounds if self.kind == HEADING else replace(bounds, max_yaw_rate=min(fastest, self.max_yaw_rate or fastest))
+        )
 
 
 @dataclass(frozen=True)
@@ -453,9 +467,12 @@ class EnvConfig(Settings):
     heights, contact, effort, route, movers, robot, or module:attribute of a Sensor, or of a function or class
     that makes one. A name can have settings: "depth(size=(24, 32))". Name the entries in --observation, too."""
     action: ActionConfig = field(default_factory=ActionConfig)
-    """Bounds of the action."""
+    """Action of a policy, and its bounds."""
     task: TaskConfig = field(default_factory=TaskConfig)
     """Thresholds of the task."""
+    terminate: tuple[TerminationLike, ...] = ()
+    """What ends an episode beside the contract's events, whose thresholds are those of task: no_progress, or
+    module:attribute of a Termination. A name can have settings: "no_progress(seconds=10)"."""
     reward: RewardLike = "contract"
     """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns components.
     Several rewards are added up: "contract my_package:TiltPenalty"."""
@@ -469,6 +486,9 @@ class EnvConfig(Settings):
     """Emergency brake."""
     randomization: Randomization = field(default_factory=Randomization)
     """Domain randomization."""
+    events: tuple[EventLike, ...] = ()
+    """What befalls rovers in simulation beside the randomization: power_dips, or module:attribute of an Event. A name
+    can have settings: "power_dips(rate=0.2)"."""
     compensate_delay: bool = False
     """Carry late pose, heading and velocities on to now, by the commands sent since and the limits of the drive. Late
     scans then tell where they were taken from there."""
@@ -510,6 +530,8 @@ class EnvConfig(Settings):
         if self.seed is not None:
             take("seed", check_seed(self.seed))
         take("device", None if self.device is None else str(self.device))
+        if isinstance(self.action, str):
+            take("action", ActionConfig(kind=self.action))
         super().__post_init__()
         for name, kind in PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
@@ -527,7 +549,10 @@ class EnvConfig(Settings):
             take("reward", "contract")
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
-        for name in ("world", "robot", "reward", "sensors"):
+        for name in ("terminate", "events"):
+            if not isinstance(value := getattr(self, name), (list, tuple)):
+                take(name, (value,))
+        for name in ("world", "robot", "reward", "sensors", "terminate", "events"):
             if isinstance(value := getattr(self, name), list):
                 take(name, tuple(value))
 
@@ -535,8 +560,8 @@ class EnvConfig(Settings):
     def of(cls, *args: Any, **settings: Any) -> EnvConfig:
         """Creates a description from an ``EnvConfig``, from settings, or from the contract's arguments.
 
-        ``None`` is the default of a setting. Raises ``TypeError`` if there are arguments besides an ``EnvConfig``, or
-        one is unknown, or given by two names.
+        ``None`` is the default of a setting. The defaults are those of ``task``, if that is the name of a task. Raises
+        ``TypeError`` if there are arguments besides an ``EnvConfig``, or one is unknown, or given by two names.
 
         Example:
             >>> EnvConfig.of(world_n="maze", lidar_points=16) == EnvConfig(world="maze", lidar=LidarConfig(points=16))
@@ -546,6 +571,9 @@ class EnvConfig(Settings):
             if len(args) > 1 or settings:
                 raise TypeError("an EnvConfig is given alone; use dataclasses.replace(config, ...) to change it")
             return args[0]
+        base = cls()
+        if isinstance(settings.get("task"), str):
+            base = TASKS.find(settings.pop("task")).env
         known = [*CONTRACT, *(item.name for item in fields(cls))]
         changes: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}
@@ -561,7 +589,11 @@ class EnvConfig(Settings):
                 parts.setdefault(part, {})[attribute] = value
             elif value is not None or name == "num_envs":
                 changes[part] = value
-        return cls(**changes, **{part: PARTS[part](**values) for part, values in parts.items()})
+        if isinstance(kind := changes.get("action"), str):
+            changes["action"] = replace(base.action, kind=kind)
+        return replace(
+            base, **changes, **{part: replace(getattr(base, part), **values) for part, values in parts.items()}
+        )
 
     @property
     def worlds(self) -> tuple[str | World, ...]:
@@ -591,13 +623,15 @@ class EnvConfig(Settings):
 
     @property
     def own_sensors(self) -> tuple[SensorLike, ...]:
-        """Sensors besides those that every rover has: those of the robot, then :attr:`sensors`."""
-        if self.robot == EnvConfig.robot:
-            # It has none, and the robots need PyTorch.
+        """Sensors besides those of every rover: of the robot, :attr:`sensors`, and what the action needs."""
+        if self.robot == EnvConfig.robot and self.action.kind == HEADING:
+            # They have none, and robots and actions need PyTorch.
             return self.sensors
         from rover_rl.robots import get_robots
 
-        return (*get_robots(self.robot)[0].sensors, *self.sensors)
+        named = (*get_robots(self.robot)[0].sensors, *self.sensors)
+        there = {Name.parse(one).part if isinstance(one, str) else getattr(one, "name", one) for one in named}
+        return (*named, *(one for one in ACTIONS.find(self.action.kind).needs if one not in there))
 
     @property
     def late_scans(self) -> bool:
@@ -688,7 +722,8 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     # These depend on the robot. Of several, one whose limits are tighter bounds what the policy does.
     expected, actual = (config.action if several else config.bounded_action for config in (made_for, env))
-    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", astuple(expected), astuple(actual)
+    names = ", ".join(vars(ActionConfig()))
+    yield f"actions of ({names})", astuple(expected), astuple(actual)
     gains = astuple(made_for.heading_gains), astuple(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 
@@ -721,6 +756,7 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
     Raises ``ValueError`` if the world, robot, reward or a sensor is an object. Only names can be written.
     """
     objects = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
+    objects |= {"terminate": "a Termination", "events": "an Event"}
     for name, kind in objects.items():
         value = getattr(config, name)
         if not all(isinstance(part, str) for part in (value if isinstance(value, tuple) else (value,))):

@@ -56,12 +56,13 @@ class ObservationEncoder(nn.Module):
         self.features = sum(self.sensors[key].features for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     @classmethod
-    def of(cls, config: EnvConfig) -> ObservationEncoder:
-        """Creates the encoder of the default entries of an environment, followed by its own sensors, as named there.
+    def of(cls, config: EnvConfig, keys: Sequence[str] | None = None) -> ObservationEncoder:
+        """Creates the encoder of some entries of an environment: ``keys``, or the default ones and its own sensors.
 
-        It leaves out the pose, and ``scan_pose`` and ``lidar_mask``, which come with randomization, unless named.
+        The default leaves out the pose, and ``scan_pose`` and ``lidar_mask``, which come with randomization, unless
+        they are among its sensors.
         """
-        keys = (*DEFAULT_KEYS, *own_sensors(config.own_sensors))
+        keys = (*DEFAULT_KEYS, *own_sensors(config.own_sensors)) if keys is None else keys
         return cls(keys, config.lidar.points, sensors=config.own_sensors)
 
     def forward(self, *observation: Tensor) -> Tensor:

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
+from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.parts import TASKS
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.wrappers.numpy_batch import Mask, NumpyBatch, Observation, Step, base_env, pop_options, row_of
 from rover_rl.rotations import quaternion_to_euler
@@ -230,7 +232,7 @@ class RoverEnv(GymWrapper):
     """Drop-in replacement for the original environment: same positional arguments, methods and attributes.
 
     It takes the contract's ten arguments, settings of :class:`rover_rl.RoverEnv` except ``num_envs``, and options of
-    :class:`GymWrapper`.
+    :class:`GymWrapper`. ``task="mazes"`` takes the settings of a task, which others override.
 
     Example:
         >>> env = RoverEnv(world_n="maze", length=500)
@@ -242,8 +244,8 @@ class RoverEnv(GymWrapper):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         if "num_envs" in kwargs:
             raise TypeError("this class is for one rover and takes no num_envs; use GymVectorWrapper for a batch")
-        options = pop_options(kwargs)
-        super().__init__(BatchedRoverEnv(*args, **kwargs), **options)
+        rovers, options = _rovers_and_options(args, kwargs)
+        super().__init__(rovers, **options)
 
 
 class GymVectorWrapper(VectorEnv[Any, Any, Any]):
@@ -363,8 +365,19 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
     ``disable_env_checker``, which has no effect on a batch.
     """
     kwargs.pop("disable_env_checker", None)
-    options, mode = pop_options(kwargs), kwargs.pop("autoreset_mode", AutoresetMode.NEXT_STEP)
-    return GymVectorWrapper(BatchedRoverEnv(num_envs=num_envs, **kwargs), autoreset_mode=mode, **options)
+    mode = kwargs.pop("autoreset_mode", AutoresetMode.NEXT_STEP)
+    rovers, options = _rovers_and_options((), {"num_envs": num_envs, **kwargs})
+    return GymVectorWrapper(rovers, autoreset_mode=mode, **options)
+
+
+def _rovers_and_options(args: Sequence[Any], settings: dict[str, Any]) -> tuple[BatchedRoverEnv, dict[str, Any]]:
+    """Makes rovers by settings, with the options of a wrapper among them: those of a task are the defaults."""
+    options = pop_options(settings)
+    if isinstance(task := settings.get("task"), str):
+        options.setdefault("observation", TASKS.find(task).observation)
+    config = EnvConfig.of(*args, **settings)
+    options.setdefault("reward", config.reward)
+    return BatchedRoverEnv(config), options
 
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:

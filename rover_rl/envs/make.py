@@ -1,19 +1,21 @@
-"""``make_env``: builds a :class:`RoverEnv` with a reward."""
+"""``make_env``: builds a :class:`RoverEnv` with its action, terminations and reward."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from rover_rl.envs.config import EnvConfig, RewardLike, env_signature
+from rover_rl.envs.actions import action_transforms, find_action
+from rover_rl.envs.config import EnvConfig, env_signature
+from rover_rl.envs.events import events
 from rover_rl.envs.rewards import TotalReward, reward_components
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.terminations import terminations
 
 
 class RewardedEnv(TransformedEnv):
-    """:class:`RoverEnv` with a reward, as returned by :func:`make_env`. Its ``config`` includes the reward.
+    """:class:`RoverEnv` with action, terminations and reward, as :func:`make_env` returns it, and its ``config``.
 
     ``TransformedEnv(env, transform)`` nests around it as around any base environment. TorchRL merges nested
     ``TransformedEnv`` objects but not their subclasses, so ``transform[0]`` is the first transform that the user added.
@@ -26,10 +28,11 @@ class RewardedEnv(TransformedEnv):
 
 
 def make_env(*args: Any, **settings: Any) -> EnvBase:
-    """Creates a :class:`RoverEnv` with a reward, by default the contract's.
+    """Creates a :class:`RoverEnv` with action, terminations and reward, by default the contract's.
 
     It takes an :class:`~rover_rl.envs.config.EnvConfig`, or its settings and arguments of the contract:
-    ``lidar=LidarConfig(points=16)`` or ``lidar_points=16``. The ``reward`` is ``"contract"``; ``"task"`` (1 per goal);
+    ``lidar=LidarConfig(points=16)`` or ``lidar_points=16``. ``task="mazes"`` takes the settings of a task
+    (``rover-rl tasks``), which other settings override. The ``reward`` is ``"contract"``; ``"task"`` (1 per goal);
     name or ``"module:attribute"`` of your own reward; a :class:`~rover_rl.envs.config.RewardConfig`; a
     :class:`~rover_rl.envs.rewards.RewardComponent`; or a sequence of these: ``[*contract_reward(), TiltPenalty()]``.
     An unknown reward raises ``ValueError``.
@@ -40,20 +43,32 @@ def make_env(*args: Any, **settings: Any) -> EnvBase:
         torch.Size([4, 5, 1])
     """
     config = EnvConfig.of(*args, **settings)
-    # Raises an error for an unknown reward before the simulator is built.
-    reward_components(config.reward, config.contract_reward)
-    return add_reward(RoverEnv(config), config.reward, config)
+    check_terms(config)
+    return add_terms(RoverEnv(config), config)
 
 
 make_env.__signature__ = env_signature()  # type: ignore[attr-defined]
 
 
-def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:
-    """Adds a reward to a :class:`RoverEnv`: that of ``config``, which describes the result, or ``reward``."""
-    config = config or replace(env.config, reward=reward)
-    components = reward_components(config.reward, config.contract_reward)
-    if not components:
+def check_terms(config: EnvConfig) -> None:
+    """Raises an error for an unknown action, termination, event or reward, before a simulator is built."""
+    find_action(config.action.kind)
+    terminations(config.terminate)
+    events(config.events)
+    reward_components(config.reward, config.contract_reward)
+
+
+def add_terms(env: RoverEnv, config: EnvConfig | None = None) -> EnvBase:
+    """Adds action, terminations and reward to a :class:`RoverEnv` as transforms, in this order.
+
+    They are those of ``config``, which describes the result, by default those of the environment, whose reward is the
+    bare task's.
+    """
+    config = config or env.config
+    rewards = reward_components(config.reward, config.contract_reward)
+    transforms = [*action_transforms(config, env.fleet), *terminations(config.terminate), *rewards]
+    if not transforms:
         return env
-    rewarded = RewardedEnv(env, Compose(*components, TotalReward()))
+    rewarded = RewardedEnv(env, Compose(*transforms, *([TotalReward()] if rewards else [])))
     rewarded.config = config
     return rewarded

@@ -172,7 +172,7 @@ class ActionRatePenalty(ConfiguredComponent):
     The value is ``action_rate_penalty * |a_t - a_(t-1)|^2`` in every step but the first of an episode, with actions in
     m/s and rad, and the change of the heading offset wrapped to (-pi, pi] (N. Rudin, D. Hoeller, P. Reist, M. Hutter,
     "Learning to walk in minutes using massively parallel deep reinforcement learning", CoRL 2021, arXiv:2109.11978).
-    The transform adds ``last_action``, the action of the last step, ``[N, 2]``, 0 after a reset. An action that
+    The transform adds ``last_action``, the action of the last step, ``[N, A]``, 0 after a reset. An action that
     :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` repeats changes once.
     """
 
@@ -186,18 +186,21 @@ class ActionRatePenalty(ConfiguredComponent):
         # On a GPU, an action that is not finite ends the episode without an error.
         action = torch.nan_to_num(tensordict.get("action"))
         last = tensordict.get(_LAST_ACTION, action)
-        speed, heading = (action - last).split(1, -1)
-        self._change = torch.cat((speed, wrap_angle(heading)), -1)
+        self._change = action - last
+        if "command" not in tensordict:
+            # The contract's action, whose second number is a heading.
+            speed, heading, *sideways = self._change.split(1, -1)
+            self._change = torch.cat((speed, wrap_angle(heading), *sideways), -1)
         moved = next_tensordict.get(("outcome", "phase")) != StepEvent.NONE
         next_tensordict.set(_LAST_ACTION, torch.where(moved, action, last))
         return super()._step(tensordict, next_tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(_LAST_ACTION, torch.zeros_like(tensordict_reset.get("velocities")))
+        return tensordict_reset.set(_LAST_ACTION, self.parent.full_action_spec["action"].zero())
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        batch_size, device = self.parent.batch_size, self.parent.device
-        observation_spec[_LAST_ACTION] = Unbounded(shape=(*batch_size, 2), device=device)
+        spec = self.parent.full_action_spec["action"]
+        observation_spec[_LAST_ACTION] = Unbounded(shape=spec.shape, device=spec.device)
         return observation_spec
 
 

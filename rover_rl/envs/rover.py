@@ -15,7 +15,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts
-from rover_rl.envs import placement, privileged, rows, specs, stages, task
+from rover_rl.envs import actions, placement, privileged, rows, specs, stages, task
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
@@ -127,7 +127,7 @@ class RoverEnv(EnvBase):
 
     def _make_specs(self) -> None:
         config, batch_size, device = self.config, self.batch_size, self.device
-        action = specs.action_bounds(config.bounded_action)
+        action = actions.Heading.bounds(config.bounded_action)
         nested = {"outcome": specs.outcome_spec(batch_size, device, len(self.pool) > 1, self._simulation.has_movers)}
         if config.privileged:
             nested["privileged"] = specs.vectors_spec(privileged.FEATURES, batch_size, device)
@@ -137,6 +137,9 @@ class RoverEnv(EnvBase):
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
+        self._command_clip = tuple(
+            torch.full_like(end, side) for end, side in zip(self._action_clip, (-torch.inf, torch.inf), strict=True)
+        )
         setup = base.SensorSetup(self.fleet, config.lidar, self.control_dt, config.randomization)
         self.observer = base.Observer(self.sensors, setup)
 
@@ -216,6 +219,10 @@ class RoverEnv(EnvBase):
         self._require_started("step")
         active = tensordict.get("_step", None)
         active = None if active is None else active.reshape(self.num_envs, 1)
+        if (command := tensordict.get("command", None)) is not None:
+            # Another action than the contract's has turned into it: see rover_rl.envs.actions.
+            command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
+            return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
         action, invalid = stages.checked_action(tensordict.get("action"), self.batch_size, self._action_clip)
         # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
         sensed = self._state.sensed

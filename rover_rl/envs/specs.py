@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
-from rover_rl.envs.config import ActionConfig, EnvConfig
 from rover_rl.envs.task import EVENTS, StepEvent
 
 Device: TypeAlias = torch.device | str | None
@@ -25,24 +24,6 @@ class Bounds:
 
     def tensors(self, device: Device) -> tuple[Tensor, Tensor]:
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
-
-
-def action_bounds(action: ActionConfig) -> Bounds:
-    """Returns the bounds of forward speed (m/s), heading offset (rad) and, if there is one, speed to the left (m/s).
-
-    Where ``action`` states no speed, it is that of the default robot: see ``EnvConfig.bounded_action`` for others.
-    """
-    if action.min_speed is None or action.max_speed is None:
-        action = action.for_robot(EnvConfig.robot)
-    assert action.min_speed is not None
-    assert action.max_speed is not None
-    sideways = (action.max_sideways,) if action.max_sideways else ()
-    low = (action.min_speed, -action.max_turn, *(-side for side in sideways))
-    return Bounds(low, (action.max_speed, action.max_turn, *sideways))
-
-
-ACTION = action_bounds(ActionConfig())
-"""Bounds of the contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: Device) -> Bounded:

@@ -20,12 +20,13 @@ from PIL import Image
 from torch import Tensor
 
 from rover_rl.algos.video.film import write_film
+from rover_rl.envs.actions import find_action
+from rover_rl.envs.config import ActionConfig
 
 HOLD_RATE = 20.0  # messages of a held button, 1/s
 TIMEOUT = 0.2  # time after the last message of a button from which on it counts as released, s
 DIRECTIONS = {"▲": (1.0, 0.0), "◀": (0.0, 1.0), "▼": (-1.0, 0.0), "▶": (0.0, -1.0)}
 """Buttons, and the shares of the top speed forward and of the largest turn to the left that they command."""
-TURN = math.radians(60)  # offset of the heading that a turn commands, rad
 SIZE = (540, 960)  # height and width of pictures and films, pixels
 RATE = 15  # frames per second of a film
 LONGEST = 120.0  # duration of a film at most, s
@@ -71,14 +72,12 @@ class Pilot:
         speed, turn = (sum(part) for part in zip((0.0, 0.0), *held, strict=True))
         return max(-1.0, min(1.0, speed)), max(-1.0, min(1.0, turn))
 
-    def steered(self, action: Tensor, row: int, max_speed: float) -> Tensor:
-        """The actions ``[N, k]``, of which that of ``row`` is the person's if one has taken over."""
+    def steered(self, action: Tensor, row: int, limits: ActionConfig) -> Tensor:
+        """The actions ``[N, A]``, of which that of ``row`` is the person's if one has taken over."""
         if not self.active:
             return action
-        speed, turn = self.command()
         steered = action.clone()
-        steered[row] = 0.0
-        steered[row, 0], steered[row, 1] = speed * max_speed, turn * TURN
+        steered[row] = action.new_tensor(find_action(limits.kind).by_hand(limits, *self.command()))
         return steered
 
 

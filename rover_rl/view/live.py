@@ -14,7 +14,6 @@ from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.specs import action_bounds
 from rover_rl.view.controls import Pilot
 from rover_rl.view.page import HOST, PORT, Page
 from rover_rl.view.stage import Stage
@@ -94,9 +93,9 @@ class _StoppableRunner(PolicyRunner):
 
     def __init__(self, policy: Policy, env: RoverEnv, page: LivePage) -> None:
         super().__init__(policy, env=env)
-        self._page, self._max_speed = page, action_bounds(env.config.bounded_action).high[0]
+        self._page, self._limits = page, env.config.bounded_action
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
         action = super().__call__(observation, due)
         self._page.check()
-        return self._page.pilot.steered(action, 0, self._max_speed)
+        return self._page.pilot.steered(action, 0, self._limits)

@@ -30,7 +30,6 @@ from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.train.live import INTERVAL
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
-from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import ROBOTS
 from rover_rl.view.controls import Pilot, Recorder
 from rover_rl.view.page import HOST, PORT, Page, check_address
@@ -299,7 +298,7 @@ class Viewer(Page):
     def _step(self) -> None:
         session, row = self.session, self.session.row
         by_hand = row if self.pilot.active else None
-        action = self.pilot.steered(session.decide(), row, action_bounds(session.config.bounded_action).high[0])
+        action = self.pilot.steered(session.decide(), row, session.config.bounded_action)
         self._before = self._now
         session.advance(action, by_hand)
         self._now = Pose.of(session.rovers.rover_state)

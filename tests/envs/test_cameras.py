@@ -12,7 +12,15 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
-from rover_rl.algos.policy.networks import UNITS, ImageFeatures, make_action_critic, make_actor, make_critic, mirrored
+from rover_rl.algos.policy.networks import (
+    UNITS,
+    ImageFeatures,
+    make_action_critic,
+    make_actor,
+    make_critic,
+    mirrored,
+    mirrors_of,
+)
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.cameras import DepthCamera, Lidar3D, Seen, SegmentationCamera
 from rover_rl.envs.sensors.heights import HeightScan
@@ -210,6 +218,7 @@ def test_networks_read_images_with_convolutions():
     td["features"] = encoder(*(td[key] for key in keys))
     assert make_action_critic(encoder, (16,))(td)["state_action_value"].shape == (3, 2, 1)
     every = torch.ones(3, 2, dtype=torch.bool)
-    back = mirrored(mirrored(td, every, encoder.sensors), every, encoder.sensors)
+    mirrors = mirrors_of(encoder.sensors)
+    back = mirrored(mirrored(td, every, mirrors), every, mirrors)
     assert back["heights"].equal(td["heights"])
     assert back["depth"].equal(td["depth"])

@@ -31,8 +31,8 @@ from rover_rl.algos.evaluation.report import Column, cell, print_tables, write_r
 from rover_rl.algos.evaluation.results import Evaluation, plain_env_or_none, plain_estimates
 from rover_rl.algos.evaluation.trajectory import Trajectory, is_touching
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
+from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.specs import action_bounds
 from rover_rl.files import MADE_BY, write_json
 from rover_rl.robots import Robot, get_robot
 from rover_rl.worlds import Solids, Terrain, World

@@ -25,6 +25,7 @@ from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR, Dri
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs.config import EnvConfig, require_match
+from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
@@ -100,20 +101,20 @@ def drive_to(
     rover = env.simulator
     if not isinstance(rover, Ros2Simulator):
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
-    drive = Drive(env, policy)
+    drive = Drive(add_terms(env), policy)
     _require_rover(rover, env, drive.runner, allow_unseen)
     ending, elapsed = "", 0.0
     try:
         with torch.no_grad():
             PolicyRunner(drive.runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
         # The memory of the runner is kept from goal to goal.
-        drive.observation = env.reset(goal=torch.tensor([goal]))
+        drive.observation = drive.env.reset(goal=torch.tensor([goal]))
         if log is not None:
             log.begin(env.rover_state, env.scan, goal)
         first = env.rover_state.stamp
         while drive.observation["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
             watch(_moment(rover, drive.observation, 0.0))
-            drive.observation = env.reset(goal=env.goal)
+            drive.observation = drive.env.reset(goal=env.goal)
         while not ending:
             before = env.rover_state
             # Maps and tracks have been read at the same times.

@@ -29,6 +29,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, default_action_repeat, sensors_for
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs.config import EnvConfig, RobotLike, require_match
+from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import first_of_group
 from rover_rl.progress import ProgressDisplay
@@ -44,7 +45,18 @@ several worlds, each episode of a part has a rover, as rovers stay in their worl
 BATCHED_PER_PART = 128  # EPISODES_PER_PART of several worlds in Warp, which steps many rovers almost as fast as few
 SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
-_KEPT = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits", "control_rate", "compensate_delay")
+_KEPT = (
+    "robot",
+    "lidar",
+    "sensors",
+    "action",
+    "task",
+    "terminate",
+    "heading_gains",
+    "limits",
+    "control_rate",
+    "compensate_delay",
+)
 """Settings of the environment that a policy was made for, which it is evaluated with by default."""
 
 
@@ -113,8 +125,9 @@ def evaluate(
         rovers.length = length
         schedule.enter(rovers, first_of_group(episode_keys(row_keys(seed, len(part), rovers.goal.device), 1), agents))
         recorder = _Recorder(len(part), rovers, track_movers)
-        steps = drives(rovers, policy or RandomPolicy(part.seed), schedule, action_repeat=repeat, min_rows=_MIN_ROWS)
-        with closing(rovers), ProgressDisplay(name) as display, single_threaded():
+        env = add_terms(rovers)
+        steps = drives(env, policy or RandomPolicy(part.seed), schedule, action_repeat=repeat, min_rows=_MIN_ROWS)
+        with closing(env), ProgressDisplay(name) as display, single_threaded():
             for step in steps:
                 recorder.add(rovers, step, schedule.number)
                 if watch is not None:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.algos.driving import EARLY_ENDINGS, TIME_LIMIT
+from rover_rl.algos.driving import CONTACT, EARLY_ENDINGS, ENDINGS, TIME_LIMIT
 from rover_rl.algos.evaluation.trajectory import Trajectory, count_runs
 from rover_rl.envs.rewards import STANDSTILL
 
@@ -180,6 +180,10 @@ def _ended(*endings: str) -> Callable[[Row], bool]:
     return lambda row: row["ending"] in endings
 
 
+def _ended_by_own(row: Row) -> bool:
+    return row["ending"] not in (*ENDINGS.values(), *EARLY_ENDINGS, CONTACT, TIME_LIMIT)
+
+
 _of_goals, _of_movers = partial(Metric, of="goal"), partial(Metric, of="movers")
 _endless = partial(Metric, of="endless", default=True)
 _TIME, _LEAST = "mean time to a reached goal", "mean of the least distance to a mover"
@@ -212,6 +216,9 @@ METRICS = {
         ENDING + kind.replace(" ", "_"): Metric(kind, "%", "", _ended(kind), default=True)
         for kind in (TIME_LIMIT, *EARLY_ENDINGS)
     },
+    ENDING + "own": Metric(
+        "own end", "%", "episodes that end by a termination of one's own", _ended_by_own, default=True
+    ),
     # [TR] A failure contributes its time and no length, since SPL does not credit partial progress either.
     "traverse_rate": _of_goals("traverse rate", "m/s", _TRAVERSE, "success_shortest", "seconds"),
     "episode_seconds": _endless("duration", "s", "mean duration of an episode", "seconds", default=False),

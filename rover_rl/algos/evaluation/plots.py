@@ -92,7 +92,8 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
     figure.colorbar(_SPEED, ax=axes, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
     driven = [trajectory for _, evaluation in panels for trajectory in evaluation.trajectories]
     endings = {trajectory.ending for trajectory in driven}
-    marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
+    ends = {f"end: {kind}": style for kind, style in _end_styles(endings).items() if kind in endings}
+    marks = {"start": _START, "goal": _GOAL, **ends}
     handles: list[Artist] = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
     if any(trajectory.movers is not None for trajectory in driven):
         label = f"mover at the end, its last {TRACE:g} s"
@@ -124,9 +125,14 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
     ax.add_collection(LineCollection(lines, colors=colors, linewidths=1.8, capstyle="round", zorder=4))
     ax.scatter(*episodes.goal.T, zorder=5, **_GOAL)
     ax.scatter(*episodes.start[:, :2].T, zorder=6, **_START)
-    for ending, style in _ENDS.items():
+    for ending, style in _end_styles({trajectory.ending for trajectory in driven}).items():
         ends = [trajectory.path[-1].tolist() for trajectory in driven if trajectory.ending == ending]
         ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
+
+
+def _end_styles(endings: set[str]) -> dict[str, dict[str, Any]]:
+    """Styles of the marks of endings, with those of one's own."""
+    return _ENDS | {ending: {"marker": "p", **_EARLY} for ending in sorted(endings - {*_ENDS})}
 
 
 def _draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: bool) -> None:

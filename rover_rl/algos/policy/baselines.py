@@ -16,8 +16,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.arcs import drive_to, hit_points
+from rover_rl.envs.actions import ACTION
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.robots import Robot, get_robot
 from rover_rl.robots.built_in import ROVER_ZERO

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -20,13 +20,15 @@ from torchrl.modules.distributions.continuous import SafeTanhTransform
 from rover_rl.algos.config import MemoryKind, TrainingConfig
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
+from rover_rl.envs.actions import Heading, action_bounds, find_action
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.parts import HEADING
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.base import Sensor, mirrored_signs
 from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
-from rover_rl.envs.specs import action_bounds, bounded_spec
+from rover_rl.envs.specs import bounded_spec
 from rover_rl.robots import get_robot
 from rover_rl.tensordicts import with_torch_defaults
 
@@ -348,25 +350,34 @@ def mirrored_map(local_map: Tensor) -> Tensor:
     return local_map.unflatten(-1, (len(MAP_DISTANCES), MAP_BEARINGS)).flip(-1).roll(1, -1).flatten(-2)
 
 
-_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
-    "action": lambda action: mirrored_signs((1.0, -1.0, -1.0)[: action.shape[-1]], action),
+Mirrors: TypeAlias = Mapping[NestedKey, Callable[[Tensor], Tensor]]
+"""Functions that return mirror images, by entry. The mirror of the world is the x axis."""
+_MIRROR: Mirrors = {
+    "action": Heading.mirror,
     ("privileged", "position"): partial(mirrored_signs, (1.0, -1.0, 1.0)),
     ("privileged", "attitude"): partial(mirrored_signs, (-1.0, 1.0, -1.0)),
     ("privileged", "velocities"): WheelOdometry().mirror,
     ("privileged", "target"): Target().mirror,
     ("privileged", "local_map"): mirrored_map,
 }
-"""Mirror images of what is no entry of a policy's observation. The mirror of the world is the x axis."""
-_MIRROR[DRIVER] = _MIRROR["action"]
-_SENSORS = policy_sensors(LidarConfig())  # sensors of every rover
+"""Mirror images of what is no entry of a policy's observation."""
 
 
-def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Sensor] | None = None) -> TensorDictBase:
+def mirrors_of(sensors: Mapping[str, Sensor], action: str = HEADING) -> Mirrors:
+    """Returns the mirror images of an observation by its ``sensors``, and of a kind of ``action``."""
+    mirror = find_action(action).mirror
+    return {**_MIRROR, "action": mirror, DRIVER: mirror, **{key: sensor.mirror for key, sensor in sensors.items()}}
+
+
+DEFAULT_MIRRORS = mirrors_of(policy_sensors(LidarConfig()))
+"""Mirror images of what the sensors of every rover tell, and of the contract's action."""
+
+
+def mirrored(transitions: TensorDictBase, rows: Tensor, mirrors: Mirrors = DEFAULT_MIRRORS) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
-    The ``sensors`` of the observation mirror their values. See also :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
+    ``mirrors`` are those of :func:`mirrors_of`. See also :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
     """
-    mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()
     rows = rows[..., None]
     for part in [image, image["next"]] if "next" in image.keys() else [image]:  # noqa: SIM118

@@ -29,11 +29,11 @@ from torch import Tensor
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
 from rover_rl.algos.policy.grid_planner import beams_and_contacts
+from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import HeadingGains, RobotLike
 from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
 from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
-from rover_rl.envs.specs import action_bounds
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import covering_discs
 from rover_rl.robots.turning import estimated_yaw_gain

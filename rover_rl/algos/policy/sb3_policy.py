@@ -60,7 +60,8 @@ class SB3Policy:
             raise ValueError(f"{path} was trained with other actions than those of rover_rl")
         (low, _), (high, turn) = actions.low.tolist(), actions.high.tolist()
         # In float32, pi is a little more than math.pi.
-        action = ActionConfig(low, high, math.pi if math.isclose(turn, math.pi, rel_tol=1e-6) else turn)
+        turn = math.pi if math.isclose(turn, math.pi, rel_tol=1e-6) else turn
+        action = ActionConfig(min_speed=low, max_speed=high, max_turn=turn)
         lidar, self._observe = _observation(space, path)
         self.made_for = EnvConfig(lidar=lidar, action=action)
 

@@ -15,9 +15,9 @@ from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.algos.train.live import LiveRovers
 from rover_rl.algos.workers import usable_cores
+from rover_rl.envs.actions import find_action
 from rover_rl.envs.config import EnvConfig, SensorLike
-from rover_rl.envs.make import add_reward
-from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.sensors.suite import ROUTE, own_sensors, with_sensors
@@ -44,7 +44,7 @@ def make_training_env(
     Those who watch the run in the folder ``watched`` see rovers of the first worker.
     """
     env_config = _worker_env_config(config, worker, session)
-    reward_components(env_config.reward, env_config.contract_reward)
+    check_terms(env_config)
     rovers, settings = RoverEnv(env_config), config.collection
     ends = SpreadEnds(-(-env_config.length // settings.action_repeat))
     transforms: list[Transform] = [ActionRepeat(settings.action_repeat)]
@@ -60,7 +60,7 @@ def make_training_env(
     transforms += memory_transforms(config.network.memory, config.network.memory_size)
     if watched is not None and not worker:
         transforms.append(LiveRovers(rovers, watched))
-    env = add_reward(rovers, env_config.reward, env_config)
+    env = add_terms(rovers, env_config)
     for transform in (*transforms, StepClock(rovers, worker, per_batch)):
         env = env.append_transform(transform)
     return env
@@ -85,8 +85,8 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
 
 
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
-    read = config.network.observation
-    sensors = own_sensors(with_sensors(config.env, read).sensors)
+    read = {*config.network.observation, *find_action(config.env.action.kind).needs}
+    sensors = own_sensors(with_sensors(config.env, [*read]).sensors)
     if isinstance(route := sensors.get(ROUTE), Route):
         sensors[ROUTE] = replace(route, threads=_threads(config))
     for key, sensor in sensors.items():

@@ -24,7 +24,6 @@ from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.envs.sensors.base import Sensor
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.robots import get_robot
 from rover_rl.worlds.pool import WorldPool
@@ -50,7 +49,6 @@ class PPOLearner(Learner):
                 raise ValueError(f"freeze_encoder needs an image in observation, got {network.observation}")
             for images in frozen:
                 images.requires_grad_(False)
-        self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
         self._driver = networks.driver_of(self.actor)
         driven = self.actor if self._driver is None else networks.with_driver(self.actor)
@@ -64,7 +62,8 @@ class PPOLearner(Learner):
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
         self._expert = _make_expert(config) if settings.imitation else None
-        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, encoder.sensors)
+        self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
+        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, self._mirrors)
         inputs = dict.fromkeys((*driven.in_keys, *self.critic.in_keys))
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
 
@@ -115,7 +114,7 @@ class PPOLearner(Learner):
             if settings.mirror_augmentation:
                 rows = torch.rand(len(shuffled), device=device) < 0.5
                 states = {key: state[order] for key, state in starts.items()}
-                shuffled = mirrored_rows(shuffled, rows, states, self._sensors)
+                shuffled = mirrored_rows(shuffled, rows, states, self._mirrors)
             yield from shuffled.split(size)
 
     def _gradient_step(self, decisions: TensorDictBase, terms: list[str], imitating: bool) -> Tensor:
@@ -164,8 +163,8 @@ class MirrorMemory:
     weights with which the batches were collected.
     """
 
-    def __init__(self, actor: ProbabilisticActor, sensors: Mapping[str, Sensor] | None = None) -> None:
-        self._actor, self._keys, self._sensors = actor, state_keys(actor), sensors
+    def __init__(self, actor: ProbabilisticActor, mirrors: networks.Mirrors = networks.DEFAULT_MIRRORS) -> None:
+        self._actor, self._keys, self._mirrors = actor, state_keys(actor), mirrors
         self._last: dict[str, Tensor] = {}
 
     @torch.no_grad()
@@ -183,19 +182,22 @@ class MirrorMemory:
             states[key][:, 0] = torch.where(is_init, 0.0, last)
         every = torch.ones(decisions.batch_size, dtype=torch.bool, device=decisions["is_init"].device)
         with set_recurrent_mode(True):
-            image = self._actor[0](networks.mirrored(decisions, every, self._sensors).update(states))
+            image = self._actor[0](networks.mirrored(decisions, every, self._mirrors).update(states))
         self._last = {key: image["next", key][:, -1] for key in self._keys}
         return states
 
 
 def mirrored_rows(
-    decisions: TensorDictBase, rows: Tensor, starts: dict[str, Tensor], sensors: Mapping[str, Sensor] | None = None
+    decisions: TensorDictBase,
+    rows: Tensor,
+    starts: dict[str, Tensor],
+    mirrors: networks.Mirrors = networks.DEFAULT_MIRRORS,
 ) -> TensorDictBase:
     """Returns decisions ``[N]`` or sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored.
 
     ``starts`` are the states of their memory: see :class:`MirrorMemory`.
     """
-    image = networks.mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), sensors)
+    image = networks.mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), mirrors)
     for key, state in starts.items():
         image[key] = torch.where(rows[:, None, None, None], state, decisions[key])
     return image

@@ -83,7 +83,9 @@ def load_state(path: Path) -> dict[str, Any]:
 
 
 def default_name(config: TrainingConfig) -> str:
-    name = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
+    memory = [] if config.network.memory == "none" else [config.network.memory]
+    named = (config.run.task_name,) if config.run.task_name else config.env.world_names
+    name = "-".join((config.algo, *memory, *named)).replace("*", "all")
     return re.sub(r"[:/\\]+", "-", name)
 
 

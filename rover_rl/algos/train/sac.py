@@ -34,6 +34,7 @@ class SACLearner(Learner):
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
         self._encoder = networks.encoder_of(config)
+        self._mirrors = networks.mirrors_of(self._encoder.sensors, config.env.action.kind)
         spec = networks.action_spec(config.env.bounded_action, device)
         self.actor = networks.actor_of(config, self._encoder, device)
         self._loss = SACLoss(
@@ -70,7 +71,7 @@ class SACLearner(Learner):
     def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool) -> Tensor:
         if self._settings.mirror_augmentation:
             rows = torch.rand(len(decisions), device=self.config.device) < 0.5
-            decisions = networks.mirrored(decisions, rows, self._encoder.sensors)
+            decisions = networks.mirrored(decisions, rows, self._mirrors)
         # Encodes the observations once for all networks.
         for observation in (decisions, decisions["next"]):
             observation["features"] = self._encoder(*(observation[key] for key in self._encoder.keys))

@@ -23,8 +23,7 @@ from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import sensors_for
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.make import add_reward
-from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.progress import ProgressDisplay
 from rover_rl.robots import Robot, get_robot
@@ -140,11 +139,11 @@ def record_endless(
     """Drives in endless mode: a reached goal is followed by a new goal, an ended episode by a new start."""
     config = environment_for(policy, env)
     config = sensors_for(policy, replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed))
-    reward_components(config.reward, config.contract_reward)
+    check_terms(config)
     rovers = RoverEnv(config)
     steps = max(1, round(seconds / rovers.control_dt))
     rovers.length = steps + 1
-    rewarded = add_reward(rovers, config.reward, config)
+    rewarded = add_terms(rovers, config)
     driven: list[TensorDict] = []
     moments: list[Moment] = []
     tally = Tally(rows)

@@ -19,13 +19,13 @@ from rover_rl.algos.driving import Drive
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.runner import Policy, PolicyRunner, sensors_for
 from rover_rl.algos.video.recording import Episode, Moment, Tally
+from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.envs.make import RewardedEnv, make_env
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.movers import movers_of
 from rover_rl.envs.sensors.route import MapReader
 from rover_rl.envs.sensors.suite import MOVERS
-from rover_rl.envs.specs import action_bounds
 from rover_rl.envs.task import StepEvent
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.paths import PathDistances

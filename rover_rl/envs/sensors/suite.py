@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.names import Name
 from rover_rl.registry import Registry
 
 if TYPE_CHECKING:
@@ -73,14 +72,7 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
     found: dict[str, Sensor] = {}
     for each in sensors:
-        name = Name.parse(each) if isinstance(each, str) else Name(str(each))
-        part = _REGISTRY.find(name.part) if isinstance(each, str) else each
-        if callable(part) and not isinstance(part, Sensor):
-            part = _REGISTRY.call(name.part, part, **name.settings)
-        elif name.settings:
-            raise ValueError(f"sensor {name.part!r} has its settings already, and takes none, got {each!r}")
-        if not isinstance(part, Sensor):
-            raise ValueError(f"a sensor must be a Sensor, or a function or class that makes one, got {part!r}")
+        part = _REGISTRY.make(each, Sensor)
         if part.name in _TAKEN or part.name in found:
             raise ValueError(f"sensors cannot add {part.name!r}, which is there already: choose another name")
         found[part.name] = part

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from inspect import signature
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -19,9 +20,10 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_count, check_positive, check_seed
 from rover_rl.envs.encoding import EncodedObservation, ObservationEncoder
-from rover_rl.envs.make import add_reward
+from rover_rl.envs.make import add_terms
 from rover_rl.envs.rewards import RewardComponent, RewardConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.suite import require_entries
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.base import View
@@ -68,6 +70,7 @@ class NumpyBatch:
         reward_scale: factor of the reward, whose components are between -0.03 and 100. 0.05 is a good value.
         scale_observations: whether an observation is one vector of float32 features of about [-1, 1], instead of a
             dictionary in meters and radians: that of ``ObservationEncoder.of``, which leaves out the pose.
+        observation: entries that an observation consists of. ``None``: all, or those of ``ObservationEncoder.of``.
     """
 
     @with_torch_defaults
@@ -83,6 +86,7 @@ class NumpyBatch:
         action_repeat: int = 1,
         reward_scale: float = 1.0,
         scale_observations: bool = False,
+        observation: Sequence[str] | None = None,
     ) -> None:
         _require_one_of("time_limit", time_limit, get_args(TimeLimit))
         _require_one_of("render_mode", render_mode, (None, "rgb_array"))
@@ -92,8 +96,10 @@ class NumpyBatch:
         transforms: list[Transform] = [] if action_repeat == 1 else [ActionRepeat(action_repeat)]
         if reward_scale != 1:
             transforms.append(RewardScaling(loc=0.0, scale=reward_scale))
+        if observation is not None:
+            require_entries(observation, self.base_env.config.own_sensors)
         if scale_observations:
-            transforms.append(EncodedObservation(ObservationEncoder.of(self.base_env.config)))
+            transforms.append(EncodedObservation(ObservationEncoder.of(self.base_env.config, observation)))
         self.reward_config: RewardConfig | None = None
         if isinstance(env, TransformedEnv):
             if reward is not None:
@@ -101,19 +107,22 @@ class NumpyBatch:
             env = TransformedEnv(env, Compose(*transforms)) if transforms else env
         else:
             reward = "contract" if reward is None else reward
-            config = RewardConfig() if isinstance(reward, str) and reward == "contract" else reward
+            named = isinstance(reward, str) and reward == "contract"
+            config = self.base_env.config.contract_reward if named else reward
             self.reward_config = config if isinstance(config, RewardConfig) else None
-            env = add_reward(env, reward)
+            env = add_terms(self.base_env, replace(self.base_env.config, reward=reward))
             for transform in transforms:
                 env = env.append_transform(transform)
         self.env, self._flat, self.num_envs = env, scale_observations, self.base_env.num_envs
-        self._keys, spec = [*self.base_env.sensors], env.observation_spec_unbatched
+        self._keys, spec = [*(observation or self.base_env.sensors)], env.observation_spec_unbatched
         self.observation_space: spaces.Space[Any]
         if scale_observations:
             self.observation_space = _box(spec[EncodedObservation.KEY])
         else:
             if missing := [key for key in self._keys if key not in spec]:
-                raise ValueError(f"the observation lacks {missing}, which a transform has removed; all are needed")
+                raise ValueError(
+                    f"the observation lacks {missing}, for which there is no sensor, or which a transform removed"
+                )
             self.observation_space = spaces.Dict({key: _box(spec[key]) for key in self._keys})
         self.action_space = _box(env.action_spec_unbatched)
         self.render_mode, self._camera, self._time_limit = render_mode, camera, time_limit

@@ -18,11 +18,11 @@ from rover_rl.algos.policy.networks import (
     on_features,
 )
 from rover_rl.algos.policy.route_prior import RoutePrior
+from rover_rl.envs.actions import ACTION
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, environment_sensors
-from rover_rl.envs.specs import ACTION
 from rover_rl.robots import get_robot
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
