@@ -106,11 +106,12 @@ def _overview(tasks: dict[str, list[list[Card]]]) -> str:
 
 
 def _cell(*groups: Sequence[Card] | None) -> str:
-    return (
-        ""
-        if groups[0] is None
-        else "{0.value:.0%} ({0.low:.0%} to {0.high:.0%})".format(success(*groups)).replace("nan%", "?")
-    )
+    known = [group for group in groups if group]
+    value = success(*known) if known else None
+    if value is None:
+        return ""
+    interval = "" if math.isnan(value.low) else f" ({value.low:.0%} to {value.high:.0%})"
+    return f"{value.value:.0%}{interval}"
 
 
 def success(*groups: Sequence[Card]) -> Estimate:
@@ -149,9 +150,10 @@ def draw(cards: Sequence[Card], path: Path) -> None:
     tasks = {task: groups for task, groups in grouped(cards).items() if any(group[0]["curve"] for group in groups)}
     if not tasks:
         return
-    rows = math.ceil(len(tasks) / 3)
-    figure = Figure(figsize=(10, 3.1 * rows), layout="constrained")
-    axes = figure.subplots(rows, 3, squeeze=False).flat
+    columns = min(3, len(tasks))
+    rows = math.ceil(len(tasks) / columns)
+    figure = Figure(figsize=(3.4 * columns, 3.1 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).flat
     names = dict.fromkeys(group[0]["entry"] for groups in tasks.values() for group in groups if group[0]["curve"])
     colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(names)}
     for (task, groups), ax in zip(tasks.items(), axes, strict=False):
@@ -167,7 +169,7 @@ def draw(cards: Sequence[Card], path: Path) -> None:
     for ax in axes:
         ax.set_axis_off()
     handles = [figure.axes[0].plot([], [], color=color, label=name)[0] for name, color in colors.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2 * columns, frameon=False)
     with written_whole(path.parent / PICTURE) as temporary:
         figure.savefig(temporary, dpi=100)
 

@@ -103,9 +103,9 @@ def _contract_env(space: spaces.Space[Any], actions: spaces.Box, path: Path) -> 
     turn = math.pi if math.isclose(turn, math.pi, rel_tol=1e-6) else turn
     action = ActionConfig(min_speed=low, max_speed=high, max_turn=turn)
     if isinstance(space, spaces.Dict):
-        ranges = space.spaces.get("lidar")
-        bounded = isinstance(ranges, spaces.Box)
-        lidar = LidarConfig(ranges.shape[0], max_range=float(ranges.high[0])) if bounded else LidarConfig()
+        ranges, lidar = space.spaces.get("lidar"), LidarConfig()
+        if isinstance(ranges, spaces.Box):
+            lidar = LidarConfig(ranges.shape[0], max_range=float(ranges.high[0]))
         return EnvConfig(lidar=lidar, action=action)
     others = sum(len(sensor.bounds.low) for key, sensor in environment_sensors(LidarConfig()).items() if key != "lidar")
     scaled = ObservationEncoder(lidar_points=1).features - 1
