@@ -28,7 +28,6 @@ import tyro
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl import Randomization, make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, draw_episodes, stored_episodes
@@ -36,8 +35,10 @@ from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.names import BASELINES, make_baseline
-from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.train import train
+from rover_rl.envs.config import EnvConfig
+from rover_rl.names import Name
 
 ROVERS, STEPS = 16, 200
 BACKENDS = ("bullet", "warp", "mujoco")
@@ -100,6 +101,18 @@ def rollout_digest(world: str, backend: str, randomization: Randomization | None
     rollout = env.rollout(STEPS, policy, break_when_any_done=False)
     env.close()
     return digest({str(key): value for key, value in rollout.items(True, True)})
+
+
+def stored_worlds(env: EnvConfig) -> list[str]:
+    """Returns the worlds with stored starts and goals among those of a training; for a range, the world of its kind."""
+    names = map(Name.parse, env.world_names)
+    kinds = dict.fromkeys(name.part if name.is_range else str(name) for name in names)
+    return [kind for kind in kinds if kind in STORED_WORLDS]
+
+
+def stored_policies() -> list[str]:
+    """Returns the pretrained policies that were trained in a world with stored starts and goals."""
+    return [name for name in pretrained_names() if stored_worlds(load_pretrained(name).env)]
 
 
 def policy_digest(name: str, count: int) -> tuple[str, float]:

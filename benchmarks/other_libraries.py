@@ -11,21 +11,25 @@ core it passes as fast as the clock.
 
 from __future__ import annotations
 
+import math
 import runpy
 import shlex
 import sys
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import tyro
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.sims.settings import CONTROL_DT
+from rover_rl.tasks import Task
 
 ATTEMPT = round(60 / CONTROL_DT)  # number of steps in which a goal must be reached
 
@@ -47,20 +51,21 @@ class Options:
 class Meter:
     """Counts simulated steps and attempts of all environments of a program, and reports them.
 
-    ``started`` is the processor time of the first step, s. ``attempts`` and ``successes`` are those since the last
-    report.
+    ``points`` has the steps, the minutes and the success of the attempts at each report. With ``total`` steps, reports
+    are equal numbers of steps apart, else equal times.
     """
 
     options: Options
-    started: float = 0.0
+    total: int | None = None
+    points: dict[str, list[float]] = field(default_factory=lambda: {"steps": [], "minutes": [], "success": []})
     steps: int = 0
-    reported: int = 0
     attempts: int = 0
     successes: int = 0
+    _started: float = 0.0
     _ages: dict[int, Tensor] = field(default_factory=dict)
 
     def add(self, env: RoverEnv, before: TensorDictBase, after: TensorDictBase) -> None:
-        """Counts a step of an environment. Reports if it is time, and stops the program at the end."""
+        """Counts a step of an environment. Reports if it is time, and stops the program at the end of the time."""
         goal, terminated, truncated = (
             after.get(key).reshape(-1) for key in (("outcome", "goal_reached"), "terminated", "truncated")
         )
@@ -72,43 +77,89 @@ class Meter:
         self.successes += int((over & goal).sum())
         self.steps += int(active.sum())
         now = time.process_time()
-        self.started = self.started or now
-        if now - self.started >= (self.reported + 1) * self.options.seconds / self.options.reports:
-            self.report(now - self.started)
-            if self.reported == self.options.reports:
+        self._started = self._started or now
+        seconds, reported = now - self._started, len(self.points["steps"])
+        done = self.steps / self.total if self.total else seconds / self.options.seconds
+        if done >= (reported + 1) / self.options.reports:
+            self._report(seconds)
+            if self.total is None and reported + 1 == self.options.reports:
                 raise TimeIsUp
 
-    def report(self, seconds: float) -> None:
-        share = f"{100 * self.successes / self.attempts:.0f} %" if self.attempts else "none"
-        print(
-            f"{seconds:.0f} s: {self.steps / 1e6:.2f} M steps, {self.steps / seconds:,.0f} steps/s, "
-            f"{share} of {self.attempts} attempts reached the goal",
-            flush=True,
-        )
-        self.reported, self.attempts, self.successes = self.reported + 1, 0, 0
+    def _report(self, seconds: float) -> None:
+        share = self.successes / self.attempts if self.attempts else math.nan
+        rate = f"{self.steps / 1e6:.2f} M steps, {self.steps / seconds:,.0f} steps/s"
+        print(f"{seconds:.0f} s: {rate}, {share:.0%} of {self.attempts} attempts reached the goal", flush=True)
+        for key, value in zip(self.points, (self.steps, seconds / 60, share), strict=True):
+            self.points[key].append(value)
+        self.attempts = self.successes = 0
 
 
-def run(options: Options) -> Meter:
-    """Runs a program until its end or the time limit."""
-    meter, step = Meter(options), RoverEnv._step
+def run_program(path: Path, arguments: Sequence[str], meter: Meter) -> dict[str, Any]:
+    """Runs a program until its end, or until its time is up, and returns its global names."""
+    step, given = RoverEnv._step, [*sys.argv]
 
-    def measured(env: RoverEnv, tensordict: TensorDictBase) -> TensorDictBase:
+    def counted(env: RoverEnv, tensordict: TensorDictBase) -> TensorDictBase:
         after = step(env, tensordict)
         meter.add(env, tensordict, after)
         return after
 
-    program, *arguments = shlex.split(options.program)
-    sys.argv[:] = [program, *arguments]
-    sys.path.insert(0, str(Path(program).parent))
-    RoverEnv._step = measured
+    sys.argv[:] = [str(path), *arguments]
+    sys.path.insert(0, str(path.parent))
+    RoverEnv._step = counted
     try:
-        runpy.run_path(program, run_name="__main__")
+        return runpy.run_path(str(path), run_name="__main__")
     except TimeIsUp:
-        pass
+        return {}
     finally:
         RoverEnv._step = step
-    return meter
+        sys.argv[:] = given
+        sys.path.remove(str(path.parent))
+
+
+class OtherActor:
+    """Policy of another library, from its function of the scaled features that it has learned from."""
+
+    def __init__(self, task: Task, act: Callable[[Tensor], Tensor]) -> None:
+        self._encoder, self._act = ObservationEncoder.of(task.test_env, task.observation), act
+        self.in_keys = [*self._encoder.keys]
+
+    @torch.no_grad()
+    def __call__(self, now: TensorDictBase) -> TensorDictBase:
+        return now.set("action", self._act(self._encoder(*(now[key] for key in self.in_keys))))
+
+
+def _of_sb3(found: dict[str, Any]) -> Callable[[Tensor], Tensor]:
+    return lambda features: torch.from_numpy(found["model"].predict(features.numpy(), deterministic=True)[0])
+
+
+def _of_rsl_rl(found: dict[str, Any]) -> Callable[[Tensor], Tensor]:
+    act = found["runner"].get_inference_policy()
+    return lambda features: act(TensorDict({"observation": features}, [len(features)]))
+
+
+def _of_skrl(found: dict[str, Any]) -> Callable[[Tensor], Tensor]:
+    policy = found["runner"].agent.models["policy"]
+    return lambda features: policy.act({"observations": features}, role="policy")[1]["mean_actions"]
+
+
+def _of_cleanrl(found: dict[str, Any]) -> Callable[[Tensor], Tensor]:
+    env = found["envs"].envs[0]
+    while not hasattr(env, "obs_rms"):
+        env = env.env
+    mean, deviation = (torch.tensor(one, dtype=torch.float32) for one in (env.obs_rms.mean, env.obs_rms.var**0.5))
+    return lambda features: found["agent"].actor_mean(((features - mean) / (deviation + 1e-4)).clamp(-10, 10))
+
+
+LIBRARIES: dict[str, Callable[[dict[str, Any]], Callable[[Tensor], Tensor]]] = {
+    "sb3": _of_sb3,
+    "rsl_rl": _of_rsl_rl,
+    "skrl": _of_skrl,
+    "cleanrl": _of_cleanrl,
+}
+"""Function of the features without exploration, from the global names of a library's program."""
 
 
 if __name__ == "__main__":
-    run(tyro.cli(Options, description=__doc__))
+    given = tyro.cli(Options, description=__doc__)
+    program, *arguments = shlex.split(given.program)
+    run_program(Path(program), arguments, Meter(given))

@@ -245,6 +245,7 @@ def test_the_environment_for_rsl_rl_resets_rovers_whose_episode_ends(monkeypatch
     }
     for name, attributes in library.items():
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(**attributes))
+    monkeypatch.setattr(sys, "argv", ["rsl_rl_ppo.py"])
     code = (
         (EXAMPLES / "other_libraries" / "rsl_rl_ppo.py")
         .read_text(encoding="utf-8")

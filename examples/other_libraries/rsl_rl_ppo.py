@@ -1,6 +1,7 @@
-"""PPO of rsl_rl on a batch of rovers: ``pip install rsl-rl-lib``."""
+"""PPO of rsl_rl learns a task on a batch of rovers: ``pip install rsl-rl-lib``."""
 
 import math
+import sys
 
 import torch
 from rsl_rl.env import VecEnv
@@ -8,11 +9,11 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 from torchrl.envs import RewardScaling
 
-from rover_rl import make_env
-from rover_rl.envs.encoding import EncodedObservation
+from rover_rl import get_task, make_env
+from rover_rl.envs.encoding import EncodedObservation, ObservationEncoder
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 
-DECISIONS = 500_000  # of all rovers together, each of 4 steps
+TASK, SEED, DECISIONS = sys.argv[1:4] if len(sys.argv) > 3 else ("inspect", 0, 500_000)  # decisions of 4 steps
 ROVERS = 256
 STEPS_PER_UPDATE = 32
 
@@ -20,9 +21,10 @@ STEPS_PER_UPDATE = 32
 class Rovers(VecEnv):
     """Rovers with an action every 0.2 s, one vector of features, and a scaled reward."""
 
-    def __init__(self, repeat: int = 4, **settings) -> None:
-        self.env = make_env(backend="warp", **settings)
-        for transform in (ActionRepeat(repeat), RewardScaling(loc=0.0, scale=0.05), EncodedObservation()):
+    def __init__(self, task: str, repeat: int = 4, **settings) -> None:
+        self.env = make_env(task=task, backend="warp", **settings)
+        encoder = ObservationEncoder.of(self.env.config, get_task(task).observation)
+        for transform in (ActionRepeat(repeat), RewardScaling(loc=0.0, scale=0.05), EncodedObservation(encoder)):
             self.env = self.env.append_transform(transform)
         self.num_envs, self.num_actions = self.env.action_spec.shape
         self.device, self.cfg = self.env.device or torch.device("cpu"), {}
@@ -58,8 +60,8 @@ class Rovers(VecEnv):
 
 
 torch.set_num_threads(1)  # small networks do not gain from more threads
-torch.manual_seed(0)
-envs = Rovers(world="inspect", num_envs=ROVERS, seed=0)
+torch.manual_seed(int(SEED))
+envs = Rovers(TASK, num_envs=ROVERS, seed=int(SEED))
 gaussian = {"class_name": "GaussianDistribution", "init_std": 1.0}
 settings = {
     "num_steps_per_env": STEPS_PER_UPDATE,
@@ -71,4 +73,4 @@ settings = {
     "algorithm": {"class_name": "PPO", "entropy_coef": 0.005, "learning_rate": 1e-3, "schedule": "adaptive"},
 }
 runner = OnPolicyRunner(envs, settings, log_dir="runs/rsl_rl", device="cpu")
-runner.learn(DECISIONS // (ROVERS * STEPS_PER_UPDATE), init_at_random_ep_len=True)
+runner.learn(int(DECISIONS) // (ROVERS * STEPS_PER_UPDATE), init_at_random_ep_len=True)

@@ -1,4 +1,6 @@
-"""PPO of skrl on a batch of rovers: ``pip install skrl``."""
+"""PPO of skrl learns a task on a batch of rovers: ``pip install skrl``."""
+
+import sys
 
 import gymnasium
 import torch
@@ -6,21 +8,20 @@ from skrl.envs.wrappers.torch import wrap_env
 from skrl.utils import set_seed
 from skrl.utils.runner.torch import Runner
 
-import rover_rl  # registers the environment
+from rover_rl import get_task  # the package registers the environments
 
-DECISIONS = 500_000  # of all rovers together, each of 4 steps
+TASK, SEED, DECISIONS = sys.argv[1:4] if len(sys.argv) > 3 else ("inspect", 0, 500_000)  # decisions of 4 steps
 ROVERS = 256
 
 torch.set_num_threads(1)  # small networks do not gain from more threads
-set_seed(0)
+set_seed(int(SEED))
 envs = wrap_env(
     gymnasium.make_vec(
-        rover_rl.LEARNING_ENV_ID,
+        get_task(TASK).gym_id,
         num_envs=ROVERS,
         vectorization_mode="vector_entry_point",
         autoreset_mode="SameStep",
-        world_n="inspect",
-        seed=0,
+        seed=int(SEED),
     )
 )
 network = [{"name": "net", "input": "OBSERVATIONS", "layers": [128, 128], "activations": "elu"}]
@@ -37,8 +38,8 @@ settings = {
         "time_limit_bootstrap": True,
         "experiment": {"directory": "runs/skrl", "write_interval": 100, "checkpoint_interval": 0},
     },
-    "trainer": {"class": "SequentialTrainer", "timesteps": DECISIONS // ROVERS, "headless": True},
-    "seed": 0,
+    "trainer": {"class": "SequentialTrainer", "timesteps": int(DECISIONS) // ROVERS, "headless": True},
+    "seed": int(SEED),
 }
 runner = Runner(envs, settings)
 runner.run()

@@ -429,7 +429,7 @@ def training_config(algo: str, **settings: Any) -> TrainingConfig:
     return with_settings(default_config(algo, settings.get("backend", "warp")), **settings)
 
 
-def task_config(name: str, learner: str | None = None, **settings: Any) -> TrainingConfig:
+def task_config(name: str, /, learner: str | None = None, **settings: Any) -> TrainingConfig:
     """Settings of a learner of a task, by default of its first one, with other settings by their names alone.
 
     Raises a ``ValueError`` for an unknown task, learner or setting.

@@ -120,6 +120,7 @@ class Evaluate:
         from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
+        from rover_rl.algos.evaluation.tasks import for_task
 
         if self.html is not None:
             check_page(self.html)
@@ -137,6 +138,8 @@ class Evaluate:
             raise ValueError(f"--html shows drives of policies; of a log: rover-rl film LOG{LOG} --html {self.html}")
         robot = self.environment.given_robot or (self.task and self.task.test_env.robot)
         policies = resolve_policies(words, self.world, robot) if words else []
+        if self.task is not None:
+            policies = [replace(one, module=for_task(self.task, one.module)) for one in policies]
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))

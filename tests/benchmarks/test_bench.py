@@ -16,11 +16,11 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from benchmarks import law, simulators
+from benchmarks.digests import stored_policies, stored_worlds
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired, told
-from benchmarks.stored import stored_policies, stored_worlds
 from rover_rl import RoverEnv
 from rover_rl.algos.config import with_settings
 from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic

@@ -41,7 +41,8 @@ from rover_rl.sims.settings import CONTROL_DT
 
 ROWS = 8
 """Number of rovers of a part of an evaluation in one world. With more rovers, more of them wait for the last one. In
-several worlds, each episode of a part has a rover, as rovers stay in their worlds."""
+several worlds, each episode of a part has a rover, as rovers stay in their worlds, and in Warp, where more of them
+take hardly more time."""
 BATCHED_PER_PART = 128  # EPISODES_PER_PART of several worlds in Warp, which steps many rovers almost as fast as few
 SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
@@ -187,6 +188,11 @@ def default_backend(robot: RobotLike) -> str:
     return "warp" if names_several(robot) else "bullet"
 
 
+def rows_of(episodes: EpisodeSet, env: EnvConfig | None) -> int:
+    """Number of rovers that drive the episodes of a part of an evaluation: see :data:`ROWS`."""
+    return len(episodes) if episodes.several_worlds or (env is not None and env.backend == "warp") else ROWS
+
+
 @dataclass(frozen=True)
 class Request:
     """Request for an evaluation, with further arguments of :func:`evaluate`."""
@@ -209,7 +215,7 @@ class Request:
 
     def run(self) -> Evaluation:
         """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""
-        rows = len(self.episodes) if self.episodes.several_worlds else ROWS
+        rows = rows_of(self.episodes, self.options.get("env"))
         return replace(evaluate(self.policy, self.episodes, rows=rows, **self.options), episodes=None)  # type: ignore[arg-type]
 
     def merge(self, parts: Sequence[Evaluation]) -> Evaluation:

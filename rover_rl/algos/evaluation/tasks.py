@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rover_rl.algos.evaluation.episodes import choose_episodes
+from rover_rl.algos.evaluation.evaluate import Request, evaluate_all
+from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.parts import TASKS
@@ -20,6 +23,24 @@ def test_env(task: Task, policy: Policy | None) -> EnvConfig:
     """Returns the environment of a task's test for a policy, with the sensors and the action that it was made for."""
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     return replace(task.test_env, **{} if made_for is None else {key: getattr(made_for, key) for key in _OWN})
+
+
+def for_task(task: Task, policy: Policy | None) -> Policy | None:
+    """Returns a policy that reads a task's observation, where its file does not say what it was trained with."""
+    reading = getattr(policy, "reading", None)
+    return policy if reading is None else reading(task.test_env, task.observation)
+
+
+def judge(
+    task: Task, policy: Policy | None, name: str, *, action_repeat: int | None = None, workers: int | None = None
+) -> list[Evaluation]:
+    """Evaluates a policy in a task's test, as ``rover-rl evaluate TASK POLICY`` does: once for each range of worlds."""
+    policy = for_task(task, policy)
+    env = test_env(task, policy)
+    worlds = (task.test_world,) if isinstance(task.test_world, str) else task.test_world
+    sets = [choose_episodes(world, task.episodes, robot=env.robot, workers=workers) for world in worlds]
+    options = {"name": name, "env": env, "seconds": task.seconds, "action_repeat": action_repeat}
+    return evaluate_all([Request(policy, episodes, options) for episodes in sets], workers)
 
 
 def split_task(words: Sequence[str]) -> tuple[Task | None, tuple[str, ...]]:

@@ -17,7 +17,7 @@ from torch import Tensor
 from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.driving import Step, drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.evaluate import ROWS, Policy, environment_for, evaluate
+from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate, rows_of
 from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
@@ -181,7 +181,7 @@ def record_episodes(
                 states[index].append((*seen, shown_parts(rovers.movers, row)))
 
     # As in an evaluation: a randomized drive depends on its row.
-    rows = len(episodes) if episodes.several_worlds else ROWS
+    rows = rows_of(episodes, options.get("env"))
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
     drives = []
     for index in wanted:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ import stable_baselines3 as sb3
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.tasks import for_task
+from rover_rl.algos.evaluation.tasks import test_env as env_of_test
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.algos.policy.sb3_policy import SB3Policy
 from rover_rl.envs.sb3 import SB3VecEnv
+from rover_rl.tasks import get_task
 
 ON_POLICY = {"n_steps": 4}
 OFF_POLICY = {"learning_starts": 4, "buffer_size": 100, "batch_size": 8}
@@ -74,6 +78,23 @@ def test_it_is_evaluated_beside_others_also_in_other_processes(saved) -> None:
     evaluation = evaluate(policy, draw_episodes("maze", 2, seed=1), seconds=1.0, rows=2)
     assert evaluation.env.lidar.points == 12
     assert len(evaluation.trajectories) == 2
+
+
+@pytest.mark.parametrize("options", [{"scale_observations": True}, {}])
+def test_it_reads_the_observation_of_a_task(tmp_path, options) -> None:
+    """The file says neither which entries the policy reads nor which sensors they need."""
+    task = get_task("hills")
+    rovers = RoverEnv(replace(task.env, world="maze", num_envs=2, seed=0))
+    envs = SB3VecEnv(rovers, observation=task.observation, **options)
+    model = sb3.PPO("MlpPolicy" if options else "MultiInputPolicy", envs, n_steps=4, batch_size=8, device="cpu")
+    model.save(tmp_path / "ppo")
+    policy = pickle.loads(pickle.dumps(for_task(task, SB3Policy(tmp_path / "ppo.zip"))))
+    assert env_of_test(task, policy) == task.test_env
+    observation, now = envs.reset(), RoverEnv(replace(task.env, world="maze", num_envs=2, seed=0)).reset()
+    expected, _ = model.predict(observation, deterministic=True)
+    np.testing.assert_allclose(policy(now)["action"].numpy(), expected, rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match="other observations" if options else "the entries"):
+        SB3Policy(tmp_path / "ppo.zip").reading(get_task("maze").env, ("lidar", "target"))(now)
 
 
 def test_other_files_are_refused(tmp_path) -> None:
