@@ -631,7 +631,7 @@ class EnvConfig(Settings):
 
         named = (*get_robots(self.robot)[0].sensors, *self.sensors)
         there = {Name.parse(one).part if isinstance(one, str) else getattr(one, "name", one) for one in named}
-        return (*named, *(one for one in ACTIONS.find(self.action.kind).needs if one not in there))
+        return (*named, *(one for one in getattr(ACTIONS.find(self.action.kind), "needs", ()) if one not in there))
 
     @property
     def late_scans(self) -> bool:
