@@ -75,10 +75,6 @@ def test_the_parts_are_options_of_a_training_without_the_task(folder: Path) -> N
     assert env["terminate"] == [TERMINATION, "no_progress"]
     assert env["events"] == [EVENT, "power_dips(rate=0.2)"]
     assert main(["train", "--resume", "runs/parts", "--total-steps", "128"]) == 0
-    drives = ["--count", "1", "--seconds", "0.2", "--world", "maze:10003"]
-    assert main(["evaluate", "runs/parts", *drives]) == 0
-    (evaluation,) = json.loads((folder / "runs" / "parts" / "evaluation.json").read_text())
-    assert evaluation["env"]["terminate"][0] == TERMINATION
 
 
 @pytest.mark.usefixtures("folder")

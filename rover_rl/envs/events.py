@@ -1,4 +1,4 @@
-"""Events: what befalls rovers in an episode, beside the ranges of :class:`~rover_rl.Randomization`.
+"""Events: what happens to rovers in an episode, beside the ranges of :class:`~rover_rl.Randomization`.
 
 An event is a stage of one's own: it begins with the episode, may change each command before the simulator follows it,
 and each reading after a step. Name it in ``make_env(events=...)`` or ``--events``.
@@ -21,7 +21,7 @@ from rover_rl.rng import random_bits, to_unit
 
 
 class Event(Stage):
-    """Base class of events. Subclasses override :meth:`begin`, :meth:`command` or :meth:`read`.
+    """Base class of events. Subclasses override methods of :class:`~rover_rl.envs.stages.Stage`: begin, command, read.
 
     Random numbers come from :meth:`uniform`, so that an episode is the same in any batch.
 
