@@ -95,8 +95,8 @@ def test_the_task_is_one_of_gymnasium() -> None:
     vector.close()
 
 
-@pytest.mark.usefixtures("folder")
-def test_stable_baselines3_learns_the_task() -> None:
+@pytest.mark.slow
+def test_stable_baselines3_learns_the_task_and_its_file_is_evaluated(folder: Path) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
     from rover_rl.envs.sb3 import SB3VecEnv
 
@@ -116,6 +116,11 @@ def test_stable_baselines3_learns_the_task() -> None:
     model.learn(32)
     assert model.num_timesteps == 32
     envs.close()
+    model.save("sb3.zip")
+    drives = ["--count", "1", "--seconds", "0.2", "--world", "maze:50000", "--action-repeat", "4", "--out", "sb3"]
+    assert main(["evaluate", TASK, "sb3.zip", *drives]) == 0
+    (evaluation,) = json.loads((folder / "sb3" / "evaluation.json").read_text())
+    assert evaluation["env"]["action"]["kind"] == ACTION
 
 
 @pytest.mark.usefixtures("folder", "own_registries")

@@ -136,7 +136,7 @@ class Evaluate:
         if self.html is not None and not words:
             raise ValueError(f"--html shows drives of policies; of a log: rover-rl film LOG{LOG} --html {self.html}")
         robot = self.environment.given_robot or (self.task and self.task.test_env.robot)
-        policies = resolve_policies(words, self.world, robot) if words else []
+        policies = resolve_policies(words, self.world, robot, self.task) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))

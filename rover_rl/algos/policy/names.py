@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import RobotLike
+    from rover_rl.tasks.task import Task
 
 PRETRAINED = "pretrained:"  # prefix of the names of pretrained policies
 RANDOM = "random"  # name of the policy that acts at random
@@ -62,17 +63,19 @@ class ResolvedPolicy:
 
 
 def resolve_policies(
-    names: Sequence[str], worlds: tuple[str, ...] = (), robot: RobotLike | None = None
+    names: Sequence[str], worlds: tuple[str, ...] = (), robot: RobotLike | None = None, task: Task | None = None
 ) -> list[ResolvedPolicy]:
     """Resolves several names, each once: see :func:`resolve_policy`. Policies that are called the same keep theirs."""
     if not names:
         raise ValueError(NO_POLICY)
-    policies = {name: resolve_policy(name, worlds, robot) for name in dict.fromkeys(names)}
+    policies = {name: resolve_policy(name, worlds, robot, task) for name in dict.fromkeys(names)}
     count = Counter(policy.name for policy in policies.values())
     return [policy if count[policy.name] == 1 else replace(policy, name=name) for name, policy in policies.items()]
 
 
-def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | None = None) -> ResolvedPolicy:
+def resolve_policy(
+    name: str, worlds: tuple[str, ...] = (), robot: RobotLike | None = None, task: Task | None = None
+) -> ResolvedPolicy:
     """Makes or loads a policy.
 
     Args:
@@ -80,6 +83,7 @@ def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | N
             :func:`load_policy` loads.
         worlds: worlds that it drives in. Default: those of its training, and for a range of seeds one beyond it.
         robot: robot of a baseline.
+        task: task that it drives in, for files that do not tell what a policy reads.
     """
     if name == RANDOM:
         return ResolvedPolicy(name, None, worlds)
@@ -87,7 +91,8 @@ def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | N
         return ResolvedPolicy(name, make_baseline(name, robot), worlds)
     path = Path(name)
     if path.suffix in FILES:
-        module = _REGISTRY.find(FILES[path.suffix])(path)
+        read = () if task is None or path.suffix != ".zip" else (task.env, task.observation)
+        module = _REGISTRY.find(FILES[path.suffix])(path, *read)
         config, called, folder = getattr(module, "config", None), path.stem, None
     else:
         checkpoint, called = load_policy(name), policy_name(name)

@@ -10,7 +10,7 @@ Example:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import torch
 from gymnasium import spaces
 from tensordict import TensorDictBase
 
+from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.suite import environment_sensors
@@ -29,7 +30,8 @@ class SB3Policy:
 
     Observations are a dictionary, flattened by Gymnasium, or scaled (``scale_observations``). Statistics of
     ``VecNormalize`` are not in the file: policies that were trained with it do not drive. ``made_for`` has the lidar
-    and the bounds of the action.
+    and the bounds of the action. A file does not tell what its numbers are: if they are as many as in the observation
+    and the action of ``env``, of which a task reads the entries ``observation``, they are taken for these.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -37,7 +39,7 @@ class SB3Policy:
         ValueError: if the file is damaged or holds another kind of policy.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, env: EnvConfig | None = None, observation: tuple[str, ...] = ()) -> None:
         try:
             from stable_baselines3.common.policies import ActorCriticPolicy
             from stable_baselines3.common.save_util import load_from_zip_file
@@ -45,7 +47,7 @@ class SB3Policy:
             raise ImportError('policies of Stable-Baselines3 need it: pip install "rover_rl[sb3]"') from error
         if not path.is_file():
             raise FileNotFoundError(f"no policy at {path}")
-        self._path = path
+        self._given = path, env, observation
         try:
             data, weights, _ = load_from_zip_file(path, device="cpu")
             kind, space, actions = (data[key] for key in ("policy_class", "observation_space", "action_space"))  # type: ignore[index]
@@ -56,6 +58,9 @@ class SB3Policy:
             raise ValueError(f"{path} is damaged, or no policy of Stable-Baselines3") from error
         if hasattr(self._policy, "lstm_actor"):
             raise ValueError(f"{path} holds a policy with memory, which is not supported")
+        if env is not None and (observe := _observation_in(env, observation, space, actions)) is not None:
+            self.made_for, self._observe = env, observe
+            return
         if not isinstance(actions, spaces.Box) or actions.shape != (2,):
             raise ValueError(f"{path} was trained with other actions than those of rover_rl")
         (low, _), (high, turn) = actions.low.tolist(), actions.high.tolist()
@@ -65,12 +70,35 @@ class SB3Policy:
         lidar, self._observe = _observation(space, path)
         self.made_for = EnvConfig(lidar=lidar, action=action)
 
-    def __reduce__(self) -> tuple[type[SB3Policy], tuple[Path]]:
-        return type(self), (self._path,)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
         action, _ = self._policy.predict(self._observe(now), deterministic=True)
         return now.set("action", torch.from_numpy(action).to(now["lidar"].device))
+
+
+def _observation_in(
+    env: EnvConfig, keys: tuple[str, ...], space: spaces.Space[Any], actions: spaces.Space[Any]
+) -> Callable[[TensorDictBase], Any] | None:
+    """Returns the function that makes observations, scaled or not, if they and the actions are those of ``env``."""
+    encoder, bounds = ObservationEncoder.of(env, keys), action_bounds(env.bounded_action)
+    if not (isinstance(actions, spaces.Box) and actions.shape == (len(bounds.low),)):
+        return None
+    if not (np.allclose(actions.low, bounds.low) and np.allclose(actions.high, bounds.high)):
+        return None
+    if isinstance(space, spaces.Dict):
+        shapes = {key: (len(encoder.sensors[key].bounds.low),) for key in keys}
+        return _entries(keys) if {key: each.shape for key, each in space.items()} == shapes else None
+    return _scaled(encoder) if space.shape == (encoder.features,) else None
+
+
+def _entries(keys: Iterable[str]) -> Callable[[TensorDictBase], Any]:
+    return lambda now: {key: now[key].numpy(force=True) for key in keys}
+
+
+def _scaled(encoder: ObservationEncoder) -> Callable[[TensorDictBase], Any]:
+    return lambda now: encoder(*(now[key] for key in encoder.keys)).numpy(force=True)
 
 
 def _observation(space: spaces.Space[Any], path: Path) -> tuple[LidarConfig, Callable[[TensorDictBase], Any]]:
@@ -80,7 +108,7 @@ def _observation(space: spaces.Space[Any], path: Path) -> tuple[LidarConfig, Cal
         ranges = space["lidar"]
         assert isinstance(ranges, spaces.Box)
         lidar = LidarConfig(points=ranges.shape[0], max_range=float(ranges.high[0]))
-        return lidar, lambda now: {key: now[key].numpy(force=True) for key in space}
+        return lidar, _entries([*space])
     flattened = isinstance(space, spaces.Box) and bool(np.isfinite(space.low).all())
     others = sum(len(sensor.bounds.low) for key, sensor in sensors.items() if key != "lidar")
     points = (space.shape or (0,))[0] - (others if flattened else ObservationEncoder(lidar_points=1).features - 1)
@@ -88,5 +116,4 @@ def _observation(space: spaces.Space[Any], path: Path) -> tuple[LidarConfig, Cal
         raise ValueError(f"{path} was trained with other observations than those of rover_rl")
     if flattened:
         return LidarConfig(points=points), lambda now: torch.cat([now[key] for key in sorted(sensors)], -1).numpy()
-    encoder = ObservationEncoder(lidar_points=points)
-    return LidarConfig(points=points), lambda now: encoder(*(now[key] for key in encoder.keys)).numpy(force=True)
+    return LidarConfig(points=points), _scaled(ObservationEncoder(lidar_points=points))

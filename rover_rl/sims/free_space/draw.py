@@ -147,8 +147,8 @@ def draw_tasks(panels: Sequence[tuple[str, World, Robot]], path: str | Path, col
     """Draws maps side by side, with a title each, and a start and a goal of the robot with a path between them."""
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(3.1 * columns, 3.75 * rows), layout="constrained")
-    figure.get_layout_engine().set(h_pad=0.09)  # type: ignore[union-attr]
+    figure = Figure(figsize=(3.1 * columns, 3.75 * rows))
+    figure.set_layout_engine("constrained", h_pad=0.09)
     axes = [*figure.subplots(rows, columns, squeeze=False).flat]
     for ax, (title, world, robot) in zip(axes, panels, strict=False):
         draw_map(ax, world)
