@@ -137,9 +137,8 @@ class RoverEnv(EnvBase):
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
-        self._command_clip = tuple(
-            torch.full_like(end, side) for end, side in zip(self._action_clip, (-torch.inf, torch.inf), strict=True)
-        )
+        lowest, highest = (torch.full_like(self._action_clip[0], end) for end in (-torch.inf, torch.inf))
+        self._command_clip = lowest, highest
         setup = base.SensorSetup(self.fleet, config.lidar, self.control_dt, config.randomization)
         self.observer = base.Observer(self.sensors, setup)
 
