@@ -12,6 +12,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -97,11 +98,21 @@ def shortened(code: str) -> str:
     code = re.sub(r"\brollout\(\d{3}\b", "rollout(10", code)
     code = code.replace(".first(8)", ".first(1)").replace("seconds=6", "seconds=0.5")
     code = re.sub(r"^(\w+ = evaluate\(.*)\)$", r"\1, seconds=1)", code, flags=re.MULTILINE)
+    code = re.sub(r"^UPDATES = \d+", "UPDATES = 2", code, flags=re.MULTILINE)
+    code = re.sub(r"^ROVERS = \d+", "ROVERS = 2", code, flags=re.MULTILINE)
     return re.sub(r"\bnum_envs=(48|64|4096)\b", "num_envs=6", code)
 
 
+@pytest.fixture
+def threads() -> Iterator[None]:
+    """Gives PyTorch its number of threads back, which programs set."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in PAGES])
-@pytest.mark.usefixtures("own_registries", "capsys")
+@pytest.mark.usefixtures("own_registries", "capsys", "threads")
 def test_python_blocks_of_pages(page: Path) -> None:
     """Blocks run one after another, as a reader would run them, apart from those that need a rover."""
     names: dict[str, Any] = {}
@@ -112,6 +123,29 @@ def test_python_blocks_of_pages(page: Path) -> None:
     if "viewer" in names:
         # It would drive its rovers beside all tests that follow.
         names["viewer"].close()
+
+
+def first_program(page: str) -> str:
+    """Returns the first program of a page in ``docs/``."""
+    return blocks((ROOT / "docs" / page).read_text(encoding="utf-8"), "python")[0].code
+
+
+def test_the_example_of_ppo_is_the_program_of_the_page() -> None:
+    """The example has the lines of the page in their order. It adds headings and the learning curve."""
+    lines = iter((EXAMPLES / "torchrl_ppo.py").read_text(encoding="utf-8").splitlines())
+    assert [line for line in first_program("torchrl.md").splitlines() if line not in lines] == []
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("threads")
+def test_the_first_program_for_torchrl_learns(capsys: pytest.CaptureFixture[str]) -> None:
+    code, count = re.subn(r"^UPDATES = \d+", "UPDATES = 14", first_program("torchrl.md"), flags=re.MULTILINE)
+    assert count == 1
+    exec(compile(code, "torchrl.md", "exec"), {})
+    goals = [float(each) for each in re.findall(r"([\d.]+) goals per", capsys.readouterr().out)]
+    assert len(goals) == 14
+    assert sum(goals[:4]) / 4 < 1
+    assert sum(goals[-2:]) / 2 > 4
 
 
 @pytest.mark.slow
@@ -140,7 +174,7 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
         ("own_robot.py", {"STEPS": 20}, r"^scout: 1\.00 m/s"),
         ("own_reward.py", {"STEPS": 60}, ""),
         ("evaluate_policies.py", {"EPISODES": 2}, r"anywhere: 2 of 2 goals"),
-        ("torchrl_ppo.py", {"STEPS": 256, "ROVERS": 2}, "256 steps"),
+        ("torchrl_ppo.py", {"UPDATES": 2, "ROVERS": 2}, "256 steps"),
         ("sb3_sac.py", {"STEPS": 64, "ROVERS": 2, "EPISODE": 20}, "of 2 rovers reached a goal"),
         ("sweep.py", {"TRIALS": 1, "STEPS": 1_000, "EPISODES": 1, "SECONDS": 1}, "best: trial 0, success"),
         pytest.param("deploy_policy.py", {"STEPS": 20}, r"m from the goal after 1\.0 s", marks=pytest.mark.slow),
@@ -149,6 +183,7 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
         ),
     ],
 )
+@pytest.mark.usefixtures("threads")
 def test_programs_of_the_gallery(
     name: str,
     constants: dict[str, int],
@@ -162,7 +197,6 @@ def test_programs_of_the_gallery(
 
     plt.switch_backend("Agg")
     monkeypatch.chdir(tmp_path)
-    threads = torch.get_num_threads()
     code = (EXAMPLES / name).read_text(encoding="utf-8")
     for constant, value in constants.items():
         code, count = re.subn(rf"^{constant} = \d[\d_]*", f"{constant} = {value}", code, flags=re.MULTILINE)
@@ -170,7 +204,6 @@ def test_programs_of_the_gallery(
     exec(compile(code, name, "exec"), {})
     figures = len(plt.get_fignums())
     plt.close("all")
-    torch.set_num_threads(threads)
     assert re.search(expected, capsys.readouterr().out, re.MULTILINE)
     assert figures or name == "sb3_sac.py"
 

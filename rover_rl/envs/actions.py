@@ -1,8 +1,8 @@
 """Actions as TorchRL transforms: what the numbers that a policy decides mean.
 
 The contract's action, ``heading``, is that of :class:`~rover_rl.RoverEnv` itself. The others are transforms that turn
-an action into a command of the drive, and add it to the tensordict as ``command`` (m/s, rad/s), which the environment
-then follows. Name one in ``ActionConfig(kind=...)``, ``make_env(action="twist")`` or ``--action twist``.
+an action into ``command`` (m/s, rad/s), or into an action of the contract, ``steering``, entries of the tensordict that
+the environment then follows. Name one in ``ActionConfig(kind=...)``, ``make_env(action="twist")`` or ``--action``.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Action(Transform):
         action, invalid = checked_action(rows.get("action"), rows.batch_size, self._clip)
         command = self.command(action, rows).masked_fill(invalid, torch.nan)
         command = command if tensordict.batch_dims else command[0]
-        return tensordict.set("action" if self.steered else "command", command)
+        return tensordict.set("steering" if self.steered else "command", command)
 
     def transform_action_spec(self, action_spec: TensorSpec) -> TensorSpec:
         spec = action_spec["action"]

@@ -145,10 +145,6 @@ class PoseConfig(Settings):
 class ActionConfig(Settings):
     """Action of a policy, and its bounds. Actions outside of them are clipped."""
 
-    kind: Annotated[str, tyro.conf.arg(name="")] = HEADING
-    """Action: heading (speed and heading offset, as in the contract), twist (speed and yaw rate), wheels (speeds of the
-    left and right wheels), residual (what to add to the action of a driver who follows the route on what has been
-    seen), or module:attribute of an Action."""
     min_speed: float | None = None
     """Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive."""
     max_speed: float | None = None
@@ -159,6 +155,11 @@ class ActionConfig(Settings):
     """Maximum absolute speed to the left, m/s, of a drive that moves sideways. 0 leaves it out of the action."""
     max_yaw_rate: float | None = None
     """Maximum absolute yaw rate, rad/s, of an action that has one, as twist. Default: that of the robot's drive."""
+
+    kind: Annotated[str, tyro.conf.arg(name="")] = HEADING
+    """Action: heading (speed and heading offset, as in the contract), twist (speed and yaw rate), wheels (speeds of the
+    left and right wheels), residual (what to add to the action of a driver who follows the route on what has been
+    seen), or module:attribute of an Action."""
 
     positive = ("max_yaw_rate",)
     not_negative = ("max_sideways",)

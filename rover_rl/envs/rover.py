@@ -137,8 +137,8 @@ class RoverEnv(EnvBase):
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
-        lowest, highest = (torch.full_like(self._action_clip[0], end) for end in (-torch.inf, torch.inf))
-        self._command_clip = lowest, highest
+        none = torch.full_like(self._action_clip[0], torch.inf)
+        self._command_clip = (-none, none)
         setup = base.SensorSetup(self.fleet, config.lidar, self.control_dt, config.randomization)
         self.observer = base.Observer(self.sensors, setup)
 
@@ -219,10 +219,12 @@ class RoverEnv(EnvBase):
         active = tensordict.get("_step", None)
         active = None if active is None else active.reshape(self.num_envs, 1)
         if (command := tensordict.get("command", None)) is not None:
-            # Another action than the contract's has turned into it: see rover_rl.envs.actions.
+            # Another action than the contract's has turned into it, or into steering: see rover_rl.envs.actions.
             command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
             return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
-        action, invalid = stages.checked_action(tensordict.get("action"), self.batch_size, self._action_clip)
+        action = tensordict.get("steering", None)
+        action = tensordict.get("action") if action is None else action
+        action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
         # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torchrl.data import Composite
@@ -9,7 +11,7 @@ from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardComponent, RewardConfig, RoverEnv, contract_reward, make_env
-from rover_rl.envs.make import add_reward
+from rover_rl.envs.make import add_terms
 from rover_rl.envs.rewards import TotalReward
 from rover_rl.envs.task import EVENTS, StepEvent
 
@@ -110,12 +112,13 @@ def test_custom_components_are_added_to_the_total():
     torch.testing.assert_close(td["reward"], sum(td["reward_components"].values()))
 
 
-def test_add_reward_adds_a_reward_to_an_existing_environment_and_a_total_without_components_raises():
+def test_add_terms_adds_a_reward_to_an_existing_environment_and_a_total_without_components_raises():
     bare = RoverEnv(world_n="maze", seed=0, backend="warp", lidar_beams=32)
     total = TransformedEnv(bare, TotalReward())
     with pytest.raises(RuntimeError, match="RewardComponent"):
         total.step(total.rand_action(total.reset()))
-    env = add_reward(RoverEnv(world_n="maze", seed=0, backend="warp", lidar_beams=32), contract_reward()[1:4])
+    bare = RoverEnv(world_n="maze", seed=0, backend="warp", lidar_beams=32)
+    env = add_terms(bare, replace(bare.config, reward=tuple(contract_reward()[1:4])))
     assert set(rollout(env)["reward_components"].keys()) == {"progress", "velocity", "turn"}
 
 

@@ -86,7 +86,10 @@ def test_defaults_are_those_of_a_short_training_of_the_same_policy() -> None:
     [
         ({"hidden": (8,)}, r"hidden=\(16,\) of the policy .* cannot change in fine-tuning, got \(8,\)"),
         ({"memory": "gru"}, r"memory='none' of the policy .* cannot change"),
-        ({"action": ActionConfig(min_speed=0.0)}, r"made for actions of \(min_speed, .*, max_sideways\)"),
+        (
+            {"action": ActionConfig(min_speed=0.0)},
+            r"made for actions of \(min_speed, .*, max_sideways, max_yaw_rate, kind\)",
+        ),
         ({"lidar": LidarConfig(points=16)}, "made for lidar points 32, and the environment has 16"),
     ],
 )

@@ -19,7 +19,6 @@ from torchrl.envs import CatTensors, TransformedEnv
 from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.gym import RoverEnv
-from rover_rl.envs.make import add_reward
 
 
 @pytest.fixture(scope="module")
@@ -310,7 +309,7 @@ flat = partial(BatchedRoverEnv, world_n="maze", backend="warp")
     [
         (object, {}, TypeError, r"rover_rl\.RoverEnv.* is needed; got object"),
         (lambda: flat(num_envs=2), {}, ValueError, "num_envs=2; use GymVectorWrapper"),
-        (lambda: add_reward(flat()), {"reward": "contract"}, ValueError, "has its reward already"),
+        (lambda: make_env(world="maze", num_envs=1), {"reward": "contract"}, ValueError, "has its reward already"),
         (lambda: TransformedEnv(flat(), CatTensors(["imu"], "vector")), {}, ValueError, r"lacks \['imu'\]"),
         (flat, {"time_limit": "never"}, ValueError, "time_limit must be one of .* got 'never'"),
         (flat, {"render_mode": "film"}, ValueError, "render_mode must be one of .* got 'film'"),
