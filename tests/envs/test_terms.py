@@ -106,6 +106,15 @@ def test_residual_of_0_drives_as_gridplanner() -> None:
         theirs = planned.step(planner(theirs))["next"]
     torch.testing.assert_close(ours["pose"], theirs["pose"])
     assert ours["velocities"].abs().amax() > 0.1
+    # What is added holds while it is repeated, and the driver decides in each step.
+    added, repeated = (make_env(action="residual", **settings) for _ in range(2))
+    repeated = repeated.append_transform(ActionRepeat(4))
+    ours, theirs = added.reset(), repeated.reset()
+    push = torch.tensor([[-0.1, 0.3], [-0.2, -0.4]])
+    for number in range(8):
+        ours = added.step(ours.set("action", push.clone()))["next"]
+        theirs = repeated.step(theirs.set("action", push.clone()))["next"] if number % 4 == 3 else theirs
+    assert torch.equal(ours["pose"], theirs["pose"])
     with pytest.raises(ValueError, match="'residual' needs one robot that turns in place, got 'racer'"):
         make_env(world="forest:0", robot="racer", action="residual", backend="warp")
 
