@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from rover_rl.envs import parts
 from tests.extras import BACKENDS
 from tests.pages import ROOT, blocks
 
@@ -38,6 +39,8 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forgets the parts that a test registers: other tests compare the lists of names."""
     for module in _REGISTRIES:
         registry = import_module(f"rover_rl.{module}")._REGISTRY
+        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
+    for registry in (parts.ACTIONS, parts.TERMINATIONS, parts.EVENTS, parts.TASKS):
         monkeypatch.setattr(registry, "_parts", dict(registry._parts))
 
 

@@ -24,6 +24,7 @@ from rover_rl.cli.help_text import ReadableHelp
 from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
+from rover_rl.cli.tasks import Tasks
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.view import View
 from rover_rl.cli.worlds import Worlds
@@ -46,6 +47,7 @@ COMMANDS = {
     "play": Play,
     "view": View,
     "film": Film,
+    "tasks": Tasks,
     "worlds": Worlds,
     "robots": Robots,
     "demo": Demo,

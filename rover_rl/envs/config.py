@@ -488,8 +488,8 @@ class EnvConfig(Settings):
     randomization: Randomization = field(default_factory=Randomization)
     """Domain randomization."""
     events: tuple[EventLike, ...] = ()
-    """What befalls rovers in simulation beside the randomization: power_dips, or module:attribute of an Event. A name
-    can have settings: "power_dips(rate=0.2)"."""
+    """What happens to rovers in simulation beside the randomization: power_dips, or module:attribute of an Event. A
+    name can have settings: "power_dips(rate=0.2)"."""
     compensate_delay: bool = False
     """Carry late pose, heading and velocities on to now, by the commands sent since and the limits of the drive. Late
     scans then tell where they were taken from there."""
@@ -632,7 +632,7 @@ class EnvConfig(Settings):
 
         named = (*get_robots(self.robot)[0].sensors, *self.sensors)
         there = {Name.parse(one).part if isinstance(one, str) else getattr(one, "name", one) for one in named}
-        return (*named, *(one for one in ACTIONS.find(self.action.kind).needs if one not in there))
+        return (*named, *(one for one in getattr(ACTIONS.find(self.action.kind), "needs", ()) if one not in there))
 
     @property
     def late_scans(self) -> bool:

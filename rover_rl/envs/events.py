@@ -1,4 +1,4 @@
-"""Events: what befalls rovers in an episode, beside the ranges of :class:`~rover_rl.Randomization`.
+"""Events: what happens to rovers in an episode, beside the ranges of :class:`~rover_rl.Randomization`.
 
 An event is a stage of one's own: it begins with the episode, may change each command before the simulator follows it,
 and each reading after a step. Name it in ``make_env(events=...)`` or ``--events``.
@@ -7,6 +7,7 @@ and each reading after a step. Name it in ``make_env(events=...)`` or ``--events
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 from zlib import crc32
 
@@ -20,7 +21,7 @@ from rover_rl.rng import random_bits, to_unit
 
 
 class Event(Stage):
-    """Base class of events. Subclasses override :meth:`begin`, :meth:`command` or :meth:`read`.
+    """Base class of events. Subclasses override methods of :class:`~rover_rl.envs.stages.Stage`: begin, command, read.
 
     Random numbers come from :meth:`uniform`, so that an episode is the same in any batch.
 
@@ -65,9 +66,10 @@ class PowerDips(Event):
 
 
 def events(given: Any) -> list[Event]:
-    """Creates events from names, ``"module:attribute"`` and :class:`Event` classes. Raises ``ValueError`` for others.
+    """Creates events from names, ``"module:attribute"`` and :class:`Event` objects and classes.
 
-    A name may have settings, as in ``"power_dips(rate=0.2)"``.
+    A name may have settings, as in ``"power_dips(rate=0.2)"``. Raises ``ValueError`` for anything else.
     """
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
-    return [EVENTS.make(each, Event) for each in several]
+    # An object that is given may be for several environments.
+    return [copy(EVENTS.make(each, Event)) for each in several]

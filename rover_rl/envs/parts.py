@@ -23,22 +23,21 @@ ACTIONS = Registry(
 )
 TERMINATIONS = Registry("termination", {"no_progress": "rover_rl.envs.terminations:NoProgress"})
 EVENTS = Registry("event", {"power_dips": "rover_rl.envs.events:PowerDips"})
-TASKS = Registry(
-    "task",
-    {
-        "inspect": "rover_rl.tasks.inspect:INSPECT",
-        "moon": "rover_rl.tasks.moon:MOON",
-        "maze": "rover_rl.tasks.maze:MAZE",
-        "mazes": "rover_rl.tasks.mazes:MAZES",
-        "rooms-people": "rover_rl.tasks.rooms_people:ROOMS_PEOPLE",
-        "field": "rover_rl.tasks.field:FIELD",
-        "depth": "rover_rl.tasks.depth:DEPTH",
-        "hills": "rover_rl.tasks.hills:HILLS",
-        "race": "rover_rl.tasks.race:RACE",
-        "late": "rover_rl.tasks.late:LATE",
-        "any-robot": "rover_rl.tasks.any_robot:ANY_ROBOT",
-    },
-)
+BUILT_IN_TASKS = {
+    "inspect": "rover_rl.tasks.inspect:INSPECT",
+    "moon": "rover_rl.tasks.moon:MOON",
+    "maze": "rover_rl.tasks.maze:MAZE",
+    "mazes": "rover_rl.tasks.mazes:MAZES",
+    "rooms-people": "rover_rl.tasks.rooms_people:ROOMS_PEOPLE",
+    "field": "rover_rl.tasks.field:FIELD",
+    "depth": "rover_rl.tasks.depth:DEPTH",
+    "hills": "rover_rl.tasks.hills:HILLS",
+    "race": "rover_rl.tasks.race:RACE",
+    "late": "rover_rl.tasks.late:LATE",
+    "any-robot": "rover_rl.tasks.any_robot:ANY_ROBOT",
+}
+"""Tasks of the package, from easy to hard."""
+TASKS = Registry("task", BUILT_IN_TASKS)
 
 
 def register_action(name: str, action: Any) -> None:

@@ -19,7 +19,6 @@ from torchrl.envs.transforms import Transform
 from rover_rl.checks import MAX_NUMBER, check_positive
 from rover_rl.envs.parts import TERMINATIONS
 from rover_rl.envs.task import StepEvent
-from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.tensordicts import in_rows, unchecked_tensordict
 
 TOLD = "terminations"
@@ -30,7 +29,7 @@ class Termination(Transform):
     """Base class of terminations. Subclasses define ``name`` and :meth:`ends`.
 
     A step in which it holds is ``terminated``, and ``("terminations", name)``, bool ``[N, 1]``, tells so to rewards and
-    tables. It is judged in each step of 0.05 s, before the rewards.
+    tables. It is judged in each step of the simulator, before the rewards.
 
     Example:
         >>> class Tilted(Termination):
@@ -93,7 +92,7 @@ class NoProgress(Termination):
     def __init__(self, seconds: float = 20.0, distance: float = 0.2) -> None:
         super().__init__()
         check_positive(MAX_NUMBER, seconds=seconds, distance=distance)
-        self._steps, self._distance = round(seconds / CONTROL_DT), distance
+        self._seconds, self._distance = seconds, distance
         # Way to the goal gained since the goal was set, the most of it that counted, m, and steps since then.
         self._gained: Tensor | None = None
 
@@ -102,6 +101,7 @@ class NoProgress(Termination):
         if self._gained is None:
             self._gained = self._best = torch.zeros_like(progress)
             self._since = torch.zeros_like(steps)
+            self._steps = round(self._seconds / self.parent.control_dt)
         moved, begins = phase != StepEvent.NONE, (steps <= 1) | outcome.get("goal_reached")
         gained = torch.where(moved, self._gained + progress, self._gained)
         nearer = gained > self._best + self._distance
@@ -123,5 +123,8 @@ def terminations(given: Any) -> list[Transform]:
     """
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
     made = [TERMINATIONS.make(each, Termination) for each in several]
-    # A transform belongs to one environment.
-    return [part if part.parent is None else part.clone() for part in made]
+    names = [getattr(part, "name", None) for part in made]
+    if None in names or len({*names}) < len(names):
+        raise ValueError(f"terminations must have names of their own, got {names}")
+    # A transform belongs to one environment, and what was given may be for several.
+    return [part.clone() for part in made]

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from rover_rl.envs.config import EnvConfig, RobotLike
-from rover_rl.envs.parts import TASKS, task_gym_id
+from rover_rl.envs.parts import BUILT_IN_TASKS, TASKS, task_gym_id
 from rover_rl.names import Name, check_training_seed
 
 TEST_SEED = 50_000
@@ -98,4 +98,4 @@ def get_task(name: str) -> Task:
 
 def task_names() -> list[str]:
     """Returns the names of the tasks: those of the package in their order, then others."""
-    return TASKS.names()
+    return [*dict.fromkeys((*BUILT_IN_TASKS, *TASKS.names()))]

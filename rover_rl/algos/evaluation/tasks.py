@@ -11,7 +11,7 @@ from rover_rl.algos.evaluation.evaluate import Request, evaluate_all
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.parts import TASKS
+from rover_rl.envs.parts import HEADING, TASKS
 from rover_rl.registry import is_path
 from rover_rl.tasks.task import Task
 
@@ -20,9 +20,16 @@ _OWN = ("lidar", "sensors", "action", "heading_gains", "compensate_delay")
 
 
 def test_env(task: Task, policy: Policy | None) -> EnvConfig:
-    """Returns the environment of a task's test for a policy, with the sensors and the action that it was made for."""
+    """Returns the environment of a task's test for a policy, with the sensors and the action that it was made for.
+
+    The baselines have the contract's action.
+    """
+    env = task.test_env
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
-    return replace(task.test_env, **{} if made_for is None else {key: getattr(made_for, key) for key in _OWN})
+    if made_for is not None:
+        return replace(env, **{key: getattr(made_for, key) for key in _OWN})
+    is_baseline = type(policy).__module__.startswith("rover_rl.")
+    return replace(env, action=replace(env.action, kind=HEADING)) if is_baseline else env
 
 
 def for_task(task: Task, policy: Policy | None) -> Policy | None:

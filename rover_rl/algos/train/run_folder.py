@@ -22,6 +22,7 @@ from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import plain_settings, read_sessions, run_config, write_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.files import check_writable, written_whole
+from rover_rl.tasks.task import get_task
 
 STATE = "training_state.pt"  # name of the file in a run's folder from which training continues
 _FORMAT = "rover_rl training state, version 2"
@@ -84,7 +85,7 @@ def load_state(path: Path) -> dict[str, Any]:
 
 def default_name(config: TrainingConfig) -> str:
     memory = [] if config.network.memory == "none" else [config.network.memory]
-    named = (config.run.task_name,) if config.run.task_name else config.env.world_names
+    named = (get_task(config.run.task_name).name,) if config.run.task_name else config.env.world_names
     name = "-".join((config.algo, *memory, *named)).replace("*", "all")
     return re.sub(r"[:/\\]+", "-", name)
 

@@ -10,6 +10,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.task import EVENTS
+from rover_rl.envs.terminations import TOLD
 
 _GOALS = ("outcome", "goals")
 
@@ -18,7 +19,8 @@ class ActionRepeat(Transform):
     """Repeats each action ``repeat`` times, so that the policy runs at 20 Hz divided by ``repeat``.
 
     A row whose episode ends during the repeat takes no further steps. (TorchRL's ``FrameSkipTransform`` continues to
-    step ended rows, and returns only the ``done`` of the last step.) Rewards and their components are sums.
+    step ended rows, and returns only the ``done`` of the last step.) Rewards and their components are sums. A row is
+    ``done`` if any step of the repeat ended its episode.
 
     ``outcome`` covers all steps of the repeat: the events of any step, the ``phase`` with the highest priority, and the
     sum of ``progress``. Its other entries are those of the last step. The transform adds ``("outcome", "goals")``, the
@@ -40,7 +42,7 @@ class ActionRepeat(Transform):
         active = ones = torch.ones_like(next_tensordict.get("done"))
         if (given := tensordict.get("_step", None)) is not None:
             active = given.reshape(ones.shape)
-        total = self._step_entries(next_tensordict, active)
+        total, ends = self._step_entries(next_tensordict, active), _ends(next_tensordict)
         for _ in range(self.repeat - 1):
             active = active & ~next_tensordict.get("done")
             # On the CPU this check is cheap and may save steps. On an accelerator it would synchronize.
@@ -52,9 +54,11 @@ class ActionRepeat(Transform):
             next_tensordict = _step_rows(self.parent, current.set("_step", rows))
             step = self._step_entries(next_tensordict, active)
             total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
+            # A termination of one's own tells nothing of rows that it has ended before.
+            ends = {key: ended | (next_tensordict.get(key) & active) for key, ended in ends.items()}
         # A copy, because the environment keeps a reference to the outcome that it returns.
         next_tensordict.set("outcome", next_tensordict.get("outcome").copy())
-        for key, value in total.items():
+        for key, value in (total | ends).items():
             next_tensordict.set(key, value)
         return next_tensordict
 
@@ -74,6 +78,14 @@ class ActionRepeat(Transform):
         steps = observation_spec["outcome", "steps"]
         observation_spec[_GOALS] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         return observation_spec
+
+
+def _ends(step: TensorDictBase) -> dict[NestedKey, Tensor]:
+    """Returns the entries of a step that tell whether it ended the episode, and by which termination of one's own."""
+    told = step.get(TOLD, None)
+    keys: list[NestedKey] = ["done", "terminated", "truncated"]
+    keys += [] if told is None else [(TOLD, name) for name in told.keys()]  # noqa: SIM118
+    return {key: step.get(key) for key in keys}
 
 
 def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:

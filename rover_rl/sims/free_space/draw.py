@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from rover_rl.sims.free_space.paths import PathGrid, shortest_paths
 from rover_rl.sims.free_space.space import free_space
 from rover_rl.sims.movers.draw import SECONDS, WAY, draw_movers
 from rover_rl.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
-from rover_rl.worlds.region import Area, Region, expanded, overlap
+from rover_rl.worlds.region import Area, Region, expanded, overlap, union
 from rover_rl.worlds.world import World
 
 MARGIN = 3.0
@@ -133,21 +134,54 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
     Raises:
         ValueError: if the world has no free space for the robot.
     """
+    figure = draw_world(world, robot)
+    ax = figure.axes[0]
+    length, places = _draw_way(ax, world, robot, seed)
+    line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
+    _add_legend(ax, world, *places, line)
+    figure.savefig(path, dpi=150)
+    return length
+
+
+def draw_tasks(panels: Sequence[tuple[str, World, Robot]], path: str | Path, columns: int = 4, seed: int = 0) -> None:
+    """Draws maps side by side, with a title each, and a start and a goal of the robot with a path between them."""
+    columns = min(columns, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(3.1 * columns, 3.75 * rows))
+    figure.set_layout_engine("constrained", h_pad=0.09)
+    axes = [*figure.subplots(rows, columns, squeeze=False).flat]
+    for ax, (title, world, robot) in zip(axes, panels, strict=False):
+        draw_map(ax, world)
+        draw_movers(ax, world)
+        _draw_way(ax, world, robot, seed, size=11)
+        # The areas of the task, and the path, which may lead around.
+        shown = union(union(world.spawn_range, world.goal_range), _extent_of(ax.lines))
+        x, y = overlap(expanded(shown, MARGIN / 2), world.terrain.extent)
+        ax.set(xlim=x, ylim=y, xticks=[], yticks=[], xlabel="", ylabel="")
+        ax.set_title(title, fontsize=8.5)
+    for ax in axes[len(panels) :]:
+        ax.remove()
+    figure.savefig(path, dpi=100)
+
+
+def _extent_of(lines: Iterable[Line2D]) -> Area:
+    points = np.concatenate([line.get_xydata() for line in lines])
+    (left, bottom), (right, top) = points.min(0).tolist(), points.max(0).tolist()
+    return (left, right), (bottom, top)
+
+
+def _draw_way(ax: Axes, world: World, robot: Robot, seed: int, size: float = 15) -> tuple[float, list[Line2D]]:
+    """Draws a start, a goal and a path between them. Returns the length of the shortest, m, and the marks."""
     space, rng = free_space(world, robot), np.random.default_rng(seed)
     start = space.spawn_cells[int(rng.integers(len(space.spawn_cells)))]
     goals = space.goal_cells[torch.from_numpy(rng.integers(len(space.goal_cells), size=CANDIDATES))]
     goal = goals[int((goals - start).norm(dim=-1).argmax())]
-    figure = draw_world(world, robot)
-    ax = figure.axes[0]
     way = PathGrid(world, robot, CAUTION).path(start, goal)
     ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
     ax.plot(*way.T, color=OBSTACLE_EDGE, linewidth=2.2, zorder=6)
-    marks: dict[str, Any] = {"markeredgecolor": "white", "markersize": 15, "linestyle": "none", "zorder": 7}
+    marks: dict[str, Any] = {"markeredgecolor": "white", "markersize": size, "linestyle": "none", "zorder": 7}
     places = [
         *ax.plot(*start.tolist(), color=SPAWN, label="start", marker="o", **marks),
         *ax.plot(*goal.tolist(), color=GOAL, label="goal", marker="*", **marks),
     ]
-    line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
-    _add_legend(ax, world, *places, line)
-    figure.savefig(path, dpi=150)
-    return float(shortest_paths(world, robot, start[None], goal[None])[0])
+    return float(shortest_paths(world, robot, start[None], goal[None])[0]), places
