@@ -12,7 +12,7 @@ from rover_rl.envs.parts import BUILT_IN_TASKS, TASKS, task_gym_id
 from rover_rl.names import Name, check_training_seed
 
 TEST_SEED = 50_000
-"""Seed of the starts and goals of a test, and by convention of its first world."""
+"""Seed of the environment of a test, and by convention of its first world."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,11 +81,14 @@ class ActionRepeat(Transform):
 
 
 def _ends(step: TensorDictBase) -> dict[NestedKey, Tensor]:
-    """Returns the entries of a step that tell whether it ended the episode, and by which termination of one's own."""
+    """Returns the entries of a step that terminations of one's own have written.
+
+    The environment itself keeps the ends of the contract's.
+    """
     told = step.get(TOLD, None)
-    keys: list[NestedKey] = ["done", "terminated", "truncated"]
-    keys += [] if told is None else [(TOLD, name) for name in told.keys()]  # noqa: SIM118
-    return {key: step.get(key) for key in keys}
+    if told is None:
+        return {}
+    return {key: step.get(key) for key in ("done", "terminated", "truncated", *((TOLD, name) for name in told.keys()))}  # noqa: SIM118
 
 
 def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
