@@ -1,4 +1,4 @@
-"""Takes the pictures of the viewer, in the docs and in the README, from the real page in a headless browser.
+"""Takes the pictures of the viewer, in the docs, from the real page in a headless browser.
 
 python docs/draw_viewer.py [NAME ...]
 
@@ -95,7 +95,7 @@ def save(picture: Image.Image | bytes, name: str) -> None:
 
 
 def draw_first(browser: Browser) -> None:
-    """The first picture of the README: a trained rover among the boulders of the moon."""
+    """The picture of getting_started.md: a trained rover among the boulders of the moon."""
     with viewer_of("pretrained:anywhere", 6.0, world="moon", num_envs=1, seed=11) as viewer:
         viewer.stage.show_layer("lidar hits", False)
         with page_of(browser, viewer, (1200, 640)):

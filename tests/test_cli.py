@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,14 @@ import pytest
 import torch
 
 import rover_rl
-from rover_rl.algos.config import SACConfig, training_config, with_settings
+from rover_rl.algos.config import SACConfig, task_config, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.names import NO_POLICY
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.algos.video.film import film_to_goal
+from rover_rl.algos.train import train, untrained
+from rover_rl.algos.video.film import film
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.train import train_defaults
@@ -274,52 +276,62 @@ def test_play_films_a_trained_policy_in_its_world_and_folder(
 
 
 @pytest.mark.slow
-def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_in_unseen_worlds_in_bullet(
+def test_the_demo_tests_a_policy_before_and_after_its_training_films_it_and_compares_a_pretrained_one(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
+    monkeypatch.setattr("rover_rl.cli.demo.UNSEEN", {"field:50000-50001@1": "obstacles"})
     make_config = Demo._config
-    monkeypatch.setattr(
-        Demo,
-        "_config",
-        lambda demo, base: with_settings(
-            make_config(demo, base), num_envs=4, workers=1, rollout_length=8, epochs=1, minibatch=16
-        ),
-    )
+    small = {"num_envs": 4, "workers": 1, "rollout_length": 8, "epochs": 1, "minibatch": 16}
+    monkeypatch.setattr(Demo, "_config", lambda demo: with_settings(make_config(demo), **small))
     filmed: list[Any] = []
 
     def recorded(policy: Any, *args: Any, **options: Any) -> Any:
         filmed.append(policy)
-        return film_to_goal(policy, *args, **options)
+        return film(policy, *args, **options)
 
-    monkeypatch.setattr("rover_rl.algos.video.film.film_to_goal", recorded)
-    short = ["--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
+    monkeypatch.setattr("rover_rl.algos.video.film.film", recorded)
+    short = ["--minutes", "1e-6", "--episodes", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
     assert main(["demo", *short]) == 0
-    folder = tmp_path / "demo-maze"
-    env = read_config(folder / "config.yaml").env
-    assert (env.backend, env.world) == ("warp", "maze:0-299@0.2-0.9")
+    folder = tmp_path / "demo-inspect"
+    config = read_config(folder / "config.yaml")
+    assert (config.env.backend, config.env.world, config.run.task_name) == ("warp", "inspect", "inspect")
+    # A policy from nothing: neither a planner nor an expert helps.
+    assert (config.network.prior, config.algorithm.imitation) == ("none", 0.0)
     rows = json.loads((folder / "evaluation.json").read_text())
-    assert [row["policy"] for row in rows] == ["demo-maze", "gridplanner", "scripted"]
-    assert {(row["env"]["backend"], row["world"]) for row in rows} == {("bullet", "maze:10000-10001")}
+    assert [row["policy"] for row in rows] == ["policy after 0 steps", "policy after 128 steps"]
+    assert {(row["env"]["backend"], row["env"]["task"]["collision_from"]) for row in rows} == {("warp", "contact")}
     starts = [[episode["shortest"] for episode in row["episodes"]] for row in rows]
     assert len(starts[0]) == 2
-    assert starts == [starts[0]] * 3
+    assert starts == [starts[0]] * 2
     (policy,) = filmed
     trained = Checkpoint.load(folder).make_actor().state_dict()
     assert all(torch.equal(value, trained[name]) for name, value in policy.state_dict().items())
 
     told = capsys.readouterr().out
-    for picture in ("learning_curve.png", "paths.png", "film.gif"):
+    for picture in ("test_curve.png", "film.gif"):
         assert str(folder / picture) in told
         assert (folder / picture).stat().st_size > 1000
     # There is no terminal, so that each phase is told by lines, without a bar.
     lines = told.splitlines()
-    assert lines[0] == "Training PPO in generated worlds (maze) for 1e-06 minutes"
+    assert lines[0] == "1. A policy that has learned nothing drives inspect (the first time, Warp compiles)"
+    assert "It reaches 0% of 2 goals" in lines
     assert any(line.startswith("training 100% after") for line in lines)
-    assert "Driving 3 policies from the same starts in 2 unseen worlds" in lines
-    assert lines[-1] == f"To watch more of it: rover-rl play {folder}"
+    compared = r"obstacles \(field:50000-50001@1\): crowd \d+%, gridplanner-moving \d+%, scripted \d+%"
+    assert any(re.fullmatch(compared, line) for line in lines)
+    assert lines[-2] == f"More of the trained policy: rover-rl play {folder}"
     assert "\x1b" not in told
     assert "━━━━━━━━━━" not in told
+
+
+def test_the_training_begins_with_the_untrained_policy_of_its_seed(tmp_path: Path) -> None:
+    small = {"num_envs": 2, "workers": 1, "rollout_length": 4, "epochs": 1, "minibatch": 8, "total_steps": 32}
+    config = task_config("inspect", seed=3, runs=str(tmp_path), learning_rate=1e-30, **small)
+    before, after = untrained(config), Checkpoint.load(train(config).folder)
+    assert before.steps == 0
+    assert all(torch.allclose(value, after.actor[name], atol=1e-20) for name, value in before.actor.items())
+    other = untrained(with_settings(config, seed=4))
+    assert not all(torch.allclose(value, other.actor[name]) for name, value in before.actor.items())
 
 
 def test_robot_and_drive_take_the_description_of_an_environment(

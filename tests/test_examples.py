@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import doctest
+import json
 import os
 import re
 import subprocess
@@ -206,6 +207,33 @@ def test_programs_of_the_gallery(
     plt.close("all")
     assert re.search(expected, capsys.readouterr().out, re.MULTILINE)
     assert figures or name == "sb3_sac.py"
+
+
+def test_the_notebook_runs_from_its_first_cell_to_its_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its outputs are left out of the repository. Only the installation is not run here."""
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / "colab.ipynb").read_text(encoding="utf-8"))["cells"]
+    programs = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert all((cell["outputs"], cell["execution_count"]) == ([], None) for cell in programs)
+    install, *others = programs
+    assert install["metadata"]["tags"] == ["install"]
+    shown: list[str] = []
+    stand_in = SimpleNamespace(Image=lambda filename: filename, display=shown.append)
+    monkeypatch.setitem(sys.modules, "IPython.display", stand_in)
+    code = "".join("".join(cell["source"]) + "\n" for cell in others)
+    for line, tiny in {
+        "num_envs=64": "num_envs=2",
+        "rollout(100": "rollout(3",
+        "MINUTES, ROVERS = 2, 512": "MINUTES, ROVERS = 1e-6, 16",
+        "seed=0)\nsummary": "rollout_length=4, minibatch=16, epochs=1, seed=0)\nsummary",
+        "EPISODES, SECONDS = 64, 30.0": "EPISODES, SECONDS = 2, 0.2",
+        "FILMED = 16.0": "FILMED = 0.2",
+    }.items():
+        assert code.count(line) == 1, line
+        code = code.replace(line, tiny)
+    exec(compile(code, "colab.ipynb", "exec"), {})
+    assert [Path(picture).name for picture in shown] == ["test_curve.png", "film.gif"]
+    assert all(Path(picture).stat().st_size > 1000 for picture in shown)
 
 
 @pytest.mark.parametrize(

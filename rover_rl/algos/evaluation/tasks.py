@@ -9,6 +9,7 @@ from pathlib import Path
 from rover_rl.algos.evaluation.episodes import choose_episodes
 from rover_rl.algos.evaluation.evaluate import Request, evaluate_all
 from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.policy.names import PRETRAINED
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.parts import HEADING, TASKS
@@ -55,7 +56,9 @@ def split_task(words: Sequence[str]) -> tuple[Task | None, tuple[str, ...]]:
 
     A word that is a file or folder is none, nor is the ``"module:attribute"`` of something else.
     """
-    if words and not Path(words[0]).exists() and (words[0] in TASKS.names() or is_path(words[0])):
+    if not words or words[0].startswith(PRETRAINED) or Path(words[0]).exists():
+        return None, tuple(words)
+    if words[0] in TASKS.names() or is_path(words[0]):
         found = TASKS.find(words[0])
         if isinstance(found, Task):
             return found, tuple(words[1:])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
@@ -16,7 +16,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter, PercentFormatter
 from scipy.stats import trim_mean
 
+from rover_rl.algos.evaluation.metrics import proportion
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, style_axes
+from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.experiments.runs import WINDOW, Against, Experiment, Measure, Run, group
 from rover_rl.algos.experiments.statistics import interval
 from rover_rl.files import written_whole
@@ -59,6 +61,30 @@ def draw_learning_curve(runs: Sequence[str | Path], path: Path, panels: Panels =
     # Two long labels do not fit side by side.
     columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def draw_test_curve(folder: str | Path, tests: Mapping[int, Evaluation], path: Path) -> None:
+    """Draws the share of goals that a run's policies reach in the same test, with 95 % intervals, against time.
+
+    ``tests`` are evaluations of the run's policies, by the number of steps that each was trained for.
+    """
+    run = Run.read(folder)
+    seconds = 60 * np.interp([*tests], [0, *run.x["steps"]], [0, *run.x["minutes"]])
+    rates = [proportion(int(test.reached.sum()), len(test.reached)) for test in tests.values()]
+    values = np.array([(rate.value, rate.low, rate.high) for rate in rates])
+    figure = Figure(figsize=(6.4, 4), layout="constrained")
+    ax = figure.subplots()
+    ax.fill_between(seconds, values[:, 1], values[:, 2], color=BLUE, alpha=0.15, linewidth=0)
+    ax.plot(seconds, values[:, 0], color=BLUE, linewidth=2.2, marker="o")
+    for x, value in zip(seconds, values[:, 0], strict=True):
+        ax.annotate(f"{value:.0%}", (x, value), (0, 8), textcoords="offset points", ha="center")
+    ax.set(xlabel="training time (s)", ylabel="goals reached in the test", ylim=(0, 1.1), yticks=np.linspace(0, 1, 6))
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    what = run.config.run.task_name or run.folder.name
+    ax.set_title(f"{run.config.algo.upper()} learns {what}", loc="left", fontweight="bold")
+    style_axes(ax)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 

@@ -17,9 +17,10 @@ from rover_rl.algos.config import TrainingConfig, training_config
 from rover_rl.progress import ProgressDisplay
 
 if TYPE_CHECKING:
-    from rover_rl.algos.train.run import TrainingSummary
+    from rover_rl.algos.policy.checkpoint import Checkpoint
+    from rover_rl.algos.train.run import Learner, TrainingSummary
 
-__all__ = ["train", "training_config"]
+__all__ = ["train", "training_config", "untrained"]
 
 
 def train(
@@ -38,13 +39,12 @@ def train(
     """
     # These import PyTorch.
     from rover_rl.algos.policy.networks import single_threaded, with_threads
-    from rover_rl.algos.train.run import TrainingRun, prepare
+    from rover_rl.algos.train.run import TrainingRun
 
-    learner_type = getattr(import_module(f"{__name__}.{config.algo}"), f"{config.algo.upper()}Learner")
     with single_threaded():
         with ProgressDisplay("preparing"):
-            config = prepare(config)
-            learner = learner_type(config)
+            learner = _learner(config)
+            config = learner.config
         with TrainingRun(config, learner, folder) as run:
             if begun is not None:
                 begun(run.folder)
@@ -53,3 +53,19 @@ def train(
                     learned = learner.update(batch, run.share, run.stopwatch)
                 run.record(learned)
     return run.summary
+
+
+def untrained(config: TrainingConfig) -> Checkpoint:
+    """Returns the policy that :func:`train` begins with if the settings name a seed."""
+    from rover_rl.algos.policy.checkpoint import Checkpoint
+
+    learner = _learner(config)
+    return Checkpoint(learner.config, 0, learner.actor.state_dict())
+
+
+def _learner(config: TrainingConfig) -> Learner:
+    from rover_rl.algos.train.run import prepare
+
+    learner_type = getattr(import_module(f"{__name__}.{config.algo}"), f"{config.algo.upper()}Learner")
+    learner: Learner = learner_type(prepare(config))
+    return learner
