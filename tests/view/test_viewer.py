@@ -17,7 +17,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl import RoverEnv, Terrain, World, make_env
+from rover_rl import ActionConfig, RoverEnv, Terrain, World, make_env
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.experiments.run_files import RunFiles
@@ -30,7 +30,6 @@ from rover_rl.cli.training_page import TrainingPage, open_viewer
 from rover_rl.envs.sensors.cameras import ColorCamera
 from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.view import Viewer
-from rover_rl.view.controls import TURN
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
 from rover_rl.view.panels import lidar_picture, reward_bars, sensor_picture, spread_bars
@@ -145,13 +144,17 @@ def test_the_movers_that_a_policy_tracks_are_where_they_are(open_viewer):
 def test_a_person_drives_one_rover_and_nobody_after_a_stop(open_viewer):
     viewer = paused(open_viewer(num_envs=2))
     action = torch.ones(2, 2)
-    assert viewer.pilot.steered(action, 1, 1.0).equal(action)
+    limits = ActionConfig(max_speed=0.5).for_robot("rover_zero")
+    assert viewer.pilot.steered(action, 1, limits).equal(action)
     viewer.pilot.take_over()
-    assert viewer.pilot.steered(action, 1, 1.0).tolist() == [[1, 1], [0, 0]]
+    assert viewer.pilot.steered(action, 1, limits).tolist() == [[1, 1], [0, 0]]
     viewer.pilot._pressed |= {"▲": float("inf"), "▶": float("inf")}
-    assert viewer.pilot.steered(action, 1, 0.5)[1].tolist() == pytest.approx([0.5, -TURN])
+    assert viewer.pilot.steered(action, 1, limits)[1].tolist() == pytest.approx([0.5, -math.radians(60)])
+    for kind, expected in {"twist": [0.5, -7.0], "wheels": [0.5, 0.25]}.items():
+        others = replace(limits, kind=kind).for_robot("rover_zero")
+        assert viewer.pilot.steered(action, 1, others)[1].tolist() == pytest.approx(expected)
     viewer.pilot.give_back()
-    assert viewer.pilot.steered(action, 1, 1.0).equal(action)
+    assert viewer.pilot.steered(action, 1, limits).equal(action)
     with LivePage(port=0) as page:
         runner = page.runner(viewer.session._policy, viewer.session.rovers)
         assert runner(viewer.session.observation).shape == (2, 2)

@@ -35,7 +35,7 @@ RANDOMIZED = replace(EXACT, randomization=Randomization(range_noise=0.05))
 def driven(env: EnvConfig) -> Evaluation:
     """Drives nine episodes in the maze. The goal of number 5 is near."""
     episodes = stored_episodes("maze").first(9)
-    return evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=4.2, rows=8, env=env)
+    return evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=4.2, rows=9, env=env)
 
 
 def evaluated(folder: Path, env: EnvConfig = EXACT) -> Evaluation:
