@@ -14,7 +14,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl import EnvConfig, Randomization, RoverEnv, Terrain, World, box
+from rover_rl import ActionConfig, EnvConfig, Randomization, RoverEnv, Termination, Terrain, World, box
 from rover_rl.algos.deploy.drive_log import DriveLog, read_drives
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
@@ -82,6 +82,26 @@ def test_a_drive_ends_and_stops_at_its_goal(started, wire):
     assert all(moment.nearest > 0 for moment in moments)
     last = wire.sent["/cmd_vel"][-4]
     assert moments[-1].command == (last.linear.x, last.angular.z)
+
+
+class Ahead(Termination):
+    """Ends a drive half a meter ahead of its start."""
+
+    name = "half_a_meter"
+
+    def ends(self, outcome, observation):
+        return observation["pose"][:, :1] > 0.5
+
+
+def test_a_live_rover_has_the_action_and_the_terminations_of_its_environment(start, wire):
+    made_for = EnvConfig(action=ActionConfig(kind="twist"), terminate=(Ahead,))
+    robot, env = start(made_for=made_for)
+    moments: list[Moment] = []
+    policy = lambda now: now.set("action", torch.tensor([[0.5, 0.2]]))  # noqa: E731
+    assert drive_to(env, policy, GOAL, watch=moments.append) == "half a meter"
+    assert stopped(wire)
+    assert moments[5].command == pytest.approx((0.5, 0.2))
+    assert 0.4 < robot.position[0] < 0.7
 
 
 def test_an_obstacle_that_is_too_close_or_the_time_limit_ends_the_drive(env, wire):
