@@ -77,11 +77,14 @@ def read_command(args: Sequence[str]) -> Any:
     if name not in known:
         wrong = f"unknown command {name!r}{perhaps(name, known)}" if name else "a command is missing"
         raise ValueError(f"{wrong}; use one of {[*known]}; see {PROGRAM} --help")
-    command = known[name]
+    command, rest = known[name], args[1:]
+    if getattr(command, "first_word", None) is not None:
+        # The task has given the defaults of the options.
+        rest = rest[1:]
     default = {} if isinstance(command, type) else {"default": command}
     kind = command if isinstance(command, type) else type(command)
     with ReadableHelp(getattr(kind, "shown", None)):
-        return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
+        return tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", **default)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -90,7 +90,7 @@ class Train:
     collection: Annotated[CollectionConfig, FLAT] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, FLAT] = field(default_factory=PPOConfig)
     first_word: tyro.conf.Suppress[str | None] = None
-    """Task whose settings are the defaults."""
+    """Task whose settings are the defaults, which the command line named first."""
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 
@@ -104,7 +104,7 @@ class Train:
 
     def __call__(self) -> int:
         config = self.config
-        if self.task != self.first_word:
+        if self.task is not None:
             raise ValueError(f"name the task before the options: rover-rl train {self.task} ...")
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
@@ -176,7 +176,7 @@ def train_defaults(args: Sequence[str]) -> Train:
     if settings is not None:
         parts["env"] = replace(config.env, backend=name_of(settings))
     # tyro makes options of the fields that the default has: those of the algorithm.
-    named = {"task": task, "first_word": task, "learner": given.learner}
+    named = {"first_word": task, "learner": given.learner}
     return Train(algo=config.algo, backend_settings=settings, **named, **parts)  # type: ignore[arg-type]
 
 
@@ -223,6 +223,7 @@ def format_summary(summary: TrainingSummary) -> str:
             f"{options}, with {least}"
         )
     stopped = "Interrupted" if summary.interrupted else "Finished"
+    resume = f"\nTo continue: rover-rl train --resume {summary.folder}" if summary.interrupted else ""
     took = f"{summary.steps:,} steps in {summary.minutes:.1f} minutes"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())
-    return f"{stopped} after {took}: {summary.checkpoint}\nTime went into: {shares}"
+    return f"{stopped} after {took}: {summary.checkpoint}\nTime went into: {shares}{resume}"

@@ -8,6 +8,7 @@ the environment then follows. Name one in ``ActionConfig(kind=...)``, ``make_env
 from __future__ import annotations
 
 import math
+import operator
 from abc import abstractmethod
 from typing import ClassVar
 
@@ -53,7 +54,11 @@ class Action(Transform):
     def __init__(self, limits: ActionConfig, fleet: Fleet) -> None:
         super().__init__(in_keys_inv=["action"], out_keys_inv=["action"])
         self.limits, self.fleet = limits, fleet
-        self._spec = self.bounds(limits)
+        self._spec, name = self.bounds(limits), type(self).__name__
+        if not isinstance(self._spec, Bounds) or not all(map(operator.lt, self._spec.low, self._spec.high)):
+            raise ValueError(
+                f"{name}.bounds must return Bounds whose low ends are below the high ones, got {self._spec}"
+            )
         self._clip = self._spec.tensors(fleet.index.device)
 
     @staticmethod
@@ -85,7 +90,10 @@ class Action(Transform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         rows = in_rows(tensordict)
         action, invalid = checked_action(rows.get("action"), rows.batch_size, self._clip)
-        command = self.command(action, rows).masked_fill(invalid, torch.nan)
+        command = self.command(action, rows)
+        if not isinstance(command, Tensor):
+            raise ValueError(f"{type(self).__name__}.command must return commands, got {type(command).__name__}")
+        command = command.masked_fill(invalid, torch.nan)
         command = command if tensordict.batch_dims else command[0]
         return tensordict.set("steering" if self.steered else "command", command)
 

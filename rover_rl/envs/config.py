@@ -533,6 +533,9 @@ class EnvConfig(Settings):
         take("device", None if self.device is None else str(self.device))
         if isinstance(self.action, str):
             take("action", ActionConfig(kind=self.action))
+        if isinstance(self.action, type):
+            advice = "register it, or name it as module:attribute"
+            raise ValueError(f"action must be the name of an Action, got the class {self.action.__name__}; {advice}")
         super().__post_init__()
         for name, kind in PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
@@ -573,8 +576,12 @@ class EnvConfig(Settings):
                 raise TypeError("an EnvConfig is given alone; use dataclasses.replace(config, ...) to change it")
             return args[0]
         base = cls()
-        if isinstance(settings.get("task"), str):
-            base = TASKS.find(settings.pop("task")).env
+        task = settings.get("task")
+        if isinstance(task, str) or hasattr(task, "test_env"):
+            named = TASKS.find(settings.pop("task")) if isinstance(task, str) else settings.pop("task")
+            if not hasattr(named, "test_env"):
+                raise ValueError(f"task must be the name of a Task, and {task!r} is {type(named).__name__}")
+            base = named.env
         known = [*CONTRACT, *(item.name for item in fields(cls))]
         changes: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}

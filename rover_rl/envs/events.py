@@ -36,12 +36,16 @@ class Event(Stage):
         ...         return command + torch.cat((torch.zeros_like(self.pull), self.pull), -1)
     """
 
+    number = 0
+    """How many events of its class the environment has before it."""
+
     def uniform(self, keys: Tensor, steps: Tensor | int = 0, count: int = 1) -> Tensor:
         """Returns random numbers in [0, 1), ``[N, count]``, of episodes with these ``keys``, for a number of ``steps``.
 
-        In a step, ``keys`` and ``steps`` are those of the state. Each class draws its own numbers.
+        In a step, ``keys`` and ``steps`` are those of the state. Each class draws its own numbers, and so does each of
+        several events of one class.
         """
-        return to_unit(random_bits(keys, crc32(type(self).__qualname__.encode()), steps, count))
+        return to_unit(random_bits(keys, crc32(f"{type(self).__qualname__}{self.number or ''}".encode()), steps, count))
 
 
 class PowerDips(Event):
@@ -72,4 +76,37 @@ def events(given: Any) -> list[Event]:
     """
     several = given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
     # An object that is given may be for several environments.
-    return [copy(EVENTS.make(each, Event)) for each in several]
+    made = [copy(EVENTS.make(each, Event)) for each in several]
+    for index, event in enumerate(made):
+        event.number = sum(type(before) is type(event) for before in made[:index])
+    return made
+
+
+class Events(Stage):
+    """Stage of all events of an environment, in their order: checks what they make of commands.
+
+    Raises ``ValueError`` if an event returns something else than commands of the same shape, or on the CPU numbers that
+    are not finite.
+    """
+
+    def __init__(self, given: Any) -> None:
+        self._events = events(given)
+
+    def begin(self, mask: Tensor, keys: Tensor) -> None:
+        for event in self._events:
+            event.begin(mask, keys)
+
+    def command(self, command: Tensor, state: StepState) -> Tensor:
+        for event in self._events:
+            changed = event.command(command, state)
+            shape = getattr(changed, "shape", None)
+            if shape != command.shape or (changed.device.type == "cpu" and not changed.isfinite().all()):
+                told = f"finite numbers of shape {tuple(command.shape)}"
+                got = type(changed).__name__ if shape is None else f"shape {tuple(shape)}, or NaN or infinity"
+                raise ValueError(f"{type(event).__name__}.command must return {told}, got {got}")
+            command = changed
+        return command
+
+    def read(self, state: StepState) -> None:
+        for event in self._events:
+            event.read(state)

@@ -137,8 +137,10 @@ class RoverEnv(EnvBase):
         self.reward_spec = Unbounded(shape=(*batch_size, 1), device=device)
         self.full_done_spec = specs.done_spec(batch_size, device)
         self._action_clip = action.tensors(self._tensor_device)
-        none = torch.full_like(self._action_clip[0], torch.inf)
-        self._command_clip = (-none, none)
+        drives, bounds = [robot.drive for robot in self.fleet.robots], config.bounded_action
+        speed = max(abs(bounds.min_speed or 0), bounds.max_speed or 0, *(drive.max_speed for drive in drives))
+        most = (speed, max(drive.max_yaw_rate for drive in drives), *[speed] * (len(action.low) - 2))
+        self._command_clip = specs.Bounds(tuple(-end for end in most), most).tensors(self._tensor_device)
         setup = base.SensorSetup(self.fleet, config.lidar, self.control_dt, config.randomization)
         self.observer = base.Observer(self.sensors, setup)
 

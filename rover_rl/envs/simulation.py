@@ -11,7 +11,7 @@ from torch import Tensor
 from rover_rl.envs import stages
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.emergency_brake import EmergencyBrake
-from rover_rl.envs.events import events
+from rover_rl.envs.events import Events
 from rover_rl.envs.prediction import Prediction
 from rover_rl.envs.rows import Episodes, RowRobots, RowWorlds
 from rover_rl.envs.sensors.base import Sensor, Surroundings
@@ -112,8 +112,8 @@ class Simulation:
         self.command_delay = stages.CommandDelay(noise.latency, rows, device)
         if noise.latency[1]:
             self.stages.append(self.command_delay)
-        if live is None:
-            self.stages += events(config.events)
+        if config.events and live is None:
+            self.stages += [Events(config.events), stages.DriveBounds(fleet)]
 
     def _require(self, config: EnvConfig, fleet: Fleet, sensors: Mapping[str, Sensor]) -> None:
         """Raises an error for the first thing that the environment needs and its simulator or robot cannot do."""

@@ -150,7 +150,7 @@ class HeadingController:
 
 
 class DriveBounds(Stage):
-    """Limits the commands of several robots to what the drive of each can do."""
+    """Limits commands to what the drive of each robot can do."""
 
     def __init__(self, fleet: Fleet) -> None:
         names = ("max_speed", "max_yaw_rate", "max_speed")

@@ -52,7 +52,11 @@ class Termination(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         rows = in_rows(next_tensordict)
         outcome = rows.get("outcome")
-        ended = self.ends(outcome, rows) & (outcome.get("phase") != StepEvent.NONE)
+        ended, phase = self.ends(outcome, rows), outcome.get("phase")
+        if not isinstance(ended, Tensor) or ended.dtype != torch.bool or ended.shape != phase.shape:
+            got = f"{ended.dtype} {tuple(ended.shape)}" if isinstance(ended, Tensor) else type(ended).__name__
+            raise ValueError(f"{type(self).__name__}.ends must return bool {tuple(phase.shape)}, got {got}")
+        ended = ended & (phase != StepEvent.NONE)
         ended = ended if next_tensordict.batch_dims else ended[0]
         self._told(next_tensordict).set(self.name, ended)
         next_tensordict.set("truncated", next_tensordict.get("truncated") & ~ended)

@@ -9,7 +9,8 @@ from typing import Any
 
 from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.parts import BUILT_IN_TASKS, TASKS, task_gym_id
-from rover_rl.names import Name, check_training_seed
+from rover_rl.envs.sensors.suite import BUILT_IN
+from rover_rl.names import TRAINING_SEEDS, Name, check_training_seed
 
 TEST_SEED = 50_000
 """Seed of the environment of a test, and by convention of its first world."""
@@ -65,7 +66,13 @@ class Task:
         drawn = {
             Name.parse(world).part for world in self.env.worlds if isinstance(world, str) and Name.parse(world).is_range
         }
+        own = [Name.parse(one).part if isinstance(one, str) else getattr(one, "name", "") for one in self.env.sensors]
+        unknown = [entry for entry in self.observation if entry not in (*BUILT_IN, *own)]
+        if unknown and {*own} <= {*BUILT_IN}:
+            raise ValueError(f"observation names {unknown}, and the environment has {[*BUILT_IN]}")
         for name in map(Name.parse, worlds):
+            if name.is_range and name.settings["seed"][0] < TRAINING_SEEDS:
+                raise ValueError(f"test_world must have seeds from {TRAINING_SEEDS} up, got {name}")
             if name.part in drawn and not name.is_range:
                 raise ValueError(f"test_world must be a range of seeds where the training has one, got {name}")
         if not self.learners:

@@ -15,7 +15,7 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.names import make_baseline
 from rover_rl.envs.actions import Heading, WheelSpeeds, find_action
-from rover_rl.envs.events import Event, PowerDips
+from rover_rl.envs.events import Event, Events, PowerDips, events
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.terminations import NoProgress
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
@@ -251,7 +251,7 @@ def test_a_penalty_reads_why_an_episode_ended_and_tables_name_it() -> None:
 def dips(num_envs: int, seed: int, steps: int, **settings: float) -> torch.Tensor:
     """Whether the power is away in each step, ``[N, T]``, of rows with other seeds."""
     env = make_env(world=FLAT, backend="warp", num_envs=num_envs, seed=seed, events=PowerDips(**settings))
-    (event,) = [stage for stage in env.base_env._simulation.stages if isinstance(stage, PowerDips)]
+    (event,) = [stage for stage in env.base_env._simulation.stages if isinstance(stage, Events)]
     env.reset()
     commands = []
     for number in range(steps):
@@ -276,6 +276,51 @@ def test_power_dips_are_those_of_the_row_in_any_batch_and_as_many_as_asked_for()
 def test_a_rover_without_power_slows_down() -> None:
     env = flat_env(1, action="twist", events="power_dips(rate=20, seconds=1)")
     assert drive(env, [[1.0, 0.0]], 20)[-1]["velocities"].abs().max() < 0.02
+
+
+def test_events_of_one_class_draw_other_numbers_and_commands_are_those_that_the_drive_can_follow() -> None:
+    class Fast(Event):
+        def begin(self, mask: Any, keys: Any) -> None:
+            self.drawn = self.uniform(keys)
+
+        def command(self, command: Any, state: Any) -> Any:
+            return command * 1e6
+
+    one, other = made = events([Fast, Fast])
+    for event in made:
+        event.begin(torch.ones(2, 1, dtype=torch.bool), torch.tensor([[5], [6]]))
+    assert not one.drawn.equal(other.drawn)
+    env = flat_env(1, action="twist", events=[Fast])
+    assert drive(env, [[0.5, 0.0]], 60)[-1]["velocities"][0, 0].item() == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda command: command * math.nan, r"Bad.command must return finite numbers of shape \(1, 2\)"),
+        (lambda command: command[:, :1], r"got shape \(1, 1\)"),
+        (lambda command: None, "got NoneType"),
+    ],
+)
+def test_what_an_event_makes_of_commands_is_checked(made: Any, message: str) -> None:
+    class Bad(Event):
+        def command(self, command: Any, state: Any) -> Any:
+            return made(command)
+
+    with pytest.raises(ValueError, match=message):
+        drive(flat_env(1, action="twist", events=[Bad]), [[0.5, 0.0]], 1)
+
+
+@pytest.mark.parametrize("ended", [torch.zeros(1, 1), torch.zeros(1, dtype=torch.bool), None])
+def test_what_a_termination_returns_is_checked(ended: Any) -> None:
+    class Bad(Termination):
+        name = "bad"
+
+        def ends(self, outcome: Any, observation: Any) -> Any:
+            return ended
+
+    with pytest.raises(ValueError, match=r"Bad.ends must return bool \(1, 1\), got"):
+        drive(flat_env(1, action="twist", terminate=[Bad]), [[0.5, 0.0]], 1)
 
 
 def test_events_of_ones_own_may_serve_several_environments() -> None:

@@ -58,8 +58,11 @@ def train(
 def untrained(config: TrainingConfig) -> Checkpoint:
     """Returns the policy that :func:`train` begins with if the settings name a seed."""
     from rover_rl.algos.policy.checkpoint import Checkpoint
+    from rover_rl.algos.policy.networks import single_threaded
 
-    learner = _learner(config)
+    # Initial weights depend on the number of threads in their last bits.
+    with single_threaded():
+        learner = _learner(config)
     return Checkpoint(learner.config, 0, learner.actor.state_dict())
 
 
