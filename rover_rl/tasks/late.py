@@ -89,8 +89,8 @@ LATE = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"num_envs": 1024, "minibatch": 2048, "epochs": 6, "gamma": 0.98, "max_std": 0.5, "hidden": (256, 256)},
-        "ppo-gru": {"num_envs": 1024, "minibatch": 2048, "epochs": 4, "gamma": 0.98, "max_std": 0.5, "memory": "gru"},
-        "sac": {"algo": "sac", "num_envs": 64, "gamma": 0.98},
+        "ppo": {"gamma": 0.98, "max_std": 1.0},
+        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru"},
+        "sac": {"algo": "sac", "gamma": 0.98},
     },
 )
