@@ -110,12 +110,11 @@ class Evaluate:
             if word in BASELINES:
                 advice = "name one of them with --robot"
                 raise ValueError(f"{word} drives one robot, and the test of {task.name} has several: {advice}")
-        worlds = (task.test_world,) if isinstance(task.test_world, str) else task.test_world
         return replace(
             self,
             task=task,
             policies=policies,
-            world=self.world or worlds,
+            world=self.world or task.test_env.world_names,
             count=self.count or task.episodes,
             seconds=self.seconds or task.seconds,
         )

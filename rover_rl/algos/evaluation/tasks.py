@@ -45,8 +45,7 @@ def judge(
     """Evaluates a policy in a task's test, as ``rover-rl evaluate TASK POLICY`` does: once for each range of worlds."""
     policy = for_task(task, policy)
     env = test_env(task, policy)
-    worlds = (task.test_world,) if isinstance(task.test_world, str) else task.test_world
-    sets = [choose_episodes(world, task.episodes, robot=env.robot, workers=workers) for world in worlds]
+    sets = [choose_episodes(world, task.episodes, robot=env.robot, workers=workers) for world in env.world_names]
     options = {"name": name, "env": env, "seconds": task.seconds, "action_repeat": action_repeat}
     return evaluate_all([Request(policy, episodes, options) for episodes in sets], workers)
 
