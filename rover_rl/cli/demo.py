@@ -96,7 +96,11 @@ class Demo:
         film(trained.make_actor(), moving, style, world=TASK, seconds=FILMED, seed=self.seed, env=get_task(TASK).env)
         print(f"Its film: {moving}", flush=True)
         along = map(Checkpoint.load, sorted(folder.glob("snapshots/*.pt"))[:-1])  # the last one is the trained policy
-        tests = {0: before} | {policy.steps: self._test(policy) for policy in along} | {trained.steps: after}
+        tests = {0: before}
+        for policy in along:
+            tests[policy.steps] = self._test(policy)
+            print(f"After {policy.steps:,} steps, it was {tests[policy.steps].success_rate:.0%}", flush=True)
+        tests[trained.steps] = after
         draw_test_curve(folder, tests, curve)
         write_evaluation(folder / "evaluation.json", [*tests.values()])
         print(f"Its learning curve: {curve}", flush=True)
