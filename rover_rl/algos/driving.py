@@ -114,14 +114,15 @@ class Drive:
         return Step(self.observation, every if rows is None else rows, torch.zeros_like(every))
 
     @torch.no_grad()
-    def decide(self, due: Tensor | None = None, exploring: bool = False) -> Tensor:
+    def decide(self, due: Tensor | None = None, exploring: bool = False, rows: Tensor | None = None) -> Tensor:
         """Returns the actions of the policy, ``[N, A]``: the best ones, or random ones for ``exploring``.
 
-        ``due`` are the rows that decide: see :class:`~rover_rl.algos.policy.runner.PolicyRunner`.
+        ``due`` are the rows that decide, and ``rows`` those that drive: see
+        :class:`~rover_rl.algos.policy.runner.PolicyRunner`.
         """
         way = ExplorationType.RANDOM if exploring else ExplorationType.DETERMINISTIC
         with set_exploration_type(way):
-            return self.runner(self.observation, due)
+            return self.runner(self.observation, due, rows)
 
     @torch.no_grad()
     def step(self, action: Tensor, rows: Tensor | None = None) -> Step:
@@ -171,7 +172,7 @@ def drives(
     while schedule.driving is None or schedule.driving.any():
         if schedule.episode is not None:
             drive.observation.set("episode", schedule.episode[:, None])
-        step = drive.step(drive.decide(), schedule.driving)
+        step = drive.step(drive.decide(rows=schedule.driving), schedule.driving)
         yield step
         restarting = schedule.restart(step.ended)
         if restarting.any():

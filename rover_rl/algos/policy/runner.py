@@ -109,11 +109,11 @@ class PolicyRunner:
             self._is_init |= rows.to(self._is_init.device)
 
     @with_torch_defaults
-    def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
+    def __call__(self, observation: TensorDictBase, due: Tensor | None = None, rows: Tensor | None = None) -> Tensor:
         """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
 
         ``due`` are the rows that decide, bool ``[N]``; ``None``: those whose action has been held for ``action_repeat``
-        steps. Rows whose episode begins always decide.
+        steps. Rows whose episode begins always decide. Of these, only ``rows``, bool ``[N]``, need an action.
         """
         if self._action is None:
             lacking = [key for key in _entries(self.policy) if key in OPTIONAL and observation.get(key, None) is None]
@@ -123,6 +123,7 @@ class PolicyRunner:
             self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
             self._held = torch.zeros_like(self._is_init, dtype=torch.int64)
         due = self._is_init | (self._held >= self.action_repeat if due is None else due.to(self._held.device))
+        due = due if rows is None else due & rows.to(due.device)
         # On the CPU, the check is cheap and saves the call. On an accelerator it would synchronize.
         if self._action is None or self.action_repeat == 1 or due.device.type != "cpu" or due.any():
             action, state = self._decide(observation, due)

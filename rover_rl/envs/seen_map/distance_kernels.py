@@ -7,70 +7,115 @@ from rover_rl.native.warp import wp
 
 REACH = wp.constant(5)  # number of cells around a cell in which the nearest obstacle is looked for
 WHOLE_CELL = wp.constant(wp.vec4ub(PARTS - 1, PARTS - 1, PARTS - 1, PARTS - 1))  # box of an obstacle that fills it
+# What is in a cell: nothing, an obstacle in its box, one that fills it, or one that fills those around it, too.
+FREE, BOX, WHOLE, INNER = map(wp.constant, range(4))
+GROUP = wp.constant(8)  # number of cells that are read at once
+INNER_GROUP = wp.constant(wp.int64(int(INNER) * 0x0101010101010101))
 
 
 @wp.kernel
-def find_closed(
+def find_obstacles(
+    rows: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
+    evidence: wp.array2d[wp.uint8],
     bounds: wp.array[wp.vec4],
     lidars: wp.array[wp.vec4],
     views: wp.array2d[wp.bool],
+    wholes: wp.array[wp.bool],
     offset: float,
     passes: wp.array2d[wp.uint8],
-    closed: wp.array2d[wp.bool],
+    found: wp.array2d[wp.uint8],
 ):
-    """Cells that count as obstacles without evidence; a thread does a cell of a row.
+    """What is in the cells of the chosen rows; a thread does a cell of a row.
 
-    Those are cells that no beam has passed or come near, where the lidar does not see now, and those out of bounds.
+    Without evidence, cells count as obstacles that no beam has passed or come near, where the lidar does not see now,
+    and those out of bounds.
 
-    Lengths are in cells. ``lidars`` are x and y, headings (rad), and distances within which nothing is unknown, and
-    ``views`` tell whether each reading sees. ``offset`` is half of a beam, in readings, and ``passes`` are 1 in cells
-    that beams have passed. Results are where the cells are stored.
+    Lengths are in cells. ``lidars`` are x and y, headings (rad), and distances within which nothing is unknown,
+    ``views`` tell whether each reading sees, and ``wholes`` whether all of them do. ``offset`` is half of a beam, in
+    readings, and ``passes`` are 1 in cells that beams have passed. Results are where the cells are stored.
     """
     n, cell = wp.tid()
+    if not rows[n]:
+        return
     column = (cell & LAST) + centers[n][0] - HALF
     row = cell / SIZE + centers[n][1] - HALF
     x = float(column) + 0.5
     y = float(row) + 0.5
     lidar = lidars[n]
-    way = wp.vec2(x - lidar[0], y - lidar[1])
-    count = views.shape[1]
-    # From 0 to two turns.
-    angle = wp.mod(wp.atan2(way[1], way[0]) - lidar[2], 2.0 * wp.pi) + 2.0 * wp.pi
-    reading = int(angle / (2.0 * wp.pi) * float(count) + offset) % count
-    unknown = wp.length(way) > lidar[3] and not views[n, reading]
-    if unknown:
-        # Beams pass between the middles of cells.
-        for k in range(9):
-            unknown = unknown and passes[n, address(column + k % 3 - 1, row + k / 3 - 1)] == wp.uint8(0)
+    unknown = bool(False)
+    if not wholes[n]:
+        way = wp.vec2(x - lidar[0], y - lidar[1])
+        count = views.shape[1]
+        # From 0 to two turns.
+        angle = wp.mod(wp.atan2(way[1], way[0]) - lidar[2], 2.0 * wp.pi) + 2.0 * wp.pi
+        reading = int(angle / (2.0 * wp.pi) * float(count) + offset) % count
+        unknown = wp.length(way) > lidar[3] and not views[n, reading]
+        if unknown:
+            # Beams pass between the middles of cells.
+            for k in range(9):
+                unknown = unknown and passes[n, address(column + k % 3 - 1, row + k / 3 - 1)] == wp.uint8(0)
     area = bounds[n]
-    closed[n, address(column, row)] = unknown or x < area[0] or y < area[1] or x > area[2] or y > area[3]
+    here = address(column, row)
+    content = wp.where(int(evidence[n, here]) >= OCCUPIED, BOX, FREE)
+    out = wp.max(wp.max(area[0] - x, area[1] - y), wp.max(x - area[2], y - area[3]))
+    if unknown or out > 0.0:
+        content = wp.where(out > 1.0, INNER, WHOLE)
+    found[n, here] = wp.uint8(content)
+
+
+@wp.func
+def lower(
+    n: int,
+    line: int,
+    dy: int,
+    storage: int,
+    center: wp.vec2i,
+    found: wp.array2d[wp.uint8],
+    boxes: wp.array2d[wp.vec4ub],
+    distances: wp.array2d[float],
+):
+    """Lowers the squares of the distances of a line of cells to an obstacle ``dy`` lines before it, in parts."""
+    content = int(found[n, storage])
+    if content == FREE or (content == INNER and dy != 0):
+        return
+    column = ((storage & LAST) - center[0] + HALF) & LAST
+    box = wp.where(content == BOX, boxes[n, storage], WHOLE_CELL)
+    reach = wp.where(content == INNER, 0, REACH)
+    away_y = away(-dy, box[2], box[3])
+    for dx in range(wp.max(-reach, -column), wp.min(reach, LAST - column) + 1):
+        away_x = away(dx, box[0], box[1])
+        k = line * SIZE + column + dx
+        distances[n, k] = wp.min(distances[n, k], float(away_x * away_x + away_y * away_y))
 
 
 @wp.kernel
 def find_distances(
+    rows: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
-    evidence: wp.array2d[wp.uint8],
     boxes: wp.array2d[wp.vec4ub],
-    closed: wp.array2d[wp.bool],
+    found: wp.array2d[wp.uint8],
+    groups: wp.array2d[wp.int64],
     distances: wp.array2d[float],
 ):
-    """Distances of the middles of cells to the nearest box of an obstacle; a thread does a cell of a row.
+    """Distances of the middles of cells to the nearest box of an obstacle; a thread does a line of cells of a row.
 
-    ``evidence`` and ``boxes`` are the map (see ``scan_kernels.Cells``), and ``closed`` cells that count as obstacles as
-    well. Results are row by row from the lower corner of the window, in cells, at most ``REACH``.
+    ``boxes`` are those of the map (see ``scan_kernels.Cells``), ``found`` is what is in the cells, and ``groups`` are
+    the same in groups. Results are row by row from the lower corner of the window, in cells, at most ``REACH``.
     """
-    n, cell = wp.tid()
+    n, line = wp.tid()
+    if not rows[n]:
+        return
     center = centers[n]
-    column = cell & LAST
-    row = cell / SIZE
-    nearest = int(REACH * PARTS * REACH * PARTS)
-    for dy in range(wp.max(-REACH, -row), wp.min(REACH, LAST - row) + 1):
-        for dx in range(wp.max(-REACH, -column), wp.min(REACH, LAST - column) + 1):
-            there = address(column + dx + center[0] - HALF, row + dy + center[1] - HALF)
-            if closed[n, there] or int(evidence[n, there]) >= OCCUPIED:
-                box = wp.where(closed[n, there], WHOLE_CELL, boxes[n, there])
-                away_x = away(-dx, box[0], box[1])
-                away_y = away(-dy, box[2], box[3])
-                nearest = wp.min(nearest, away_x * away_x + away_y * away_y)
-    distances[n, cell] = wp.sqrt(float(nearest)) / float(PARTS)
+    for column in range(SIZE):
+        distances[n, line * SIZE + column] = float(REACH * PARTS * REACH * PARTS)
+    for dy in range(wp.max(-REACH, -line), wp.min(REACH, LAST - line) + 1):
+        first = address(0, line + dy + center[1] - HALF)
+        for group in range(SIZE / GROUP):
+            contents = groups[n, first / GROUP + group]
+            if contents != wp.int64(0) and (dy == 0 or contents != INNER_GROUP):
+                for k in range(GROUP):
+                    lower(n, line, dy, first + group * GROUP + k, center, found, boxes, distances)
+    for column in range(SIZE):
+        k = line * SIZE + column
+        distances[n, k] = wp.sqrt(distances[n, k]) / float(PARTS)

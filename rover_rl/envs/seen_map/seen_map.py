@@ -98,6 +98,9 @@ class SeenMap:
         self._boxes = torch.zeros(rows, cells, 4, dtype=torch.uint8, device=device)
         self._heights = torch.full((rows, cells), scans.UNSEEN, device=device)
         self._passed = torch.zeros(rows, cells if keep_passed else 0, dtype=torch.uint8, device=device)
+        # What is in the cells, and the distances to that, in cells.
+        self._found = torch.zeros_like(self._passed)
+        self._distances = torch.zeros(self._passed.shape, device=device)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -178,8 +181,12 @@ class SeenMap:
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
 
-    def distances(self, observation: Entries, bounds: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def distances(
+        self, observation: Entries, bounds: Tensor | None = None, rows: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns the distances to what has been seen until the ``observation`` that was added last.
+
+        ``bounds`` and ``rows`` are those of a call. The distances of other rows stay as they are.
 
         Where the lidar does not see now, as behind a rover whose lidar sees ahead, a cell that no beam has passed in
         the episode counts as an obstacle, but for those within 0.2 m of the body, which stands there. So does what is
@@ -192,7 +199,7 @@ class SeenMap:
         Raises:
             ValueError: if the map was made without ``keep_passed``.
         """
-        from rover_rl.envs.seen_map.distance_kernels import find_closed, find_distances
+        from rover_rl.envs.seen_map.distance_kernels import find_distances, find_obstacles
         from rover_rl.native.warp import launch_options, wp
 
         if not self._passed.shape[-1]:
@@ -206,15 +213,13 @@ class SeenMap:
         near = (mount.norm(dim=-1, keepdim=True) + self._outer[self._fleet.index] + KNOWN) / self.cell
         places = torch.cat((lidar / self.cell, imu[:, 2:], near), -1)
         area = ((self._unbounded if bounds is None else bounds) / self.cell).contiguous()
-        # Cells that count as obstacles without evidence, as they are stored.
-        closed, options = torch.zeros_like(self._evidence, dtype=torch.bool), launch_options(center.device)
-        inputs = [center, *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
-        inputs += [is_seen, self._offset, self._passed, closed]
-        wp.launch(find_closed, tuple(closed.shape), inputs, **options)
-        distances = torch.empty_like(self._heights)
-        inputs = [center, self._evidence, self._boxes, closed, distances]
-        wp.launch(find_distances, tuple(distances.shape), inputs, **options)
-        return distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
+        rows, options = self._every if rows is None else rows.contiguous(), launch_options(center.device)
+        inputs = [rows, center, self._evidence, *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
+        inputs += [is_seen, is_seen.all(-1), self._offset, self._passed, self._found]
+        wp.launch(find_obstacles, tuple(self._found.shape), inputs, **options)
+        inputs = [rows, center, self._boxes, self._found, self._found.view(torch.int64), self._distances]
+        wp.launch(find_distances, (len(rows), SIZE), inputs, **options)
+        return self._distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
         ahead, left = (self._readings[:, :2] * self._units)[self._fleet.index].split(1, -1)

@@ -94,4 +94,4 @@ class MapReader:
     def __call__(self, inputs: SensorInput) -> Tensor:
         due, observation = inputs.due(self._period), inputs.observation
         self.route = self.seen(observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
-        return torch.cat(self.seen.distances(observation, inputs.bounds), -1) if self._distances else self.route
+        return torch.cat(self.seen.distances(observation, inputs.bounds, due), -1) if self._distances else self.route

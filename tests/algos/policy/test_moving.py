@@ -84,6 +84,23 @@ def test_predictive_passes_what_it_sees_moving() -> None:
     assert across(PredictivePolicy(), [crossing(1.0)], goal=(-1.5, 0.0)) == 1
 
 
+def test_predictive_decides_the_same_in_any_batch_and_with_any_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    policy = PredictivePolicy()
+    config = EnvConfig(world=AHEAD, num_envs=9, backend="warp", lidar=policy.made_for.lidar, seed=3)
+    env = RoverEnv(sensors_for(policy, config, action_repeat=2))
+    observation = env.reset()
+    for _ in range(14):
+        observation = env.step(observation.set("action", torch.tensor([[0.5, 0.3]] * 9)))["next"]
+    assert observation["movers"].any()
+    together = policy(observation.copy())["action"]
+    for row in range(0, 9, 4):
+        assert torch.equal(policy(observation[row : row + 1].copy())["action"], together[row : row + 1])
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    assert torch.equal(policy(observation.copy())["action"], together)
+
+
 def test_who_tracks_what_moves_reaches_the_goal_more_often() -> None:
     worlds = [crossing(1.0, gate=False)]
     blind = across(DynamicWindowPolicy(), worlds)

@@ -54,7 +54,9 @@ def test_the_caller_may_say_which_rows_decide_and_a_policy_of_single_rows_is_cal
         assert counts(runner, seen, due=~second & second) == [0, 2, 0]
         runner.reset(torch.tensor([True, False, False]))
         assert counts(runner, seen, due=second) == [0, 3, 0]
-    assert rows == [3, 1, 1, 2]
+        # Of those that are due, only some drive.
+        assert counts(runner, seen, due=second | ~second, rows=second) == [0, 4, 0]
+    assert rows == [3, 1, 1, 2, 1]
 
 
 def test_policies_with_memory_or_a_map_decide_as_often_as_in_training_whatever_the_control_rate() -> None:
