@@ -133,7 +133,7 @@ def make_simulator(
 
 
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:
-    """Creates the lidar of the rovers in a simulator: the simulator's own, or one that casts rays in their worlds.
+    """Creates the lidar of the rovers in a simulator: the simulator's own, or that of the Warp backend in their worlds.
 
     The robot carries it at its ``lidar_position``. The beams are equally spaced over a full turn.
 
@@ -145,10 +145,10 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
     """
     if "lidar" in simulator.features:
         return simulator.scanner(beams)
-    from rover_rl.sims.rays import RayScanner
+    from rover_rl.sims.warp.plane_scanner import PlaneScanner
     from rover_rl.worlds.table import WorldTable
 
-    return RayScanner(simulator, WorldTable.of(worlds, simulator.device), robot, beams)
+    return PlaneScanner(simulator, WorldTable.of(worlds, simulator.device), robot, beams)
 
 
 def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""Rays to the ground and the obstacles of each row's world, the same in every simulator, and lidars that cast them.
+"""Rays to the ground and the obstacles of each row's world, the same in every simulator, and views of lidars.
 
 Example:
     >>> caster = RayCaster(WorldTable([World("flat", Terrain.flat((20.0, 20.0)))]))
@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from rover_rl.native.warp import stream_of, wp
-from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.base import Scanner, Simulator
-from rover_rl.sims.rover_state import RoverState, beam_angles
+from rover_rl.sims.base import Scanner
+from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.scenes.ray_kernels import aim_rays, cast_rays
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.worlds.table import WorldTable
@@ -37,6 +37,13 @@ class RayCaster:
         self._device = worlds.slots.device
         self._scenes = SceneTable(worlds.capacity, 0.0, wp.device_from_torch(self._device))
 
+    def scenes(self) -> tuple[Any, Tensor]:
+        """Returns the scenes of the worlds as kernels read them, and the number of that of each row, int64 ``[N]``."""
+        with wp.ScopedStream(stream_of(self._device)):
+            for slot, world in self._entered().items():
+                self._scenes[slot] = world
+        return self._scenes.scenes, self._worlds.slots
+
     def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
         """Returns the distance along each ray to the ground or an obstacle, float32 ``[N, K]``, m.
 
@@ -47,13 +54,11 @@ class RayCaster:
             directions: directions in the world frame, of any length but 0, ``[N, K, 3]``.
             farthest: length of the rays, m. Short ones take less time.
         """
+        scenes, slots = self.scenes()
         with wp.ScopedStream(stream_of(self._device)):
-            for slot, world in self._entered().items():
-                self._scenes[slot] = world
             ranges = torch.empty(origins.shape[:2], device=self._device)
             rays = [wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions)]
-            worlds = [self._scenes.scenes, wp.from_torch(self._worlds.slots)]
-            inputs = [*worlds, *rays, min(farthest, FAR), wp.from_torch(ranges)]
+            inputs = [scenes, wp.from_torch(slots), *rays, min(farthest, FAR), wp.from_torch(ranges)]
             wp.launch(cast_rays, ranges.shape, inputs, device=wp.device_from_torch(self._device))
         return ranges
 
@@ -75,24 +80,6 @@ def aimed_rays(rover: RoverState, mount: Sequence[float], directions: Tensor) ->
         inputs = [position, orientation, wp.vec3(*mount), local, *world]
         wp.launch(aim_rays, rays.shape[:2], inputs, device=wp.device_from_torch(device))
     return origins, rays
-
-
-class RayScanner:
-    """Lidar of a simulator that has none of its own: see :class:`~rover_rl.sims.base.Scanner`."""
-
-    def __init__(self, simulator: Simulator, worlds: WorldTable, robot: Robot, beams: int) -> None:
-        angles = beam_angles(beams)
-        self.angles = angles.float().to(simulator.device)
-        self._simulator, self._caster, self._range = simulator, RayCaster(worlds), robot.lidar_range
-        self._mount = robot.lidar_position
-        directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)
-        self._directions = directions.float().to(simulator.device)
-        self._ranges = torch.full((simulator.num_envs, beams), math.inf, device=simulator.device)
-
-    def scan(self, rows: Tensor | None = None) -> Tensor:
-        ranges = self._caster.cast(*aimed_rays(self._simulator.state(), self._mount, self._directions), self._range)
-        self._ranges = ranges if rows is None else torch.where(rows[:, None], ranges, self._ranges)
-        return self._ranges
 
 
 def seen(angles: Tensor, view: float | Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby, pairwise
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.movers.near import NearParts, fastest_point, find_near
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.rover_state import Dynamics, Force, RoverState, SimulatedDrives, beam_angles, no_forces
+from rover_rl.sims.rover_state import Dynamics, Force, RoverState, SimulatedDrives, no_forces
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 
@@ -34,7 +34,7 @@ class WorldGroup:
         rows: rows of the batch.
         every: indices of all rovers of the group.
         position: positions of the base frames, float64 ``[count, 3]``, m.
-        orientation: orientations of the base frames as the simulator's lidar takes them, ``[count, ...]``.
+        orientation: orientations of the base frames as a lidar of the simulator takes them, ``[count, ...]``.
         reach: radius of a sphere around a base frame that contains the rover, m.
         meets_movers: whether the world has movers.
     """
@@ -76,22 +76,12 @@ class WorldGroup:
         raise NotImplementedError
 
     def read(self, local: np.ndarray) -> np.ndarray:
-        """Updates ``position`` and ``orientation``, and returns poses and joints, float64 ``[k, 7 + M + S]``.
+        """Updates ``position``, and returns poses and joints, float64 ``[k, 7 + M + S]``.
 
         These are position (m) and orientation (x, y, z, w) of the base frames, mean speed of the wheels of each motor
         (rad/s) and angle of each steering joint (rad).
         """
         raise NotImplementedError
-
-
-class Lidar(Protocol):
-    """Lidar in the world of a group."""
-
-    def scan(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-        """Returns ranges ``[k, beams]`` (m) from poses as ``WorldGroup`` has them: ``inf`` where a beam hits nothing.
-
-        They are 0 for all beams of a lidar inside a solid.
-        """
 
 
 Change: TypeAlias = Callable[[WorldGroup, np.ndarray, Any], None]
@@ -101,13 +91,10 @@ Change: TypeAlias = Callable[[WorldGroup, np.ndarray, Any], None]
 class GroupedSimulator(Simulator):
     """Base of simulators on the CPU that keep consecutive rovers in the same world together.
 
-    A simulator has :meth:`_group` and :meth:`_lidars`. Each of the threads works on a share of the rovers of every
-    world.
+    A simulator has :meth:`_group`. Each of the threads works on a share of the rovers of every world.
     """
 
-    features: frozenset[Feature] = frozenset(
-        {"contacts", "dynamics", "lidar", "movers", "contact_force", "wheel_torque"}
-    )
+    features: frozenset[Feature] = frozenset({"contacts", "dynamics", "movers", "contact_force", "wheel_torque"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: Any, threads: int = 1) -> None:
         self.num_envs = count = len(worlds)
@@ -135,10 +122,6 @@ class GroupedSimulator(Simulator):
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def _group(self, world: World, rows: slice) -> WorldGroup:
-        raise NotImplementedError
-
-    def _lidars(self, angles: np.ndarray) -> list[Lidar]:
-        """Creates the lidar of each group, with beams at ``angles`` (rad) from straight ahead."""
         raise NotImplementedError
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
@@ -196,10 +179,6 @@ class GroupedSimulator(Simulator):
         reports = {name: torch.from_numpy(values.copy()) for name, values in self._reports.items()}
         return self._drive.state(*map(torch.from_numpy, known), **reports)
 
-    def scanner(self, beams: int) -> GroupScanner:
-        lidars = self._lidars(beam_angles(beams).numpy())
-        return GroupScanner(self._each, dict(zip(self._groups, lidars, strict=True)), self.num_envs, beams)
-
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         pose, movers = torch.from_numpy(self._body[row, :7]), shown_parts(self._movers, row)
         return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
@@ -223,22 +202,3 @@ class GroupedSimulator(Simulator):
         run(self._shares[0])
         for other in others:
             other.result()
-
-
-class GroupScanner:
-    """Lidar on every rover, an implementation of :class:`rover_rl.sims.base.Scanner`."""
-
-    def __init__(
-        self, each: Callable[[Change, Any], None], lidars: Mapping[WorldGroup, Lidar], count: int, beams: int
-    ) -> None:
-        self.angles = beam_angles(beams).float()
-        self._each, self._lidars = each, lidars
-        self._ranges = np.full((count, beams), np.inf, dtype=np.float32)
-
-    def scan(self, rows: Tensor | None = None) -> Tensor:
-
-        def scan(group: WorldGroup, local: np.ndarray, rows: Any) -> None:
-            self._ranges[rows] = self._lidars[group].scan(group.position[local], group.orientation[local])
-
-        self._each(scan, None if rows is None else rows.numpy())
-        return torch.from_numpy(self._ranges.copy())

@@ -95,7 +95,7 @@ class _StoppableRunner(PolicyRunner):
         super().__init__(policy, env=env)
         self._page, self._limits = page, env.config.bounded_action
 
-    def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
-        action = super().__call__(observation, due)
+    def __call__(self, observation: TensorDictBase, due: Tensor | None = None, rows: Tensor | None = None) -> Tensor:
+        action = super().__call__(observation, due, rows)
         self._page.check()
         return self._page.pilot.steered(action, 0, self._limits)

@@ -13,7 +13,8 @@ from rover_rl import RoverEnv
 from rover_rl.robots import get_robot
 from rover_rl.sims import make_scanner
 from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
-from rover_rl.sims.rays import RayScanner, seen
+from rover_rl.sims.rays import seen
+from rover_rl.sims.warp.plane_scanner import PlaneScanner
 from rover_rl.worlds import Terrain, World, box, get_world
 from rover_rl.worlds.table import WorldTable
 from tests.sims.driven import ROVER, all_rows, placed, slope
@@ -99,12 +100,12 @@ def test_ground_outside_of_the_bounds_is_seen_as_far_as_the_range(backend):
     assert ((ahead > 16) & (ahead < 16.1)).all()
 
 
-def test_cast_rays_see_what_the_lidars_of_the_simulators_see(backend):
+def test_the_planar_lidar_sees_what_the_lidars_of_the_simulators_see(backend):
     world = get_world("moon")
     poses = torch.tensor([[0.0, 0.0, 0.3], [2.0, -1.0, 2.0], [-3.0, 2.0, -1.0]])
     simulator = placed(backend, world, poses)
     table = WorldTable.of([world] * 3, "cpu")
-    cast = RayScanner(simulator, table, ROVER, 256)
+    cast = PlaneScanner(simulator, table, ROVER, 256)
     own = make_scanner(simulator, table, ROVER, 256)
     assert torch.equal(cast.angles, own.angles)
     near = torch.isclose(cast.scan(), own.scan(), atol=0.01, rtol=0)

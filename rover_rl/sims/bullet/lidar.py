@@ -6,13 +6,19 @@ In the client of the physics, the broad phase would also test every ray against 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Mapping
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from rover_rl.native.bullet import pybullet
 from rover_rl.robots import Robot
 from rover_rl.sims.bullet.geometry import add_mesh_bodies
+from rover_rl.sims.rover_state import beam_angles
+from rover_rl.sims.world_groups import Change, WorldGroup
 from rover_rl.worlds import World
 from rover_rl.worlds.clearance import SolidTest
 
@@ -75,3 +81,22 @@ class BulletLidar:
             if len(hits) != len(starts[call]):
                 raise RuntimeError(f"Bullet returned {len(hits)} of {len(starts[call])} lidar rays")
             fractions[call] = np.fromiter(map(_fraction, hits), np.float64, len(hits))
+
+
+class BulletScanner:
+    """Lidar on every rover, an implementation of :class:`rover_rl.sims.base.Scanner`."""
+
+    def __init__(
+        self, each: Callable[[Change, Any], None], lidars: Mapping[WorldGroup, BulletLidar], count: int, beams: int
+    ) -> None:
+        self.angles = beam_angles(beams).float()
+        self._each, self._lidars = each, lidars
+        self._ranges = np.full((count, beams), np.inf, dtype=np.float32)
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+
+        def scan(group: WorldGroup, local: np.ndarray, rows: Any) -> None:
+            self._ranges[rows] = self._lidars[group].scan(group.position[local], group.orientation[local])
+
+        self._each(scan, None if rows is None else rows.numpy())
+        return torch.from_numpy(self._ranges.copy())

@@ -13,11 +13,11 @@ from rover_rl.robots import Robot
 from rover_rl.rotations import rotation_forms
 from rover_rl.sims.bullet import BulletSettings, rover
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
-from rover_rl.sims.bullet.lidar import BulletLidar
+from rover_rl.sims.bullet.lidar import BulletLidar, BulletScanner
 from rover_rl.sims.bullet.movers import MoverBodies
 from rover_rl.sims.movers.near import NearParts, fastest_point
-from rover_rl.sims.rover_state import Force
-from rover_rl.sims.world_groups import GroupedSimulator, Lidar, WorldGroup
+from rover_rl.sims.rover_state import Force, beam_angles
+from rover_rl.sims.world_groups import GroupedSimulator, WorldGroup
 from rover_rl.worlds import Solids, World
 from rover_rl.worlds.movers import Part
 
@@ -41,6 +41,8 @@ class BulletSimulator(GroupedSimulator):
     ``worlds`` holds the world of each rover. Without ``settings``, the physics has its defaults.
     """
 
+    features = GroupedSimulator.features | {"lidar"}
+
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: BulletSettings | None = None) -> None:
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)
@@ -51,10 +53,11 @@ class BulletSimulator(GroupedSimulator):
         self._clients += group.clients
         return group
 
-    def _lidars(self, angles: np.ndarray) -> list[Lidar]:
-        lidars = [BulletLidar(group.world, self._robot, angles) for group in self._groups]
-        self._clients += [lidar.client for lidar in lidars]
-        return [*lidars]
+    def scanner(self, beams: int) -> BulletScanner:
+        angles = beam_angles(beams).numpy()
+        lidars = {group: BulletLidar(group.world, self._robot, angles) for group in self._groups}
+        self._clients += [lidar.client for lidar in lidars.values()]
+        return BulletScanner(self._each, lidars, self.num_envs, beams)
 
     def close(self) -> None:
         self._finalizer()

@@ -1,4 +1,4 @@
-"""MuJoCo backend: rigid-body physics and lidar rays on CPUs, in MuJoCo, which only building a simulator imports."""
+"""MuJoCo backend: rigid-body physics on CPUs, in MuJoCo, which only building a simulator imports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static geometry of a world as MuJoCo geoms: a height field for contacts, triangle meshes for lidar rays."""
+"""Static geometry of a world as MuJoCo geoms: a plane or a height field, boxes and convex meshes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,9 @@ import numpy as np
 
 from rover_rl.native.mujoco import mujoco
 from rover_rl.worlds import Solids, World
-from rover_rl.worlds.region import expanded
 
 GROUND_MARGIN = 3.0
 """Width of the ground for contacts beyond a world's bounds, m."""
-TILE = 5.0
-"""Approximate side length of a tile of the ground for rays, m.
-
-MuJoCo casts a ray against all triangles along the infinite line, but skips geoms beyond the range of the lidar.
-"""
 BASE_THICKNESS = 1.0
 """Thickness of the ground below its lowest point, m."""
 _QUARTER_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
@@ -25,7 +19,7 @@ _QUARTER_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the ground for contacts, ``"ground"``: an infinite plane if it is flat, else a height field with a margin.
+    """Adds the ground, ``"ground"``: an infinite plane if it is flat, else a height field with a margin.
 
     Outside the terrain, the height of its edge continues, as in :meth:`Terrain.height_at`. ``options`` are further
     attributes of the geom.
@@ -57,32 +51,8 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
 
 
-def add_ground_tiles(spec: mujoco.MjSpec, world: World, reach: float) -> None:
-    """Adds the ground for lidar rays: a plane of its extent if it is flat, tiles of triangles otherwise.
-
-    Rays against a height field take 40 times as long, because MuJoCo tests all cells of the rectangle that the ray
-    spans. Ground that no ray of length ``reach`` (m) meets from the ground of :func:`add_ground` is left out.
-    """
-    terrain = world.terrain
-    if terrain.is_flat:
-        center = (*((low + high) / 2 for low, high in terrain.extent), terrain.heights[0, 0].item())
-        size = (*((high - low) / 2 for low, high in terrain.extent), 1)
-        _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, pos=center, size=size)
-        return
-    step = max(1, round(TILE / terrain.cell))
-    rows, columns = terrain.covering(expanded(world.bounds, GROUND_MARGIN + reach))
-    # Tiles begin at multiples of their size, so that they are the same for every reach.
-    for row in range(rows.start // step * step, rows.stop - 1, step):
-        for column in range(columns.start // step * step, columns.stop - 1, step):
-            part = slice(row, row + step + 1), slice(column, column + step + 1)
-            vertices, faces = (array.numpy() for array in terrain.mesh(*part))
-            # A vertex of no triangle: MuJoCo computes the convex hull of every mesh, which fails for a flat one.
-            below = vertices.mean(0) - (0, 0, step * terrain.cell)
-            _add_mesh(spec, f"tile {row} {column}", np.vstack((vertices, below)), faces)
-
-
 def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes.
+    """Adds the obstacles: boxes and convex meshes.
 
     ``options`` are further attributes of the geoms, and their ``body``.
     """
@@ -101,15 +71,12 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.nd
     # Vertices relative to their center keep their precision, as MuJoCo stores them in single precision.
     center = vertices.mean(0)
     points, triangles = (vertices - center).ravel().tolist(), faces.ravel().tolist()
-    # The mesh of the ground has no volume.
     inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=inertia)
     _add_geom(spec, mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
 
 
 def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, body: Any = None, **options: Any) -> None:
-    # All geoms keep a contype other than 0: MuJoCo leaves the others out of the bounding volume hierarchy of a body,
-    # and rays then miss geoms that are in it.
     (body or spec.worldbody).add_geom(type=kind, **options)
 
 

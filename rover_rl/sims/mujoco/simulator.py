@@ -12,11 +12,10 @@ from rover_rl.native.mujoco import mujoco
 from rover_rl.robots import Robot
 from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco import MujocoSettings
-from rover_rl.sims.mujoco.lidar import MujocoLidar, RayScene
 from rover_rl.sims.mujoco.model import make_model
 from rover_rl.sims.mujoco.physics import RoverPhysics, RoversAmongMovers, reach_of, slots_of
 from rover_rl.sims.rover_state import Force
-from rover_rl.sims.world_groups import GroupedSimulator, Lidar, WorldGroup
+from rover_rl.sims.world_groups import GroupedSimulator, WorldGroup
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 
@@ -39,13 +38,9 @@ class MujocoSimulator(GroupedSimulator):
     def _group(self, world: World, rows: slice) -> WorldGroup:
         return MujocoGroup(world, rows, self._robot, self.settings, self._models)
 
-    def _lidars(self, angles: np.ndarray) -> list[Lidar]:
-        scenes = {world: RayScene(world, self._robot.lidar_range) for world in dict.fromkeys(self._worlds)}
-        return [MujocoLidar(scenes[group.world], self._robot, angles) for group in self._groups]
-
 
 class MujocoGroup(WorldGroup):
-    """Rovers in one world, on one thread. ``orientation`` are quaternions (w, x, y, z).
+    """Rovers in one world, on one thread.
 
     Rovers near movers are simulated in a model that has their parts, too. ``models`` makes models of a rover in a
     world, with parts of movers, which measure fields.
@@ -55,7 +50,6 @@ class MujocoGroup(WorldGroup):
         self, world: World, rows: slice, robot: Robot, settings: MujocoSettings, models: Callable[..., mujoco.MjModel]
     ) -> None:
         super().__init__(world, rows)
-        self.orientation = np.zeros((len(self.every), 4))
         self._robot, self._settings, self._models = robot, settings, models
         self._among: RoversAmongMovers | None = None
         self.measure({})
@@ -97,5 +91,5 @@ class MujocoGroup(WorldGroup):
         return touched
 
     def read(self, local: np.ndarray) -> np.ndarray:
-        self.position[local], self.orientation[local], joints = self._physics.read(local)
-        return np.concatenate((self.position[local], np.roll(self.orientation[local], -1, axis=1), joints), 1)
+        self.position[local], orientation, joints = self._physics.read(local)
+        return np.concatenate((self.position[local], np.roll(orientation, -1, axis=1), joints), 1)

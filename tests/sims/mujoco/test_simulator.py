@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv
+from rover_rl.sims import make_scanner
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.rover_state import Dynamics
 from rover_rl.worlds import get_world
-from tests.sims.driven import FLAT, all_rows, drive, placed, slope
+from tests.sims.driven import FLAT, ROVER, all_rows, drive, placed, slope
 
 HILL = slope(math.degrees(math.atan(0.3)))
 """A gradient of 0.3."""
@@ -43,7 +44,7 @@ def test_results_do_not_depend_on_the_number_of_threads():
     for threads in (1, 2, 3):
         batch = placed(MujocoSettings(threads=threads), worlds, poses)
         together.append(drive(batch, commands, 12)[-1])
-        scans.append(batch.scanner(8).scan())
+        scans.append(make_scanner(batch, worlds, ROVER, 8).scan())
         batch.close()
         batch.close()
     assert ((together[0].position - poses)[:, :2].norm(dim=-1) > 0.1).any()
