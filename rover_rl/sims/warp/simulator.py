@@ -109,6 +109,9 @@ class WarpSimulator(Simulator):
             dtype = vars(MoverArrays)["vars"][name].type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
+        # At a first start, the kernels of the physics take longest to compile. The others compile meanwhile.
+        modules = [kernel.module for kernel in (step_dynamics, scan, place)]
+        wp.force_load(self._wp_device, modules, self._options.get("block_dim"), max_workers=len(modules))
         solver = _solver(self.settings, max(robot.mass for robot in self.fleet.robots))
         return self._record(step_dynamics, solver, self._buffers.rovers, self._forms.scenes, arrays)
 
