@@ -64,31 +64,6 @@ def find_obstacles(
     found[n, here] = wp.uint8(content)
 
 
-@wp.func
-def lower(
-    n: int,
-    line: int,
-    dy: int,
-    storage: int,
-    center: wp.vec2i,
-    found: wp.array2d[wp.uint8],
-    boxes: wp.array2d[wp.vec4ub],
-    distances: wp.array2d[float],
-):
-    """Lowers the squares of the distances of a line of cells to an obstacle ``dy`` lines before it, in parts."""
-    content = int(found[n, storage])
-    if content == FREE or (content == INNER and dy != 0):
-        return
-    column = ((storage & LAST) - center[0] + HALF) & LAST
-    box = wp.where(content == BOX, boxes[n, storage], WHOLE_CELL)
-    reach = wp.where(content == INNER, 0, REACH)
-    away_y = away(-dy, box[2], box[3])
-    for dx in range(wp.max(-reach, -column), wp.min(reach, LAST - column) + 1):
-        away_x = away(dx, box[0], box[1])
-        k = line * SIZE + column + dx
-        distances[n, k] = wp.min(distances[n, k], float(away_x * away_x + away_y * away_y))
-
-
 @wp.kernel
 def find_distances(
     rows: wp.array[wp.bool],
@@ -107,15 +82,23 @@ def find_distances(
     if not rows[n]:
         return
     center = centers[n]
-    for column in range(SIZE):
-        distances[n, line * SIZE + column] = float(REACH * PARTS * REACH * PARTS)
+    for k in range(line * SIZE, (line + 1) * SIZE):
+        distances[n, k] = float(REACH * PARTS * REACH * PARTS)  # squares of distances, in parts
     for dy in range(wp.max(-REACH, -line), wp.min(REACH, LAST - line) + 1):
         first = address(0, line + dy + center[1] - HALF)
         for group in range(SIZE / GROUP):
             contents = groups[n, first / GROUP + group]
             if contents != wp.int64(0) and (dy == 0 or contents != INNER_GROUP):
-                for k in range(GROUP):
-                    lower(n, line, dy, first + group * GROUP + k, center, found, boxes, distances)
-    for column in range(SIZE):
-        k = line * SIZE + column
+                for here in range(first + group * GROUP, first + (group + 1) * GROUP):
+                    content = int(found[n, here])
+                    if content != FREE and (dy == 0 or content != INNER):
+                        column = (here - center[0] + HALF) & LAST
+                        box = wp.where(content == BOX, boxes[n, here], WHOLE_CELL)
+                        reach = wp.where(content == INNER, 0, REACH)
+                        away_y = away(-dy, box[2], box[3])
+                        for dx in range(wp.max(-reach, -column), wp.min(reach, LAST - column) + 1):
+                            away_x = away(dx, box[0], box[1])
+                            k = line * SIZE + column + dx
+                            distances[n, k] = wp.min(distances[n, k], float(away_x * away_x + away_y * away_y))
+    for k in range(line * SIZE, (line + 1) * SIZE):
         distances[n, k] = wp.sqrt(distances[n, k]) / float(PARTS)
