@@ -35,7 +35,7 @@ class RayCaster:
     def __init__(self, worlds: WorldTable) -> None:
         self._worlds, self._entered = worlds, worlds.follow()
         self._device = worlds.slots.device
-        self._scenes = SceneTable(worlds.capacity, 0.0, wp.device_from_torch(self._device))
+        self._scenes = SceneTable.of_solids(worlds.capacity, 0.0, wp.device_from_torch(self._device))
 
     def cast(self, origins: Tensor, directions: Tensor, farthest: float = math.inf) -> Tensor:
         """Returns the distance along each ray to the ground or an obstacle, float32 ``[N, K]``, m.
