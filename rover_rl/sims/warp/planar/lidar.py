@@ -10,20 +10,6 @@ from rover_rl.sims.warp.planar.contacts import unturned
 from rover_rl.sims.warp.planar.plan import Plan, cell_at
 from rover_rl.sims.warp.planar.robots import PlanarRobot
 
-EDGES_PER_UPDATE = 12
-"""Number of edges between two updates of how far the lidar sees."""
-
-
-@wp.func
-def is_hidden(scan: Scan, low: float, high: float, distance: float) -> bool:
-    """Whether no sector of the scan from angle ``low`` to ``high`` (turns) sees as far as a distance, m."""
-    first = int(wp.floor(low * float(SECTORS) - SECTOR_SLACK))
-    for k in range(first, int(wp.floor(high * float(SECTORS) + SECTOR_SLACK)) + 1):
-        if scan.visible[scan.row, (k + SECTORS) % SECTORS] > distance:
-            return False
-    return True
-
-
 @wp.func
 def clip_edges(plan: Plan, scan: Scan, height: float):
     """Shortens the beams that meet every ``lanes``-th edge in view of a lidar at a height, m."""
@@ -32,36 +18,17 @@ def clip_edges(plan: Plan, scan: Scan, height: float):
         return
     at = wp.vec2(scan.origin[0], scan.origin[1])
     ahead = wp.vec2(scan.ahead[0], scan.ahead[1])
-    farthest = float(scan.range)
     count = float(scan.beams.shape[0])
-    known = bool(False)
-    passed = int(0)
     for k in range(plan.view_starts[cell] + scan.lane, plan.view_starts[cell + 1], scan.lanes):
-        if plan.view_distances[k] > farthest:
-            break
         number = plan.view_edges[k]
         edge = plan.edges[number]
         span = plan.spans[number]
         a = unturned(wp.vec2(edge[0], edge[1]) - at, ahead)
         b = unturned(wp.vec2(edge[2], edge[3]) - at, ahead)
-        cross = a[0] * b[1] - a[1] * b[0]
         # Seen from its free side, an edge goes clockwise.
-        if cross < 0.0 and span[0] < height and height < span[1]:
-            along = b - a
-            square = wp.length_sq(along)
-            share = wp.clamp(-wp.dot(a, along) / square, 0.0, 1.0)
-            distance = wp.length(a + share * along)
-            if distance < farthest:
-                angles = span_in_turns(a, b)
-                hidden = bool(False)
-                if known:
-                    hidden = is_hidden(scan, angles[0], angles[1], distance)
-                if not hidden:
-                    clip_span(scan, a, b, angles[0] * count, angles[1] * count)
-                    passed += 1
-                    if passed % EDGES_PER_UPDATE == 0:
-                        farthest = update_visibility(scan)
-                        known = True
+        if a[0] * b[1] - a[1] * b[0] < 0.0 and span[0] < height and height < span[1]:
+            angles = span_in_turns(a, b)
+            clip_span(scan, a, b, angles[0] * count, angles[1] * count)
 
 
 @wp.kernel

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.table import Contents
+from rover_rl.sims.warp.planar.view import visible_distances
 from rover_rl.worlds import World
 
 LEVEL = 1e-3
 """Largest difference of heights of level ground, m."""
 UPRIGHT = 1e-6
 """Largest sine of the angle between a face of a prism and the vertical or the horizontal."""
-NEAR_CELL, VIEW_CELL = 0.5, 2.0
+NEAR_CELL, VIEW_CELL = 0.5, 1.0
 """Side of the cells that list the edges which a rover may touch, and of those that list what a lidar may see, m."""
 MAX_MARGIN = 0.4
 """Largest distance at which contacts are looked for, m: what a rover and an obstacle approach in a substep."""
 INSIDE = 1e-3
 """Depth behind the face of another obstacle from which on an edge is hidden, m."""
+MAX_PAIRS = 1 << 21
+"""Maximum number of pairs of a cell and an edge that are in memory at a time."""
 
 
 @wp.struct
@@ -63,18 +65,20 @@ def cell_at(cells: Cells, x: float, y: float) -> int:
     return row * cells.columns + column
 
 
-def plan_contents(world: World, reach: float, sight: float) -> Contents:
+def plan_contents(world: World, reach: float, sight: float, lidars: np.ndarray) -> Contents:
     """Returns the contents of a :class:`Plan`, for rovers within a ``reach`` and lidars that see ``sight`` (m) far.
 
-    Both are distances from the origin of the rover.
+    Both are distances from the origin of the rover; ``lidars [K]`` are the heights of lidars, m.
     """
-    heights = world.terrain.heights
-    ground = float(heights.mean())
-    edges, spans = _edges(world, ground)
-    near, near_lists = _cells(edges, NEAR_CELL, reach + MAX_MARGIN)
-    view, view_lists = _cells(edges, VIEW_CELL, sight)
+    ground = float(world.terrain.heights.mean())
+    outlines, spans = _outlines(world, ground)
+    edges, owners = _free_edges(outlines, spans)
+    near, near_lists = _listed(edges, NEAR_CELL, reach + MAX_MARGIN, [])
+    # An obstacle hides others from lidars in whose plane it is.
+    tall = [one for one, span in zip(outlines, spans, strict=True) if span[0] < lidars.min() and span[1] > lidars.max()]
+    view, view_lists = _listed(edges, VIEW_CELL, sight, tall)
     numbers = {"ground": ground, "near": near, "view": view}
-    arrays = {"edges": edges.astype(np.float32), "spans": spans.astype(np.float32)}
+    arrays = {"edges": edges.astype(np.float32), "spans": spans[owners].astype(np.float32)}
     near_arrays = {"near_starts": near_lists[0], "near_edges": near_lists[1]}
     views = dict(zip(("view_starts", "view_edges", "view_distances"), view_lists, strict=True))
     return numbers, arrays | near_arrays | views
@@ -107,33 +111,36 @@ def plan_problem(world: World, climb: float, tops: np.ndarray, lidars: np.ndarra
     return None
 
 
-def _edges(world: World, ground: float) -> tuple[np.ndarray, np.ndarray]:
-    """Edges ``[E, 4]`` of the outlines of all obstacles, and their faces' lowest and highest points ``[E, 2]``, m."""
+def _outlines(world: World, ground: float) -> tuple[list[np.ndarray], np.ndarray]:
+    """Edges of the outline of each obstacle, ``[K, 4]``, and their lowest and highest points ``[N, 2]``, m."""
     if not world.obstacles:
-        return np.empty((0, 4)), np.empty((0, 2))
+        return [], np.empty((0, 2))
     solids: Any = world.obstacles
-    outlines = solids.outlines
-    edges = np.concatenate([np.concatenate((outline, np.roll(outline, -1, 0)), 1) for outline in outlines])
-    owner = np.repeat(np.arange(len(outlines)), [len(outline) for outline in outlines])
     low, high = (corner[:, 2] - ground for corner in solids.bounding_boxes)
-    spans = np.stack((low, high), 1)[owner]
+    return [np.concatenate((one, np.roll(one, -1, 0)), 1) for one in solids.outlines], np.stack((low, high), 1)
+
+
+def _free_edges(outlines: list[np.ndarray], spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges that do not lie within another obstacle, ``[E, 4]``, and the obstacles that they are of, ``[E]``."""
+    edges = np.concatenate([np.empty((0, 4)), *outlines])
+    owners = np.repeat(np.arange(len(outlines)), [len(outline) for outline in outlines])
     along = edges[:, 2:] - edges[:, :2]
     length = np.linalg.norm(along, axis=1)
     outward = np.stack((along[:, 1], -along[:, 0]), 1) / np.maximum(length, 1e-9)[:, None]
     hidden = length < 1e-6
+    # Both ends, moved a little to the outside.
+    ends = np.stack((edges[:, :2], edges[:, 2:]), 1) + INSIDE * outward[:, None]
     offset = (outward * edges[:, :2]).sum(1)
     for number in range(len(outlines)):
-        # Both ends, moved a little to the outside, lie within another obstacle that is as high and as low.
-        own = owner == number
-        ends = np.stack((edges[:, :2], edges[:, 2:]), 1) + INSIDE * outward[:, None]
+        own = owners == number
         depth = (ends @ outward[own].T - offset[own]).max(-1).max(-1)
-        covers = (low[number] <= spans[:, 0] + 1e-9) & (high[number] >= spans[:, 1] - 1e-9)
+        covers = (spans[number, 0] <= spans[owners, 0] + 1e-9) & (spans[number, 1] >= spans[owners, 1] - 1e-9)
         hidden |= (depth < -1e-9) & covers & ~own
-    return edges[~hidden], spans[~hidden]
+    return edges[~hidden], owners[~hidden]
 
 
-def _cells(edges: np.ndarray, side: float, reach: float) -> tuple[Cells, list[np.ndarray]]:
-    """Grid around edges ``[E, 4]``, and its lists: starts, edges from near to far, and least distances (m)."""
+def _listed(edges: np.ndarray, side: float, reach: float, tall: list[np.ndarray]) -> tuple[Cells, list[np.ndarray]]:
+    """Grid of cells, and what :func:`visible_distances` finds: starts, edges from near to far, and distances (m)."""
     cells = Cells()
     cells.side = side
     starts = np.zeros(1, dtype=np.int32)
@@ -141,24 +148,15 @@ def _cells(edges: np.ndarray, side: float, reach: float) -> tuple[Cells, list[np
         return cells, [starts, starts[:0], np.zeros(0, dtype=np.float32)]
     ends = edges.reshape(-1, 2)
     corner = ends.min(0) - reach
-    cells.origin = wp.vec2(*corner.tolist())
-    cells.columns, cells.rows = np.ceil((ends.max(0) + reach - corner) / side).astype(int).tolist()
-    along = edges[:, 2:] - edges[:, :2]
-    square = np.maximum((along**2).sum(1), 1e-12)
-    outward = np.stack((along[:, 1], -along[:, 0]), 1) / np.sqrt(square)[:, None]
-    radius = side / math.sqrt(2)
+    columns, rows = np.ceil((ends.max(0) + reach - corner) / side).astype(int).tolist()
+    cells.origin, cells.columns, cells.rows = wp.vec2(*corner.tolist()), columns, rows
+    y, x = np.divmod(np.arange(rows * columns), columns)
+    middles = corner + side * (np.stack((x, y), 1) + 0.5)
     counts, found, bounds = [starts], list[np.ndarray](), list[np.ndarray]()
-    x = corner[0] + side * (np.arange(cells.columns) + 0.5)
-    for row in range(cells.rows):
-        middle = np.stack((x, np.full_like(x, corner[1] + side * (row + 0.5))), 1)
-        offset = middle[:, None] - edges[:, :2]
-        share = np.clip((offset * along).sum(2) / square, 0, 1)
-        least = np.linalg.norm(offset - share[..., None] * along, axis=2) - radius
-        # The free side of an edge is in front of it.
-        front = (offset * outward).sum(2) > -radius
-        listed = front & (least < reach)
-        order = np.argsort(np.where(listed, least, np.inf), axis=1, kind="stable")
-        count = listed.sum(1)
+    for some in np.array_split(middles, max(1, len(middles) * len(edges) // MAX_PAIRS)):
+        least = visible_distances(edges, some, side, reach, tall)
+        order = np.argsort(least, axis=1, kind="stable")
+        count = (least < np.inf).sum(1)
         first = np.arange(len(edges)) < count[:, None]
         found.append(order[first])
         bounds.append(np.take_along_axis(least, order, 1)[first])

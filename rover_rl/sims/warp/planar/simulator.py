@@ -53,4 +53,4 @@ class PlanarSimulator(WarpSimulator):
 def _checked_contents(world: World, robots: PlanarRobots) -> Contents:
     if problem := plan_problem(world, robots.highest_axle, robots.tops, robots.lidars):
         raise ValueError(f"physics='planar' needs level worlds, and {world.name!r} {problem}; use physics='default'")
-    return plan_contents(world, robots.reach, robots.sight)
+    return plan_contents(world, robots.reach, robots.sight, robots.lidars)
