@@ -79,8 +79,8 @@ class SceneTable:
 class PackedScene:
     """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
-    ``block`` has the arrays of the struct one after the other, each aligned to a cache line. ``record`` is the struct,
-    in which the addresses of the arrays, in words of 8 bytes at ``addresses``, are relative to the block. Both are uint8.
+    ``block`` has the arrays of the struct one after the other, each aligned to a cache line, and ``record`` is the
+    struct, both uint8. The addresses of the arrays, the words of 8 bytes at ``addresses``, are relative to the block.
     """
 
     block: np.ndarray

@@ -54,13 +54,16 @@ class WarpSettings(PhysicsSettings):
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "default": {},
-        "planar": {"planar": True, "substeps": 2, "solver_iterations": 6},
+        "full": {},
+        "planar": {"planar": True, "substeps": 2, "solver_iterations": 4},
     }
 
     @property
     def simulator(self) -> str:
         """Simulator of these settings, as ``"module:attribute"``."""
-        return "rover_rl.sims.warp." + ("planar.simulator:PlanarSimulator" if self.planar else "simulator:WarpSimulator")
+        return "rover_rl.sims.warp." + (
+            "planar.simulator:PlanarSimulator" if self.planar else "simulator:WarpSimulator"
+        )
 
     def __post_init__(self) -> None:
         super().__post_init__()

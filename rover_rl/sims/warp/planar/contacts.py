@@ -111,9 +111,7 @@ def add_touch(
 
 
 @wp.func
-def steered_point(
-    robot: PlanarRobot, axles: wp.array[wp.vec2], wheel: int, point: wp.vec2, center: wp.vec2
-) -> wp.vec2:
+def steered_point(robot: PlanarRobot, axles: wp.array[wp.vec2], wheel: int, point: wp.vec2, center: wp.vec2) -> wp.vec2:
     """A point of the base frame in the body frame, turned about the hub of a wheel if it is on one that steers."""
     if wheel < 0:
         return point - center

@@ -15,8 +15,8 @@ iteration, and u follows from a linear system of three equations (E. Weiszfeld, 
 tutorial on MM algorithms", 2004). No impulse is stored: iterations begin with the change of u in the last substep.
 
 A motor holds the speed of its wheel within a torque limit T, which bounds the longitudinal force of a patch to its
-share of ``T / r``. Then the wheel turns as fast as it rolls. A wheel without a motor feels no longitudinal force but that
-of its own inertia. Contacts with obstacles are stiff dampers along the normal that only push, and friction.
+share of ``T / r``. Then the wheel turns as fast as it rolls. A wheel without a motor feels no longitudinal force but
+that of its own inertia. Contacts with obstacles are stiff dampers along the normal that only push, and friction.
 """
 
 from __future__ import annotations
@@ -110,9 +110,7 @@ def solved(system: System) -> wp.vec3:
     scale = 1.0 / (a[0] * c00 + b[0] * c01 + b[1] * c02)
     r = system.right
     return scale * wp.vec3(
-        c00 * r[0] + c01 * r[1] + c02 * r[2],
-        c01 * r[0] + c11 * r[1] + c12 * r[2],
-        c02 * r[0] + c12 * r[1] + c22 * r[2],
+        c00 * r[0] + c01 * r[1] + c02 * r[2], c01 * r[0] + c11 * r[1] + c12 * r[2], c02 * r[0] + c12 * r[1] + c22 * r[2]
     )
 
 
@@ -249,6 +247,18 @@ def wheel_speeds(spins: wp.array[float], patches: wp.array[Patch], robot: Planar
             spins[wheel] = rovers.target_speeds[row, motor]
 
 
+@wp.func
+def late_share(change: wp.vec3, mass: wp.vec3, grip: float) -> float:
+    """Share of the change of velocity that a rover lacks on its way in a substep, as friction takes time for it.
+
+    It takes the time ``t = |change| / (mu g)``, h at most, and the velocity lags by ``change t / (2 h)`` on average.
+    """
+    impulse = mass[0] * wp.sqrt(
+        change[0] * change[0] + change[1] * change[1] + mass[2] / mass[0] * change[2] * change[2]
+    )
+    return 0.5 * wp.min(impulse / wp.max(grip, 1.0e-9), 1.0)
+
+
 @wp.kernel
 def step_planar(
     plans: wp.array[Plan],
@@ -294,9 +304,7 @@ def step_planar(
             steer(axles, robot, rovers, row, float(substep + 1) / float(solver.substeps))
             prepare_patches(patches, robot, axles, center, rovers, row, dt)
         # cos and sin of the yaw from those of its half.
-        ahead = wp.vec2(
-            half_turn[0] * half_turn[0] - half_turn[1] * half_turn[1], 2.0 * half_turn[0] * half_turn[1]
-        )
+        ahead = wp.vec2(half_turn[0] * half_turn[0] - half_turn[1] * half_turn[1], 2.0 * half_turn[0] * half_turn[1])
         outline.position = position
         outline.ahead = ahead
         approach = wp.length(velocity) + wp.abs(rate) * robot.reach
@@ -309,18 +317,19 @@ def step_planar(
         load_patches(patches, robot, center - lever * wp.vec2(change[0], change[1]), grip)
         local = unturned(velocity, ahead)
         start = wp.vec3(local[0], local[1], rate)
-        u = solve(
-            start, start + change, patches, robot, touches, count, mass, spins, solver, obstacle_friction
-        )
+        u = solve(start, start + change, patches, robot, touches, count, mass, spins, solver, obstacle_friction)
         change = u - start
+        way = u - late_share(change, mass, grip) * change
         for k in range(count):
             if touches[k].impulse > 0.0 and wp.dot(touches[k].normal, u) <= touches[k].bias + CREEP:
                 touched = True
                 met = met or touches[k].of_mover
+                # What stops a rover does so at once.
+                way = u
         velocity = turned(wp.vec2(u[0], u[1]), ahead)
         rate = u[2]
-        position += dt * velocity
-        half = 0.5 * dt * rate
+        position += dt * turned(wp.vec2(way[0], way[1]), ahead)
+        half = 0.5 * dt * way[2]
         half_turn = wp.normalize(turned(half_turn, wp.vec2(wp.cos(half), wp.sin(half))))
         if substep + 1 == solver.substeps or rovers.angles.shape[1] > 0:
             wheel_speeds(spins, patches, robot, rovers, row, u)
@@ -372,9 +381,7 @@ def write_state(robot: PlanarRobot, rovers: RoverArrays, row: int):
 
 
 @wp.kernel
-def place_planar(
-    plans: wp.array[Plan], robots: wp.array[PlanarRobot], rovers: RoverArrays, poses: wp.array[wp.vec3]
-):
+def place_planar(plans: wp.array[Plan], robots: wp.array[PlanarRobot], rovers: RoverArrays, poses: wp.array[wp.vec3]):
     """Places the active rovers at planar poses, x, y (m) and yaw (rad), at rest."""
     row = wp.tid()
     if not rovers.active[row]:

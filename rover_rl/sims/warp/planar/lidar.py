@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.warp.kernels.lidar import TIE, clip_span, span_in_turns
-from rover_rl.sims.warp.kernels.scan_plane import SECTOR_SLACK, SECTORS, Scan, update_visibility
+from rover_rl.sims.warp.kernels.scan_plane import Scan
 from rover_rl.sims.warp.kernels.types import RoverArrays
 from rover_rl.sims.warp.planar.contacts import unturned
 from rover_rl.sims.warp.planar.plan import Plan, cell_at
 from rover_rl.sims.warp.planar.robots import PlanarRobot
+
 
 @wp.func
 def clip_edges(plan: Plan, scan: Scan, height: float):

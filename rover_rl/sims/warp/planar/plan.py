@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.scenes.table import Contents
 from rover_rl.sims.warp.planar.view import visible_distances
 from rover_rl.worlds import World
+from rover_rl.worlds.solids import Solids
 
 LEVEL = 1e-3
 """Largest difference of heights of level ground, m."""
@@ -95,12 +94,13 @@ def plan_problem(world: World, climb: float, tops: np.ndarray, lidars: np.ndarra
     heights = world.terrain.heights.numpy()
     if heights.max() - heights.min() > LEVEL:
         return "has ground that is not level"
-    if not world.obstacles:
+    solids = Solids.of(world.obstacles)
+    if not solids:
         return None
-    upward = np.abs(world.obstacles.planes[:, 2].numpy())  # type: ignore[attr-defined]
-    low, high = (corner[:, 2] - float(heights.mean()) for corner in world.obstacles.bounding_boxes)  # type: ignore[attr-defined]
+    upward = np.abs(solids.planes[:, 2].numpy())
+    low, high = (corner[:, 2] - float(heights.mean()) for corner in solids.bounding_boxes)
     met = (high > LEVEL) & (low < max(tops.max(), lidars.max()))
-    slanted = np.repeat(met, np.diff(world.obstacles.plane_starts)) & (upward > UPRIGHT) & (upward < 1 - UPRIGHT)  # type: ignore[attr-defined]
+    slanted = np.repeat(met, np.diff(solids.plane_starts)) & (upward > UPRIGHT) & (upward < 1 - UPRIGHT)
     if slanted.any():
         return "has obstacles with slanted faces"
     if (met & (high < climb)).any():
@@ -113,9 +113,7 @@ def plan_problem(world: World, climb: float, tops: np.ndarray, lidars: np.ndarra
 
 def _outlines(world: World, ground: float) -> tuple[list[np.ndarray], np.ndarray]:
     """Edges of the outline of each obstacle, ``[K, 4]``, and their lowest and highest points ``[N, 2]``, m."""
-    if not world.obstacles:
-        return [], np.empty((0, 2))
-    solids: Any = world.obstacles
+    solids = Solids.of(world.obstacles)
     low, high = (corner[:, 2] - ground for corner in solids.bounding_boxes)
     return [np.concatenate((one, np.roll(one, -1, 0)), 1) for one in solids.outlines], np.stack((low, high), 1)
 

@@ -65,7 +65,9 @@ class PlanarRobots:
         self.reach = max(model.reach for model in self._owners)
         self.ranges = fleet.table(lambda robot: robot.lidar_range)
         stand = [model.height for model in self._owners]
-        self.highest_axle = max(h + max(hub[2] for hub in r.wheels.hubs) for h, r in zip(stand, fleet.robots, strict=True))
+        self.highest_axle = max(
+            h + max(hub[2] for hub in r.wheels.hubs) for h, r in zip(stand, fleet.robots, strict=True)
+        )
         self.tops = np.array([h + _spans(r)[:, 1].max() for h, r in zip(stand, fleet.robots, strict=True)])
         self.lidars = np.array([h + r.lidar_position[2] for h, r in zip(stand, fleet.robots, strict=True)])
         self.sight = max(r.lidar_range + math.hypot(*r.lidar_position[:2]) for r in fleet.robots)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
+import torch
+
 from rover_rl.native.warp import wp
+from rover_rl.robots import Robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Feature
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.scenes.table import Contents, SceneTable
@@ -50,7 +55,18 @@ class PlanarSimulator(WarpSimulator):
         """The kernels read kinds and sizes of parts, and no solids."""
 
 
+def planar_problem(worlds: Iterable[World], robots: Sequence[Robot]) -> str | None:
+    """Tells why the planar tier cannot simulate robots in worlds, in a sentence; ``None`` if it can."""
+    try:
+        known = PlanarRobots(Fleet(robots, torch.zeros(1, dtype=torch.int64)), wp.get_device("cpu"))
+        for world in worlds:
+            _checked_contents(world, known)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
 def _checked_contents(world: World, robots: PlanarRobots) -> Contents:
     if problem := plan_problem(world, robots.highest_axle, robots.tops, robots.lidars):
-        raise ValueError(f"physics='planar' needs level worlds, and {world.name!r} {problem}; use physics='default'")
+        raise ValueError(f"physics='planar' needs level worlds, and {world.name!r} {problem}; use physics='full'")
     return plan_contents(world, robots.reach, robots.sight, robots.lidars)
