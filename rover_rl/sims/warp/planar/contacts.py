@@ -88,8 +88,8 @@ def add_touch(
     """Appends a contact at ``arm``, and returns the new count. If the array is full, the farthest one is left out."""
     k = int(count)
     if count == MAX_TOUCHES:
-        k = 0
-        for other in range(1, MAX_TOUCHES):
+        k = int(0)
+        for other in range(1, count):
             if touches[other].gap > touches[k].gap:
                 k = other
         if touches[k].gap <= gap:

@@ -44,7 +44,7 @@ class PlanarSimulator(WarpSimulator):
         solver.iterations = self.settings.solver_iterations
         solver.ground_friction = self.settings.ground_friction
         solver.obstacle_friction = self.settings.obstacle_friction
-        for name, kind in PartArrays.vars.items():
+        for name, kind in vars(PartArrays)["vars"].items():
             dtype: Any = kind.type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             known = None if self._parts is None else wp.from_torch(getattr(self._parts, name), dtype=DTYPES.get(name))

@@ -40,7 +40,9 @@ def hides(outlines: wp.array[wp.vec4], first: int, end: int, middle: wp.vec2, ha
     point of the cell to one of the edge missed the outline, a line would separate the two convex sets; and on its side
     of the line there would be a corner of the cell and an end of the edge, and the segment between them.
     """
-    for k in range(8):
+    # A loop to a constant is unrolled, which takes long to compile.
+    pairs = int(8)
+    for k in range(pairs):
         corner = middle + half * wp.vec2(wp.where(k & 1 == 0, -1.0, 1.0), wp.where(k & 2 == 0, -1.0, 1.0))
         target = wp.vec2(edge[0], edge[1])
         if k >= 4:
