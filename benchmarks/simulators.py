@@ -20,9 +20,11 @@ from benchmarks.ratios import paired, told
 from rover_rl import make_env
 from rover_rl.sims import Backend
 from rover_rl.sims.backends import resolve_backend
+from rover_rl.sims.warp import WarpSettings
 
 WORLDS = ("inspect", "moon", "maze")
 BEAMS = (128, 640)
+LEVEL = (("maze", 128), ("maze", 32), ("field@1", 128))  # worlds and beams in which Warp's planar tier is measured
 
 
 def _environment(world: str, rovers: int, beams: int, backend: str | Backend) -> EnvBase:
@@ -84,6 +86,11 @@ def measure(options: Options) -> dict[str, Any]:
             fast = _environment(world, envs, BEAMS[0], one_core)
             bullet = _environment(world, options.rovers, BEAMS[0], "bullet")
             compare(f"{engine} / bullet: environment, {world}, {envs:,} rovers", fast, bullet, environment_work)
+        if engine == "warp":
+            planar = replace(WarpSettings.preset("planar"), threads=1)
+            for world, beams in LEVEL:
+                fast, full = (_environment(world, envs, beams, settings) for settings in (planar, one_core))
+                compare(f"planar / full engine: environment, {world}, {beams} beams", fast, full, environment_work)
         one, two = (_environment("inspect", rovers, BEAMS[0], replace(one_core, threads=threads)) for threads in (1, 2))
         compare(f"{engine}: two threads / one thread", two, one, simulator_work)
     return {"ratios": rows}

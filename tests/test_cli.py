@@ -84,7 +84,7 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("film scripted --width 99999999 --out film.gif", "width must be positive and at most 8192, got 99999999"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
         ("train --hidden 1000000000000", "not enough memory"),
-        ("train --backend warp --world maze --physics fast", "presets of the physics are Bullet's"),
+        ("train --backend warp --world maze --physics fast", "unknown physics 'fast'"),
     ],
 )
 def test_a_wrong_command_line_is_refused_in_one_line(

@@ -316,8 +316,6 @@ class TrainingConfig:
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
             raise ValueError("Ray is a collector: use collector='ray', with backend='bullet', 'mujoco' or 'warp'")
-        if env.backend == "warp" and env.preset:
-            raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
         resolve_backend(env.backend, env.preset)
         if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
             raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")

@@ -500,7 +500,8 @@ class EnvConfig(Settings):
     backend: BackendLike = "bullet"
     """Simulator: bullet, warp (fast), mujoco (an extra), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
-    """Physics preset of the backend. Bullet has default, accurate and fast, see docs/simulators.md."""
+    """Physics preset of the backend. Bullet has default, accurate and fast (docs/simulators.md), and Warp default, full
+    and planar, which is several times as fast on level ground (docs/warp.md); by default, training takes it there."""
     control_rate: float | None = None
     """Control steps per second. Default: those of the backend's settings, 20. A fast robot needs more: at 5 m/s and 20
     Hz, it drives 0.25 m in a step. Numbers of steps, as the length of an episode, stay as they are."""

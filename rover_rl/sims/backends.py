@@ -125,7 +125,9 @@ def make_simulator(
     if isinstance(settings, Backend):
         return _make_custom(settings, {"worlds": worlds, "robot": robot, **options})
     name = name_of(settings)
-    simulator = getattr(import_module(f"rover_rl.sims.{name}.simulator"), f"{name.capitalize()}Simulator")
+    path = getattr(settings, "simulator", f"rover_rl.sims.{name}.simulator:{name.capitalize()}Simulator")
+    module, _, attribute = path.partition(":")
+    simulator = getattr(import_module(module), attribute)
     if len(robots) > 1 and "robots" not in simulator.features:
         problem = f"{simulator.__name__} does not have the feature 'robots'; use backend='warp', or name one robot"
         raise ValueError(f"several robots in one batch need a backend that simulates them: {problem}")

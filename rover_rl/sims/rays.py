@@ -35,7 +35,7 @@ class RayCaster:
     def __init__(self, worlds: WorldTable) -> None:
         self._worlds, self._entered = worlds, worlds.follow()
         self._device = worlds.slots.device
-        self._scenes = SceneTable(worlds.capacity, 0.0, wp.device_from_torch(self._device))
+        self._scenes = SceneTable.of_solids(worlds.capacity, 0.0, wp.device_from_torch(self._device))
 
     def scenes(self) -> tuple[Any, Tensor]:
         """Returns the scenes of the worlds as kernels read them, and the number of that of each row, int64 ``[N]``."""

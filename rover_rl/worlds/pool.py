@@ -96,6 +96,11 @@ class WorldPool:
         seeds = self._ranges[part]
         return self.entries[part] if seeds is None else str(seeds[index - self._starts[part]])
 
+    def some(self) -> list[World]:
+        """Returns the first, the middle and the last world of each entry, which tell what all are like."""
+        ends = zip(self._starts, self.sizes, strict=False)
+        return [self[index] for start, size in ends for index in sorted({start, start + size // 2, start + size - 1})]
+
     def __getitem__(self, index: int) -> World:
         world = self._kept.get(index) or get_world(self.source(index))
         with self._lock:

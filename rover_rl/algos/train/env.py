@@ -16,15 +16,18 @@ from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.algos.train.live import LiveRovers
 from rover_rl.algos.workers import usable_cores
 from rover_rl.envs.actions import find_action
-from rover_rl.envs.config import EnvConfig, SensorLike
+from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig, SensorLike
 from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.cameras import PixelImage
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.sensors.suite import ROUTE, own_sensors, with_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
+from rover_rl.robots import get_robots
 from rover_rl.sims.backends import find_settings
+from rover_rl.worlds.pool import WorldPool
 
 SESSION_SEEDS = 1_000_003
 """Offset of the seeds of each session of a run, so that a resumed run draws new starts and goals."""
@@ -71,9 +74,11 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     backend = env.backend
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
-        backend = find_settings(backend)(threads=_threads(config))
+        settings = find_settings(backend).preset(training_physics(config))
+        backend = replace(settings, threads=_threads(config))
     return replace(
         env,
+        physics=DEFAULT_PHYSICS,
         sensors=_sensors(config),
         num_envs=rovers,
         seed=config.seed + worker * rovers + session * SESSION_SEEDS,
@@ -82,6 +87,25 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
+
+
+def training_physics(config: TrainingConfig) -> str:
+    """Preset of the physics that a training takes: that of its settings, or by default the fastest that fits.
+
+    It is ``"planar"`` in Warp if all worlds are level, of which ranges are told by some, and nothing is measured or
+    seen that depends on how the body tilts.
+    """
+    from rover_rl.sims.warp.planar.simulator import PlanarSimulator, planar_problem
+
+    env = config.env
+    if env.backend != "warp" or env.physics != DEFAULT_PHYSICS:
+        return env.physics
+    measured = {need for sensor in own_sensors(_sensors(config)).values() for need in sensor.needs}
+    tilts = any(isinstance(sensor, PixelImage) for sensor in own_sensors(_sensors(config)).values())
+    if tilts or measured - PlanarSimulator.features:
+        return DEFAULT_PHYSICS
+    pool = WorldPool.of(env.world)
+    return DEFAULT_PHYSICS if planar_problem(pool.some(), get_robots(env.robot)) else "planar"
 
 
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:

@@ -30,11 +30,13 @@ from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train import run_folder
 from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
+from rover_rl.algos.train.env import training_physics
 from rover_rl.algos.train.fine_tuning import load_source
 from rover_rl.algos.train.live import forget_live_rovers
 from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, time_columns
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
+from rover_rl.envs.config import DEFAULT_PHYSICS
 from rover_rl.envs.rewards import pays_for_goals, reward_components
 from rover_rl.envs.specs import available_device
 from rover_rl.names import check_training_seed
@@ -207,6 +209,10 @@ class TrainingRun:
         self.stopwatch = Stopwatch()
         if self._from_start:
             self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
+        if self.config.env.physics == DEFAULT_PHYSICS and training_physics(self.config) == "planar":
+            self._log.say(
+                "All worlds are level: training takes physics planar; --physics full takes all six directions"
+            )
         if self._record.changed:
             self._log.say(f"{self.folder} continues after {self.steps:,} steps with {self._record}")
         return self

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,39 +25,46 @@ GRID_CELL = 1.0
 """Side length of a cell of the broad-phase grid, m."""
 ALIGNMENT = 64
 """Alignment of the arrays of a scene in memory, bytes: the length of a cache line."""
-ARRAY_TYPES = {name: var.type.dtype for name, var in vars(Scene)["vars"].items() if hasattr(var.type, "dtype")}
-"""Type of the elements of each array in a scene."""
-ADDRESSES = [getattr(type(Scene().__ctype__()), name).offset // 8 for name in ARRAY_TYPES]  # type: ignore[attr-defined]
-"""Where the struct of a scene has the addresses of the arrays, in words of 8 bytes."""
+Contents: TypeAlias = tuple[dict[str, Any], dict[str, np.ndarray]]
+"""Numbers and arrays of a struct that stands for a world, by the names of its fields."""
 
 
 class SceneTable:
-    """Scenes of the worlds in a :class:`~rover_rl.worlds.table.WorldTable`, by slot, in one array.
+    """Worlds of a :class:`~rover_rl.worlds.table.WorldTable` as kernels read them, by slot, in one array of structs.
 
     Args:
         capacity: maximum number of slots.
-        reach: radius of a sphere around the center of mass that contains the rover, m; 0 for rays.
         device: device of the arrays.
+        struct: struct of a world.
+        contents: function that returns the contents of the struct for a world.
 
     Attributes:
-        scenes: scene of each slot.
+        scenes: struct of each slot.
     """
 
-    def __init__(self, capacity: int, reach: float, device: wp.Device) -> None:
-        self._reach, self._device = reach, device
-        self.scenes = wp.zeros(capacity, dtype=Scene, device=device)
-        self._size = wp.types.type_size_in_bytes(Scene)
+    def __init__(self, capacity: int, device: wp.Device, struct: Any, contents: Callable[[World], Contents]) -> None:
+        self._device, self._struct, self._contents = device, struct, contents
+        self.scenes = wp.zeros(capacity, dtype=struct, device=device)
+        self._size = wp.types.type_size_in_bytes(struct)
         self._bytes = wp.array(ptr=self.scenes.ptr, dtype=wp.uint8, shape=capacity * self._size, device=device)
         # A struct in an array refers to other arrays without owning them.
         self._owners: list[wp.array | None] = [None] * capacity
         # Rovers may come back to a world that another one has replaced.
         self._packed: WeakKeyDictionary[World, PackedScene] = WeakKeyDictionary()
 
+    @classmethod
+    def of_solids(cls, capacity: int, reach: float, device: wp.Device) -> SceneTable:
+        """Creates a table of :class:`Scene`, whose worlds have any ground.
+
+        ``reach`` is the radius of a sphere around the center of mass that contains the rover, m; 0 for rays.
+        """
+        return cls(capacity, device, Scene, partial(scene_contents, reach=reach))
+
     def prepare(self, world: World) -> PackedScene:
         """Packs a world that may be set soon. It is safe to call from another thread."""
         packed = self._packed.get(world)
         if packed is None:
-            packed = self._packed[world] = PackedScene.of(world, self._reach)
+            packed = self._packed[world] = PackedScene.of(self._struct, *self._contents(world))
         return packed
 
     def __setitem__(self, slot: int, world: World) -> None:
@@ -70,50 +79,61 @@ class SceneTable:
 class PackedScene:
     """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
-    ``block`` has the arrays of the scene one after the other, each aligned to a cache line. ``record`` is the struct of
-    the scene, in which the addresses of the arrays are relative to the block. Both are uint8.
+    ``block`` has the arrays of the struct one after the other, each aligned to a cache line, and ``record`` is the
+    struct, both uint8. The addresses of the arrays, the words of 8 bytes at ``addresses``, are relative to the block.
     """
 
     block: np.ndarray
     record: np.ndarray
+    addresses: list[int]
 
     @classmethod
-    def of(cls, world: World, reach: float) -> PackedScene:
-        """Packs a world for a ``reach``, as in :class:`SceneTable`."""
-        terrain = world.terrain
-        heights = terrain.heights.numpy()
-        block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
-        solids = Solids.of(world.obstacles)
-        grid_numbers, grid = _grid(solids, reach)
-        arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
-        arrays |= _solids(solids) | _faces(solids) | grid
+    def of(cls, struct: Any, numbers: dict[str, Any], arrays: dict[str, np.ndarray]) -> PackedScene:
+        """Packs the contents of a struct."""
         sizes = [_aligned(array.nbytes) for array in arrays.values()]
         memory = np.zeros(sum(sizes) + ALIGNMENT, dtype=np.uint8)
-        scene = Scene()
-        numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
+        scene, types = struct(), _array_types(struct)
         for name, value in numbers.items():
             setattr(scene, name, value)
         for (name, array), end in zip(arrays.items(), np.cumsum(sizes).tolist(), strict=True):
             start = end - _aligned(array.nbytes)
             memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-            dtype = ARRAY_TYPES[name]
             # The last dimension of an array of vectors is in its type.
-            shape = array.shape[:-1] if wp.types.type_is_vector(dtype) else array.shape
-            setattr(scene, name, wp.array(ptr=memory.ctypes.data + start, dtype=dtype, shape=shape, device="cpu"))
-        record = np.frombuffer(scene.__ctype__(), dtype=np.uint8).copy()  # type: ignore[attr-defined]
-        record.view(np.uint64)[ADDRESSES] -= np.uint64(memory.ctypes.data)
-        return cls(memory, record)
+            shape = array.shape[:-1] if wp.types.type_is_vector(types[name]) else array.shape
+            setattr(scene, name, wp.array(ptr=memory.ctypes.data + start, dtype=types[name], shape=shape, device="cpu"))
+        content = scene.__ctype__()
+        record = np.frombuffer(content, dtype=np.uint8).copy()
+        addresses = [getattr(type(content), name).offset // 8 for name in types]
+        record.view(np.uint64)[addresses] -= np.uint64(memory.ctypes.data)
+        return cls(memory, record, addresses)
 
     def record_at(self, address: int) -> np.ndarray:
         """The struct of the scene for a copy of the block at an address, uint8."""
         record = self.record.copy()
-        record.view(np.uint64)[ADDRESSES] += np.uint64(address)
+        record.view(np.uint64)[self.addresses] += np.uint64(address)
         return record
+
+
+def _array_types(struct: Any) -> dict[str, Any]:
+    """Type of the elements of each array in a struct."""
+    return {name: var.type.dtype for name, var in struct.vars.items() if hasattr(var.type, "dtype")}
 
 
 def _aligned(size: int) -> int:
     """Size (bytes) up to the next array in a block."""
     return -(-size // ALIGNMENT) * ALIGNMENT
+
+
+def scene_contents(world: World, reach: float) -> Contents:
+    """Returns the contents of a :class:`Scene` for a ``reach``, as in :meth:`SceneTable.of_solids`."""
+    terrain = world.terrain
+    heights = terrain.heights.numpy()
+    block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
+    solids = Solids.of(world.obstacles)
+    grid_numbers, grid = _grid(solids, reach)
+    arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
+    numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
+    return numbers, arrays | _solids(solids) | _faces(solids) | grid
 
 
 def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
@@ -162,7 +182,7 @@ def _faces(solids: Solids) -> dict[str, np.ndarray]:
     }
 
 
-def _grid(solids: Solids, reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _grid(solids: Solids, reach: float) -> Contents:
     """Size and lists of the broad-phase grid: for each cell the obstacles within reach of a rover centered in it."""
     if not solids:
         lists = {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}

@@ -52,6 +52,9 @@ class WarpSimulator(Simulator):
         {"contacts", "dynamics", "lidar", "movers", "robots", "worlds", "contact_force", "wheel_torque"}
     )
 
+    _place, _scan = place, scan
+    """Kernels that place rovers and scan."""
+
     def __init__(
         self,
         worlds: Sequence[World],
@@ -72,19 +75,23 @@ class WarpSimulator(Simulator):
         blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         self._options = {"device": self._wp_device, **blocks}
         self._buffers = StateBuffers(self.fleet)
-        self._models = ModelTable(self.fleet, self._wp_device)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
-        self._scenes = SceneTable(self._worlds.capacity, self._models.reach, self._wp_device)
+        self._models, self._scenes = self._make_tables()
         self.enter_worlds()
         self._poses = wp.from_torch(self._buffers.poses, dtype=wp.vec3)
         self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
         self._movers: MoverField | None = None
         self._parts: Parts | None = None
-        self._forms, self._form_count = SceneTable(1, self._models.reach, self._wp_device), 0
         self._dynamics = self._record_dynamics()
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
+
+    def _make_tables(self) -> tuple[Any, SceneTable]:
+        """Makes the tables of the robots, by index, and of the worlds, by slot, that the kernels read."""
+        models = ModelTable(self.fleet, self._wp_device)
+        self._forms, self._form_count = SceneTable.of_solids(1, models.reach, self._wp_device), 0
+        return models, SceneTable.of_solids(self._worlds.capacity, models.reach, self._wp_device)
 
     def _divide(self) -> list[tuple[int, int]]:
         """First rover and number of rovers of each CPU thread."""
@@ -126,22 +133,25 @@ class WarpSimulator(Simulator):
         """Reads the parts of movers where they are in memory, after that has changed."""
         if self._movers is None or self._movers.parts is None:
             return
-        if self._form_count != len(self._movers.forms):
-            self._form_count = len(self._movers.forms)
-            # A world of the solids of all parts, each in its own frame.
-            solids = [hull(form.corners()) for form in self._movers.forms]
-            with wp.ScopedStream(stream_of(self.device)):
-                self._forms[0] = World("forms", Terrain.flat((4.0, 4.0)), solids)
+        self._follow_forms(self._movers)
         if self._parts is not self._movers.parts:
             self._parts = self._movers.parts
             self._dynamics = self._record_dynamics()
+
+    def _follow_forms(self, movers: MoverField) -> None:
+        """Copies the solids of the parts of movers, each in its own frame, to a scene."""
+        if self._form_count != len(movers.forms):
+            self._form_count = len(movers.forms)
+            solids = [hull(form.corners()) for form in movers.forms]
+            with wp.ScopedStream(stream_of(self.device)):
+                self._forms[0] = World("forms", Terrain.flat((4.0, 4.0)), solids)
 
     def scanner(self, beams: int) -> WarpScanner:
         scanner = WarpScanner(self, beams, self._models.ranges)
         angles = beam_angles(beams).numpy()
         directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device=self._wp_device)
         rovers = self._buffers.struct(scanned=scanner.rows, ranges=scanner.ranges, visible=scanner.visible)
-        scanner.launches = self._record(scan, rovers, directions, lanes=(scanner.lanes,))
+        scanner.launches = self._record(self._scan, rovers, directions, lanes=(scanner.lanes,))
         return scanner
 
     def enter_worlds(self) -> None:
@@ -161,7 +171,7 @@ class WarpSimulator(Simulator):
         self._buffers.poses.copy_(poses)
         self._buffers.tensors["active"].copy_(mask)
         inputs = [self._scenes.scenes, self._models.models, self._buffers.rovers, self._poses]
-        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=stream_of(self.device), **self._options)
+        wp.launch(self._place, dim=self.num_envs, inputs=inputs, stream=stream_of(self.device), **self._options)
         self._drive.reset(mask)
         return self.state()
 

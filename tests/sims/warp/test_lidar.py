@@ -73,7 +73,7 @@ def warp_scan(
     visible = torch.full((count, SECTORS), ROVER.lidar_range)
     angles = np.arange(beams) * (2 * math.pi / beams)
     directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device="cpu")
-    table = SceneTable(1, models.reach, "cpu")
+    table = SceneTable.of_solids(1, models.reach, "cpu")
     table[0] = world
     rovers = buffers.struct(scanned=rows, ranges=ranges, visible=visible)
     inputs = [table.scenes, models.models, rovers, directions]
