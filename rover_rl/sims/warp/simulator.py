@@ -52,8 +52,8 @@ class WarpSimulator(Simulator):
         {"contacts", "dynamics", "lidar", "movers", "robots", "worlds", "contact_force", "wheel_torque"}
     )
 
-    _place, _scan = place, scan
-    """Kernels that place rovers and scan."""
+    _step, _place, _scan = step_dynamics, place, scan
+    """Kernels that advance rovers by a control step, place them, and scan."""
 
     def __init__(
         self,
@@ -74,6 +74,9 @@ class WarpSimulator(Simulator):
         self._wp_device = wp.device_from_torch(self.device)
         blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         self._options = {"device": self._wp_device, **blocks}
+        # At a first start, the kernels of the physics take longest to compile. The others compile meanwhile.
+        modules = [*dict.fromkeys(kernel.module for kernel in (self._step, self._place, self._scan))]
+        wp.force_load(self._wp_device, modules, blocks.get("block_dim"), max_workers=len(modules))
         self._buffers = StateBuffers(self.fleet)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
@@ -116,11 +119,8 @@ class WarpSimulator(Simulator):
             dtype = vars(MoverArrays)["vars"][name].type.dtype
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
-        # At a first start, the kernels of the physics take longest to compile. The others compile meanwhile.
-        modules = [kernel.module for kernel in (step_dynamics, scan, place)]
-        wp.force_load(self._wp_device, modules, self._options.get("block_dim"), max_workers=len(modules))
         solver = _solver(self.settings, max(robot.mass for robot in self.fleet.robots))
-        return self._record(step_dynamics, solver, self._buffers.rovers, self._forms.scenes, arrays)
+        return self._record(self._step, solver, self._buffers.rovers, self._forms.scenes, arrays)
 
     def measure(self, fields: Collection[Force]) -> None:
         self._buffers.measure(fields)

@@ -31,7 +31,7 @@ class PlanarSimulator(WarpSimulator):
     """
 
     features: frozenset[Feature] = WarpSimulator.features - {"contact_force", "wheel_torque"}
-    _place, _scan = place_planar, scan_planar
+    _step, _place, _scan = step_planar, place_planar, scan_planar
 
     def _make_tables(self) -> tuple[PlanarRobots, SceneTable]:
         robots = PlanarRobots(self.fleet, self._wp_device)
@@ -49,7 +49,7 @@ class PlanarSimulator(WarpSimulator):
             empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
             known = None if self._parts is None else wp.from_torch(getattr(self._parts, name), dtype=DTYPES.get(name))
             setattr(arrays, name, empty if known is None else known)
-        return self._record(step_planar, solver, self._buffers.rovers, arrays)
+        return self._record(self._step, solver, self._buffers.rovers, arrays)
 
     def _follow_forms(self, movers: MoverField) -> None:
         """The kernels read kinds and sizes of parts, and no solids."""
