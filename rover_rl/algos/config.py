@@ -253,8 +253,8 @@ class TrainingConfig:
 
     @property
     def learner_threads(self) -> int:
-        """Number of CPU threads that take gradient steps: one for each worker that waits for them."""
-        return 1 if self.algorithm.asynchronous or self.collector != "processes" else min(self.workers, usable_cores())
+        """Number of CPU threads that PPO takes gradient steps with: all cores, whose workers wait for them."""
+        return 1 if self.on_gpu else usable_cores()
 
     @property
     def rovers_per_worker(self) -> int:
