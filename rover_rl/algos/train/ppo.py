@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -58,11 +57,11 @@ class PPOLearner(Learner):
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
         self._expert = _make_expert(config) if settings.imitation else None
         self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
-        self._memory = None if network.memory == "none" else PlainRecurrent(self.actor[0])
+        self._encoder, self._spec = encoder, networks.action_spec(config.env.bounded_action, device)
+        # An actor is one network, or one with a memory.
+        self._network: networks.ActorNetwork | None = self.actor[0].module if network.memory == "none" else None
+        self._memory = None if self._network else PlainRecurrent(self.actor[0])
         self._mirror_memory = self._memory and MirrorMemory(self._memory)
-        # Without memory, the actor is one network.
-        self._network: Any = self.actor[0] if self._memory else self.actor[0].module
-        self._encoder = encoder
 
     def start_from(self, actor: Mapping[str, Tensor]) -> None:
         """Loads the weights of a trained policy. The critic, which is new, takes over frozen convolutions."""
@@ -92,30 +91,33 @@ class PPOLearner(Learner):
         It is flat, ``[N T, ...]``, or with a memory in sequences, ``[N, T, ...]``. The mirror images of all follow if
         the learner learns from them.
         """
-        prior, images = getattr(self._network, "prior", None), self._settings.mirror_augmentation
+        images, count = self._settings.mirror_augmentation, len(batch)
         read = batch.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob")
-        if prior is not None:
+        if self._network and self._network.prior:
             read[networks.DRIVER] = self._network.driver(batch)
         if images:
             every = torch.ones(batch.shape, dtype=torch.bool, device=batch["action"].device)
             read = torch.cat([read, networks.mirrored(read, every, self._mirrors)])
-        spec = networks.action_spec(self.config.env.bounded_action, self.config.device).space
-        by_robot = getattr(self._network, "by_robot", False)
-        rows = squashing(read["action"], *(self._network.bounds(read[ROBOT]) if by_robot else (spec.low, spec.high)))
-        rows |= {key: read[key] for key in ("action_log_prob", *([networks.DRIVER] if prior is not None else []))}
+        kept = ("action_log_prob", networks.DRIVER, "is_init")
+        rows = {key: value for key in kept if (value := read.get(key, None)) is not None}
+        rows |= squashing(read["action"], *self._bounds(read))
         rows["features"] = self._encoder(*(read[key] for key in self._encoder.keys))
         if self.config.network.privileged_critic:
             rows["seen"] = self.critic.module.features(*(read[key] for key in self.critic.in_keys))
-        for key, value in self._advantages(batch, rows.get("seen", rows["features"])[: len(batch)]).items():
+        for key, value in self._advantages(batch, rows.get("seen", rows["features"])[:count]).items():
             rows[key] = torch.cat((value, value)) if images else value
         if self._memory is None:
             return {key: value.flatten(0, 1) for key, value in rows.items()}
-        rows["is_init"] = read["is_init"]
         rows["state"] = torch.cat([batch[key][:, 0, 0] for key in state_keys(self.actor)], -1)
         if images and self._mirror_memory:
-            image = (rows[key][len(batch) :] for key in ("features", "is_init"))
-            rows["state"] = torch.cat((rows["state"], self._mirror_memory.starts(*image)))
+            image = self._mirror_memory.starts(rows["features"][count:], rows["is_init"][count:])
+            rows["state"] = torch.cat((rows["state"], image))
         return rows
+
+    def _bounds(self, read: TensorDictBase) -> tuple[Tensor, Tensor]:
+        if self._network and self._network.by_robot:
+            return self._network.bounds(read[ROBOT])
+        return self._spec.space.low, self._spec.space.high
 
     def _advantages(self, batch: TensorDictBase, seen: Tensor) -> dict[str, Tensor]:
         """Returns advantages ``[N, T]``, standardized, and targets of values ``[N, T, 1]``."""
@@ -165,14 +167,14 @@ class PPOLearner(Learner):
         return torch.stack([told for _, told in found]).sum(0)
 
     def _distribution(self, read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        if self._memory is None:
+        if self._network:
             return self._network.distribution(read["features"], read.get(networks.DRIVER))
+        assert self._memory
         loc, scale, _ = self._memory.sequence(read["features"], read["is_init"], read["state"])
         return loc, scale
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
-        spec = networks.action_spec(self.config.env.bounded_action, self.config.device)
-        middle, half = networks.middle_and_half(spec)
+        middle, half = networks.middle_and_half(self._spec)
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
 
