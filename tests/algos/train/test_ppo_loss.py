@@ -1,7 +1,8 @@
-"""The loss of PPO on plain tensors is that of TorchRL."""
+"""The loss of PPO on plain tensors is that of TorchRL, and threads share its minibatches."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
@@ -9,8 +10,14 @@ from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 
+from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.policy.networks import BoundedTanhNormal, NormalParameters
+from rover_rl.algos.train.collectors import collect
+from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.ppo_loss import ppo_losses, squashing
+from rover_rl.algos.train.progress import Stopwatch
+from rover_rl.algos.train.run import prepare
+from tests.algos.train.runs import FIELD, PPO, equal
 
 LOW, HIGH = torch.tensor([-0.5, -3.0]), torch.tensor([1.0, 3.0])
 ROWS = 64
@@ -46,3 +53,15 @@ def test_losses_and_their_gradients_are_those_of_torchrl() -> None:
     sum(value for name, value in expected.items() if name.startswith("loss_")).backward()
     theirs = dict(loss.named_parameters())
     torch.testing.assert_close([*gradients], [weight.grad for weight in theirs.values()], rtol=1e-4, atol=1e-5)
+
+
+def test_weights_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    size = {"num_envs": 128, "rollout_length": 16, "minibatch": 2048}
+    config, learned = with_settings(PPO, world=FIELD, action_repeat=1, epochs=1, **size), []
+    for threads in (1, 3):
+        monkeypatch.setattr(TrainingConfig, "learner_threads", threads)
+        learner = PPOLearner(prepare(config))
+        with collect(config, learner.actor) as batches:
+            learner.update(next(batches), 0.0, Stopwatch())
+        learned.append(learner.weights())
+    assert equal(*learned)
