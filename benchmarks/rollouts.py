@@ -25,7 +25,7 @@ from benchmarks.ratios import rate, told
 from rover_rl import make_env
 from rover_rl.native.bullet import pybullet
 
-ROLLOUT_LENGTH = 16  # number of steps of each rover in a batch, as in PPO
+ROLLOUT_LENGTH = 16  # number of steps of each rover in a batch
 WARM_UP = 3  # number of initial steps that are not measured
 
 

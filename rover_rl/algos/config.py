@@ -126,11 +126,11 @@ class PPOConfig(AlgorithmConfig):
     name: ClassVar[str] = "ppo"
     asynchronous: ClassVar[bool] = False
 
-    rollout_length: int = 16
-    """Number of decisions of each rover between two updates."""
+    rollout_length: int = 4
+    """Number of decisions of each rover between two updates, and with a memory the length of its sequences."""
     minibatch: int = 1024
     """Number of decisions in a gradient step."""
-    epochs: int = 10
+    epochs: int = 4
     """Number of passes over the decisions in an update."""
     lmbda: float = 0.95
     """Lambda of generalized advantage estimation, per decision."""
@@ -253,8 +253,8 @@ class TrainingConfig:
 
     @property
     def learner_threads(self) -> int:
-        """Number of CPU threads that take gradient steps: one for each worker that waits for them."""
-        return 1 if self.algorithm.asynchronous or self.collector != "processes" else min(self.workers, usable_cores())
+        """Number of CPU threads that PPO takes gradient steps with: all cores, whose workers wait for them."""
+        return 1 if self.on_gpu else usable_cores()
 
     @property
     def rovers_per_worker(self) -> int:
@@ -406,7 +406,8 @@ PARTS: dict[str, type] = {
 """Parts of :class:`TrainingConfig`, by name."""
 
 # Warp simulates many rovers at little more cost than few; SAC's gradient steps take most of the time in any simulator.
-_PPO_ELSEWHERE = {"num_envs": 64, "minibatch": 256, "total_steps": 600_000}
+# Where steps take long, more gradient steps on each of them pay.
+_PPO_ELSEWHERE = {"num_envs": 64, "minibatch": 256, "total_steps": 600_000, "rollout_length": 16, "epochs": 10}
 _SAC = {"num_envs": 64, "total_steps": 400_000}
 
 

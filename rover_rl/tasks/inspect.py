@@ -61,7 +61,7 @@ INSPECT = Task(
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
         "ppo": {"num_envs": 512, "length": 600},
-        "ppo-gru": {"num_envs": 512, "length": 600, "memory": "gru"},
+        "ppo-gru": {"num_envs": 512, "length": 600, "memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "num_envs": 64, "length": 600},
     },
 )

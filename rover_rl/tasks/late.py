@@ -90,7 +90,7 @@ LATE = Task(
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
         "ppo": {"gamma": 0.98, "max_std": 1.0},
-        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru"},
+        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "gamma": 0.98},
     },
 )

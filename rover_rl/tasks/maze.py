@@ -61,7 +61,14 @@ MAZE = Task(
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
         "ppo": {"num_envs": 512, "length": 600, "gamma": 0.97, "path_reward": 10.0},
-        "ppo-gru": {"num_envs": 512, "length": 600, "gamma": 0.97, "path_reward": 10.0, "memory": "gru"},
+        "ppo-gru": {
+            "num_envs": 512,
+            "length": 600,
+            "gamma": 0.97,
+            "path_reward": 10.0,
+            "memory": "gru",
+            "rollout_length": 16,
+        },
         "sac": {"algo": "sac", "num_envs": 64, "length": 600, "path_reward": 10.0},
     },
 )

@@ -35,7 +35,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec
-from rover_rl.algos.policy.recurrent import RecurrentStep
+from rover_rl.algos.policy.recurrent import PlainRecurrent
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
@@ -75,7 +75,7 @@ class PlainPolicy(nn.Module):
         super().__init__()
         actor, network = checkpoint.make_actor(), checkpoint.config.network
         self._observation = tuple(network.observation)
-        self._network = RecurrentStep(actor[0]) if network.memory != "none" else actor[0].module
+        self._network = PlainRecurrent(actor[0]) if network.memory != "none" else actor[0].module
         self.state_size: int = getattr(self._network, "state_size", 0)
         self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]

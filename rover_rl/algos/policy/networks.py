@@ -75,11 +75,13 @@ class EncodedNetwork(nn.Module):
         self.encoder, self.body, self.privileged = encoder, body, privileged
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
+        return self.body(self.features(*entries))
+
+    def features(self, *entries: Tensor) -> Tensor:
+        """Returns what ``body`` reads, which depends on no weights."""
         count = len(self.encoder.keys)
         features = self.encoder(*entries[:count])
-        if self.privileged is not None:
-            features = torch.cat((features, self.privileged(*entries[count:])), -1)
-        return self.body(features)
+        return features if self.privileged is None else torch.cat((features, self.privileged(*entries[count:])), -1)
 
 
 class ActorNetwork(EncodedNetwork):
@@ -96,14 +98,17 @@ class ActorNetwork(EncodedNetwork):
         self.out_keys = ["loc", "scale", *(BOUNDS_KEYS if by_robot else ())]
 
     def forward(self, *entries: Tensor) -> tuple[Tensor, ...]:
-        """Returns the outputs for the entries of the observation, followed by the prior where that is known."""
-        count = len(self.encoder.keys)
-        loc, scale = super().forward(*entries[:count])
-        entry = dict(zip(self.encoder.keys, entries, strict=False))
-        if self.prior is not None:
-            driver = entries[count] if len(entries) > count else self.driver(entry)
-            loc = self.prior.reach * torch.tanh(loc / self.prior.reach) + driver
+        entry = dict(zip(self.encoder.keys, entries, strict=True))
+        driver = None if self.prior is None else self.driver(entry)
+        loc, scale = self.distribution(self.features(*entries), driver)
         return (loc, scale, *self.bounds(entry[ROBOT])) if self.by_robot else (loc, scale)
+
+    def distribution(self, features: Tensor, driver: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Returns mean and standard deviation for the features of an observation, and the mean of the prior."""
+        loc, scale = self.body(features)
+        if self.prior is not None and driver is not None:
+            loc = self.prior.reach * torch.tanh(loc / self.prior.reach) + driver
+        return loc, scale
 
     def driver(self, entry: Mapping[str, Tensor]) -> Tensor:
         assert self.prior is not None
@@ -203,22 +208,6 @@ def make_actor(
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     """Returns an actor with the same weights that reads encoded observations, ``features [..., n]``."""
     return _actor(TensorDictModule(actor[0].module.body, ["features"], ["loc", "scale"]), actor.spec["action"])
-
-
-def driver_of(actor: ProbabilisticActor) -> Callable[[TensorDictBase], Tensor] | None:
-    """Returns the driver that an actor adds to, a function from observations to :data:`DRIVER`. ``None``: no driver."""
-    network = getattr(actor[0], "module", None)
-    if not isinstance(network, ActorNetwork) or network.prior is None:
-        return None
-    keys = network.prior.keys
-    return lambda observation: network.driver({key: observation[key] for key in keys})
-
-
-def with_driver(actor: ProbabilisticActor) -> ProbabilisticActor:
-    """Returns an actor with the same weights that reads what its driver does, :data:`DRIVER`, which takes long."""
-    network = actor[0].module
-    reads = [*network.encoder.keys, DRIVER]
-    return _actor(TensorDictModule(network, reads, network.out_keys), actor.spec["action"])
 
 
 def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
@@ -337,7 +326,7 @@ def _body(encoder: ObservationEncoder, features: int, hidden: Sequence[int], out
 
 def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:
     """Creates an MLP with ReLU and orthogonal weights; ``gain`` is that of the last layer."""
-    mlp = MLP(in_features=features, out_features=outputs, num_cells=list(hidden), activation_class=nn.ReLU)
+    mlp = MLP(features, outputs, num_cells=list(hidden), activation_class=nn.ReLU, activation_kwargs={"inplace": True})
     linear = [layer for layer in mlp if isinstance(layer, nn.Linear)]
     for layer in linear:
         nn.init.orthogonal_(layer.weight, gain if layer is linear[-1] else math.sqrt(2))
@@ -388,17 +377,11 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, mirrors: Mirrors = DEFAU
 
 
 @contextmanager
-def with_threads(count: int) -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
+    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(count)
+    torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(threads)
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
-    with with_threads(1):
-        yield

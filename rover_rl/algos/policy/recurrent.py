@@ -14,11 +14,14 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
+from torch.autograd.function import Function, once_differentiable
+from torch.nn.functional import linear
 from torchrl.data import Unbounded
 from torchrl.envs.transforms import InitTracker, TensorDictPrimer, Transform
 from torchrl.modules import GRUModule, LSTMModule
@@ -75,8 +78,11 @@ class _Joined(nn.Module):
         return self.module(torch.cat(inputs, -1))
 
 
-class RecurrentStep(nn.Module):
-    """One step of a :func:`recurrent_network` as a function of plain tensors, with ``state_size``, for export."""
+class PlainRecurrent(nn.Module):
+    """A :func:`recurrent_network` as a function of plain tensors, for export and training.
+
+    A state ``[N, state_size]`` is the hidden one, for an LSTM followed by the cell.
+    """
 
     def __init__(self, network: TensorDictSequential) -> None:
         super().__init__()
@@ -87,7 +93,7 @@ class RecurrentStep(nn.Module):
         self.state_size = self._cell.hidden_size * (1 if self._is_gru else 2)
 
     def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the mean of the action and the next state ``[N, state_size]``; for an LSTM, hidden, then cell."""
+        """Returns the mean of the action and the state after one step."""
         embedded = self._embedding(*observation)
         weights = self._cell.all_weights[0]
         if self._is_gru:
@@ -96,6 +102,67 @@ class RecurrentStep(nn.Module):
             hidden, cell = torch.lstm_cell(embedded, state.chunk(2, -1), *weights)
             following = torch.cat((hidden, cell), -1)
         return self._head(embedded, hidden)[0], following
+
+    def sequence(self, features: Tensor, is_init: Tensor, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns mean and standard deviation ``[N, T, n]`` of actions, and the state after a sequence.
+
+        ``features [N, T, F]`` are those of the observations. Where ``is_init [N, T, 1]``, the state counts as zeros.
+        """
+        embedded, going_on = self._embedding.body(features.transpose(0, 1)), (~is_init).transpose(0, 1).to(state.dtype)
+        weight, *weights = self._cell.all_weights[0]
+        if self._is_gru:
+            hidden = UnrolledGRU.apply(linear(embedded, weight, weights[1]), going_on, state, weights[0], weights[2])
+            state = hidden[-1]
+        else:
+            steps = []
+            for step, kept in zip(embedded, going_on, strict=True):
+                steps.append(torch.lstm_cell(step, (kept * state).chunk(2, -1), weight, *weights))
+                state = torch.cat(steps[-1], -1)
+            hidden = torch.stack([step[0] for step in steps])
+        loc, scale = self._head(embedded, hidden)
+        return loc.transpose(0, 1), scale.transpose(0, 1), state
+
+
+class UnrolledGRU(Function):
+    """Hidden states ``[T, N, H]`` of a GRU, with a backward pass that takes the gradient of the weights at once.
+
+    It reads the products of the inputs, ``gates [T, N, 3 H]``, ``going_on [T, N, 1]``, which is 0 where an episode
+    begins and else 1, the state before, ``[N, H]``, and the weights of the state.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, gates: Tensor, going_on: Tensor, state: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        size, steps, hidden = state.shape[-1], [], []
+        for gate, kept in zip(gates, going_on, strict=True):
+            before = state * kept
+            recurrent = torch.addmm(bias, before, weight.t())
+            reset_update = (gate[:, : 2 * size] + recurrent[:, : 2 * size]).sigmoid_()
+            reset, update = reset_update.chunk(2, -1)
+            recalled = recurrent[:, 2 * size :]
+            new = torch.addcmul(gate[:, 2 * size :], reset, recalled).tanh_()
+            state = torch.lerp(new, before, update)
+            hidden.append(state)
+            steps.append((before, reset_update, recalled, new))
+        ctx.steps, ctx.going_on, ctx.weight = steps, going_on, weight
+        return torch.stack(hidden)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grads: Tensor) -> tuple[Tensor | None, ...]:
+        grad_gates, grad_recurrent = [], []
+        grad = torch.zeros_like(grads[0])
+        for step, kept, grad_step in zip(ctx.steps[::-1], ctx.going_on.flip(0), grads.flip(0), strict=True):
+            before, reset_update, recalled, new = step
+            reset, update = reset_update.chunk(2, -1)
+            grad = grad + grad_step
+            by_new = grad * (1 - update) * (1 - new * new)
+            by_gates = torch.cat((by_new * recalled, grad * (before - new)), -1) * reset_update * (1 - reset_update)
+            grad_gates.append(torch.cat((by_gates, by_new), -1))
+            grad_recurrent.append(torch.cat((by_gates, by_new * reset), -1))
+            grad = torch.addmm(grad * update, grad_recurrent[-1], ctx.weight) * kept
+        by_recurrent, before = torch.cat(grad_recurrent), torch.cat([step[0] for step in ctx.steps[::-1]])
+        by_gates = torch.stack(grad_gates[::-1])
+        return by_gates, None, None, by_recurrent.t() @ before, by_recurrent.sum(0)
 
 
 def memory_transforms(kind: str, size: int) -> list[Transform]:

@@ -38,7 +38,7 @@ def train(
         FileExistsError: if a run of that name exists.
     """
     # These import PyTorch.
-    from rover_rl.algos.policy.networks import single_threaded, with_threads
+    from rover_rl.algos.policy.networks import single_threaded
     from rover_rl.algos.train.run import TrainingRun
 
     with single_threaded():
@@ -49,9 +49,7 @@ def train(
             if begun is not None:
                 begun(run.folder)
             for batch in run.batches():
-                with with_threads(config.learner_threads):
-                    learned = learner.update(batch, run.share, run.stopwatch)
-                run.record(learned)
+                run.record(learner.update(batch, run.share, run.stopwatch))
     return run.summary
 
 

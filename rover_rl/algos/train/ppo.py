@@ -1,34 +1,37 @@
-"""PPO with TorchRL: collect decisions of a batch of rovers, estimate advantages, take gradient steps.
+"""PPO: collect decisions of a batch of rovers, estimate advantages, take gradient steps.
 
-The loop is explicit instead of TorchRL 0.14's experimental ``PPOTrainer``, which trains equally well and fast, but ends
-without a checkpoint at Ctrl-C, saves no state of PyTorch's random generator, and with a fixed number of gradient steps
-skips every second epoch.
+The loop is explicit instead of TorchRL 0.14's experimental ``PPOTrainer``, which ends without a checkpoint at Ctrl-C,
+saves no state of PyTorch's random generator, and with a fixed number of gradient steps skips every second epoch. Its
+formulas are those of TorchRL's ``GAE`` and ``ClipPPOLoss``, on plain tensors: observations are encoded once for all
+epochs, and threads share the decisions of a minibatch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torchrl.modules import ProbabilisticActor, set_recurrent_mode
-from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
+from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy import networks
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.grid_planner import Follower, follow
-from rover_rl.algos.policy.recurrent import state_keys
+from rover_rl.algos.policy.recurrent import PlainRecurrent, state_keys
+from rover_rl.algos.train.ppo_loss import ppo_losses, squashing
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE
 from rover_rl.robots import get_robot
 from rover_rl.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner"]
+
+_PART = 1024  # number of decisions of a minibatch that a thread takes at a time, on the CPU
 
 
 class PPOLearner(Learner):
@@ -49,23 +52,16 @@ class PPOLearner(Learner):
                 raise ValueError(f"freeze_encoder needs an image in observation, got {network.observation}")
             for images in frozen:
                 images.requires_grad_(False)
-        self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
-        self._driver = networks.driver_of(self.actor)
-        driven = self.actor if self._driver is None else networks.with_driver(self.actor)
-        self._loss = ClipPPOLoss(
-            driven,
-            self.critic,
-            clip_epsilon=settings.clip,
-            entropy_coeff=settings.entropy_coef,
-            critic_coeff=0.5,
-            loss_critic_type="l2",
-        )
-        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
+        self._loss = nn.ModuleDict({"actor": self.actor, "critic": self.critic})
+        self._weights = [weight for weight in self._loss.parameters() if weight.requires_grad]
+        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
         self._expert = _make_expert(config) if settings.imitation else None
         self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
-        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, self._mirrors)
-        inputs = dict.fromkeys((*driven.in_keys, *self.critic.in_keys))
-        self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
+        self._encoder, self._spec = encoder, networks.action_spec(config.env.bounded_action, device)
+        # An actor is one network, or one with a memory.
+        self._network: networks.ActorNetwork | None = self.actor[0].module if network.memory == "none" else None
+        self._memory = None if self._network else PlainRecurrent(self.actor[0])
+        self._mirror_memory = self._memory and MirrorMemory(self._memory)
 
     def start_from(self, actor: Mapping[str, Tensor]) -> None:
         """Loads the weights of a trained policy. The critic, which is new, takes over frozen convolutions."""
@@ -76,66 +72,109 @@ class PPOLearner(Learner):
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         self._set_learning_rate(share)
-        batch["next", "reward"] *= self._settings.reward_scale
-        with torch.no_grad():
-            self._advantage(batch)
-            if self._driver is not None:
-                batch[networks.DRIVER] = self._driver(batch)
-        decisions = batch.select(*self._training_keys)
-        imitating = self._expert is not None and share < self._settings.imitation
-        terms = ["loss_objective", "loss_critic", "loss_entropy"]
-        if self._expert and imitating:
+        terms = {"loss_objective": 1.0, "loss_critic": 1.0, "entropy": -self._settings.entropy_coef}
+        if self._expert is not None and share < self._settings.imitation:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
-            decisions["action"] = self._inside_bounds(self._expert(batch))
-            terms.remove("loss_entropy")
+            batch = batch.copy().set("action", self._inside_bounds(self._expert(batch)))
+            terms = {"loss_imitation": 1.0, "loss_critic": 1.0}
         elif share < self._settings.critic_warmup:
-            terms = ["loss_critic"]
-        steps = []
-        for part in self._minibatches(decisions):
-            with stopwatch("gradient steps"):
-                steps.append(self._gradient_step(part, terms, imitating))
-        with stopwatch("gradient steps"):
+            terms = {"loss_critic": 1.0}
+        with stopwatch("gradient steps"), ThreadPoolExecutor(self.config.learner_threads) as pool:
+            decisions = self._decisions(batch)
+            steps = [self._gradient_step(decisions, *part, terms, pool) for part in self._minibatches(decisions)]
             return self._means(steps)
 
-    def _minibatches(self, decisions: TensorDictBase) -> Iterator[TensorDictBase]:
-        """Yields the minibatches of all epochs, some of their decisions mirrored.
+    @torch.no_grad()
+    def _decisions(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Returns what gradient steps read of a batch ``[N, T]``, by name.
 
-        A minibatch has decisions ``[M]``, or with a memory whole sequences of some rovers ``[M, T]``.
+        It is flat, ``[N T, ...]``, or with a memory in sequences, ``[N, T, ...]``. The mirror images of all follow if
+        the learner learns from them.
         """
-        settings, device, size = self._settings, self.config.device, self._settings.minibatch
-        starts = self._mirror_memory.starts(decisions) if settings.mirror_augmentation else {}
-        if self._recurrent:
-            size = max(1, size // settings.rollout_length)
-        else:
-            decisions = decisions.reshape(-1)
+        images, count = self._settings.mirror_augmentation, len(batch)
+        read = batch.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob")
+        if self._network and self._network.prior:
+            read[networks.DRIVER] = self._network.driver(batch)
+        if images:
+            every = torch.ones(batch.shape, dtype=torch.bool, device=batch["action"].device)
+            read = torch.cat([read, networks.mirrored(read, every, self._mirrors)])
+        kept = ("action_log_prob", networks.DRIVER, "is_init")
+        rows = {key: value for key in kept if (value := read.get(key, None)) is not None}
+        rows |= squashing(read["action"], *self._bounds(read))
+        rows["features"] = self._encoder(*(read[key] for key in self._encoder.keys))
+        if self.config.network.privileged_critic:
+            rows["seen"] = self.critic.module.features(*(read[key] for key in self.critic.in_keys))
+        for key, value in self._advantages(batch, rows.get("seen", rows["features"])[:count]).items():
+            rows[key] = torch.cat((value, value)) if images else value
+        if self._memory is None:
+            return {key: value.flatten(0, 1) for key, value in rows.items()}
+        rows["state"] = torch.cat([batch[key][:, 0, 0] for key in state_keys(self.actor)], -1)
+        if images and self._mirror_memory:
+            image = self._mirror_memory.starts(rows["features"][count:], rows["is_init"][count:])
+            rows["state"] = torch.cat((rows["state"], image))
+        return rows
+
+    def _bounds(self, read: TensorDictBase) -> tuple[Tensor, Tensor]:
+        if self._network and self._network.by_robot:
+            return self._network.bounds(read[ROBOT])
+        return self._spec.space.low, self._spec.space.high
+
+    def _advantages(self, batch: TensorDictBase, seen: Tensor) -> dict[str, Tensor]:
+        """Returns advantages ``[N, T]``, standardized, and targets of values ``[N, T, 1]``."""
+        settings, after, critic = self._settings, batch["next"], self.critic.module
+        values = critic.body(seen), critic(*(after[key] for key in self.critic.in_keys))
+        reward, ends = settings.reward_scale * after["reward"], (after["done"], after["terminated"])
+        advantage, target = generalized_advantage_estimate(settings.gamma, settings.lmbda, *values, reward, *ends)
+        advantage = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-4)
+        return {"advantage": advantage.squeeze(-1), "value_target": target}
+
+    def _minibatches(self, decisions: Mapping[str, Tensor]) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yields the rows of each minibatch of all epochs, some of them mirror images, and noise for the entropy."""
+        settings, action = self._settings, decisions["unsquashed"]
+        count = len(action) // 2 if settings.mirror_augmentation else len(action)
+        size = max(1, settings.minibatch // settings.rollout_length) if self._memory else settings.minibatch
         for _ in range(settings.epochs):
-            order = torch.randperm(len(decisions), device=device)
-            shuffled = decisions[order]
+            rows = torch.randperm(count, device=action.device)
             if settings.mirror_augmentation:
-                rows = torch.rand(len(shuffled), device=device) < 0.5
-                states = {key: state[order] for key, state in starts.items()}
-                shuffled = mirrored_rows(shuffled, rows, states, self._mirrors)
-            yield from shuffled.split(size)
+                rows = rows + count * (torch.rand(count, device=action.device) < 0.5)
+            yield from zip(rows.split(size), torch.randn_like(action[:count]).split(size), strict=True)
 
-    def _gradient_step(self, decisions: TensorDictBase, terms: list[str], imitating: bool) -> Tensor:
-        """Takes a gradient step on the sum of some terms of PPO's loss and returns the logged values.
+    def _gradient_step(
+        self, decisions: Mapping[str, Tensor], rows: Tensor, noise: Tensor, terms: Mapping[str, float], pool: Executor
+    ) -> Tensor:
+        """Takes a gradient step on the weighted sum of some terms of PPO's loss and returns the logged values.
 
-        For imitation, ``loss_objective`` is the negative log-likelihood of ``action``.
+        The parts of the minibatch do not depend on the number of threads. For imitation, ``loss_objective`` is the
+        negative log-likelihood of ``action``.
         """
-        # Losses of TorchRL run memories on sequences.
-        losses = self._loss(decisions)
-        if imitating:
-            with set_recurrent_mode(True):
-                losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
-        self._optimizer.zero_grad()
-        torch.stack([losses[term] for term in terms]).sum().backward()
-        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
+        size = len(rows) if self.config.on_gpu else max(1, _PART // noise[0, ..., 0].numel())
+        logged = ["loss_imitation" if "loss_imitation" in terms else "loss_objective", *self.logged[1:]]
+
+        def gradients(part: Tensor, noise: Tensor) -> tuple[tuple[Tensor | None, ...], Tensor]:
+            read, share = {key: value[part] for key, value in decisions.items()}, len(part) / len(rows)
+            value = self.critic.module.body(read.get("seen", read["features"]))
+            losses = ppo_losses(*self._distribution(read), value, read, noise, self._settings.clip)
+            loss = torch.stack([factor * losses[name] for name, factor in terms.items()]).sum()
+            told = torch.stack([losses[name].detach() for name in logged])
+            return torch.autograd.grad(share * loss, self._weights, allow_unused=True), share * told
+
+        each = pool.map if len(rows) > size else map
+        found = [*each(gradients, rows.split(size), noise.split(size))]
+        for weight, *parts in zip(self._weights, *(grads for grads, _ in found), strict=True):
+            weight.grad = None if parts[0] is None else torch.stack(parts).sum(0)
+        torch.nn.utils.clip_grad_norm_(self._weights, self._settings.max_grad_norm)
         self._optimizer.step()
-        return self._logged(losses)
+        return torch.stack([told for _, told in found]).sum(0)
+
+    def _distribution(self, read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        if self._network:
+            return self._network.distribution(read["features"], read.get(networks.DRIVER))
+        assert self._memory
+        loc, scale, _ = self._memory.sequence(read["features"], read["is_init"], read["state"])
+        return loc, scale
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
-        spec = networks.action_spec(self.config.env.bounded_action, self.config.device)
-        middle, half = networks.middle_and_half(spec)
+        middle, half = networks.middle_and_half(self._spec)
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
 
@@ -163,41 +202,13 @@ class MirrorMemory:
     weights with which the batches were collected.
     """
 
-    def __init__(self, actor: ProbabilisticActor, mirrors: networks.Mirrors = networks.DEFAULT_MIRRORS) -> None:
-        self._actor, self._keys, self._mirrors = actor, state_keys(actor), mirrors
-        self._last: dict[str, Tensor] = {}
+    def __init__(self, memory: PlainRecurrent) -> None:
+        self._memory = memory
+        self._last: Tensor | None = None
 
     @torch.no_grad()
-    def starts(self, decisions: TensorDictBase) -> dict[str, Tensor]:
-        """Returns the states ``[N, T, 1, units]`` of the mirror image of the next batch ``[N, T]``, by key.
-
-        Only the states at the start of a sequence or an episode are those of the mirror image. Updates read no others.
-        Without memory there are none.
-        """
-        if not self._keys:
-            return {}
-        states = {key: decisions[key].clone() for key in self._keys}
-        is_init = decisions["is_init"][:, 0, :, None]
-        for key, last in self._last.items():
-            states[key][:, 0] = torch.where(is_init, 0.0, last)
-        every = torch.ones(decisions.batch_size, dtype=torch.bool, device=decisions["is_init"].device)
-        with set_recurrent_mode(True):
-            image = self._actor[0](networks.mirrored(decisions, every, self._mirrors).update(states))
-        self._last = {key: image["next", key][:, -1] for key in self._keys}
-        return states
-
-
-def mirrored_rows(
-    decisions: TensorDictBase,
-    rows: Tensor,
-    starts: dict[str, Tensor],
-    mirrors: networks.Mirrors = networks.DEFAULT_MIRRORS,
-) -> TensorDictBase:
-    """Returns decisions ``[N]`` or sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored.
-
-    ``starts`` are the states of their memory: see :class:`MirrorMemory`.
-    """
-    image = networks.mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), mirrors)
-    for key, state in starts.items():
-        image[key] = torch.where(rows[:, None, None, None], state, decisions[key])
-    return image
+    def starts(self, features: Tensor, is_init: Tensor) -> Tensor:
+        """Returns the states ``[N, s]`` before the next batch, whose mirror image has ``features [N, T, F]``."""
+        start = features.new_zeros(len(features), self._memory.state_size) if self._last is None else self._last
+        *_, self._last = self._memory.sequence(features, is_init, start)
+        return start

@@ -19,9 +19,8 @@ from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
-from torchrl.objectives import LossModule
 
 from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, with_settings
@@ -52,7 +51,7 @@ class Learner(ABC):
     """Values of the loss that are logged for each gradient step."""
     config: TrainingConfig
     actor: ProbabilisticActor
-    _loss: LossModule
+    _loss: nn.Module
     _optimizer: torch.optim.Optimizer
 
     @abstractmethod
@@ -76,9 +75,6 @@ class Learner(ABC):
         settings = self.config.algorithm
         for group in self._optimizer.param_groups:
             group["lr"] = settings.learning_rate * (1 - share if settings.anneal else 1.0)
-
-    def _logged(self, losses: TensorDictBase) -> Tensor:
-        return torch.stack([losses[key].detach() for key in self.logged])
 
     def _means(self, steps: list[Tensor]) -> dict[str, float]:
         means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(self.logged)

@@ -28,6 +28,7 @@ class SACLearner(Learner):
     """Actor, two critics with target networks, a replay buffer and the SAC update."""
 
     logged = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
+    _loss: SACLoss
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, SACConfig)
@@ -81,7 +82,7 @@ class SACLearner(Learner):
         (losses["loss_qvalue"] + rest).backward()
         self._optimizer.step()
         self._target_update.step()
-        return self._logged(losses)
+        return torch.stack([losses[key].detach() for key in self.logged])
 
     def state_dict(self) -> dict[str, Any]:
         storage, count = self._replay_buffer.storage, len(self._replay_buffer)

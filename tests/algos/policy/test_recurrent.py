@@ -9,8 +9,9 @@ from torchrl.modules import set_recurrent_mode
 
 from rover_rl.algos.config import with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.recurrent import MEMORY_KEYS, RecurrentStep, state_keys
+from rover_rl.algos.policy.recurrent import MEMORY_KEYS, PlainRecurrent, state_keys
 from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.envs.encoding import ObservationEncoder
 from tests.algos.policy.memories import BOTH, observations, recurrent_checkpoint
 
 
@@ -21,7 +22,7 @@ def test_a_sequence_and_a_step_of_plain_tensors_give_the_same_as_the_actor(memor
     actor, steps = checkpoint.make_actor(), observations(3)
     is_init = torch.zeros(3, len(steps), 1, dtype=torch.bool)
     is_init[:, 0] = is_init[1, 5] = is_init[2, 7] = True
-    step, runner, actions = RecurrentStep(actor[0]), PolicyRunner(actor, action_repeat=1), []
+    step, runner, actions = PlainRecurrent(actor[0]), PolicyRunner(actor, action_repeat=1), []
     assert step.state_size == {"gru": 12, "lstm": 24}[memory]
     state, scale = torch.zeros(3, step.state_size), actor.spec["action"].space.high
     for seen, reset in zip(steps, is_init.unbind(1), strict=True):
@@ -35,6 +36,32 @@ def test_a_sequence_and_a_step_of_plain_tensors_give_the_same_as_the_actor(memor
         together = actor(sequence)
     torch.testing.assert_close(together["action"], torch.stack(actions, 1))
     assert [*together["next"].keys()] == [*MEMORY_KEYS[memory]] == state_keys(actor)
+
+
+@BOTH
+def test_sequences_and_their_gradients_are_those_of_torchrl(memory: str) -> None:
+    actor, generator = recurrent_checkpoint(memory).make_actor(), torch.Generator().manual_seed(0)
+    sequence = torch.stack(observations(3), 1)
+    steps = sequence.shape[1]
+    sequence["is_init"] = torch.rand(3, steps, 1, generator=generator) < 0.2
+    plain = PlainRecurrent(actor[0])
+    # TorchRL expects zeros where an episode begins.
+    state = torch.randn(3, plain.state_size, generator=generator) * ~sequence["is_init"][:, 0]
+    for key, part in zip(MEMORY_KEYS[memory], state.split(12, -1), strict=True):
+        sequence[key] = torch.zeros(3, steps, 1, 12)
+        sequence[key][:, 0, 0] = part
+    with set_recurrent_mode(True):
+        expected = actor[0](sequence)
+    encoder = ObservationEncoder()
+    features = encoder(*(sequence[key] for key in encoder.keys))
+    loc, scale, after = plain.sequence(features, sequence["is_init"], state)
+    torch.testing.assert_close((loc, scale), (expected["loc"], expected["scale"]))
+    last = torch.cat([expected["next", key][:, -1, 0] for key in MEMORY_KEYS[memory]], -1)
+    torch.testing.assert_close(after, last)
+    weights, pull = [*actor.parameters()], torch.randn(loc.shape, generator=generator)
+    pairs = (loc + scale, expected["loc"] + expected["scale"])
+    found, theirs = (torch.autograd.grad((pull * each).sum(), weights) for each in pairs)
+    torch.testing.assert_close(found, theirs)
 
 
 @BOTH

@@ -15,12 +15,13 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import mirrored
-from rover_rl.algos.policy.recurrent import MEMORY_KEYS
+from rover_rl.algos.policy.recurrent import PlainRecurrent
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.train.collectors import collect
-from rover_rl.algos.train.ppo import MirrorMemory, PPOLearner, mirrored_rows
+from rover_rl.algos.train.ppo import MirrorMemory, PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
+from rover_rl.envs.encoding import ObservationEncoder
 from tests.algos.train.runs import FIELD, GRU, LSTM, PPO, WALL, check_states, field, run
 
 OBSERVATION = PPO.network.observation
@@ -59,22 +60,19 @@ def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_action
 @torch.no_grad()
 def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start() -> None:
     learner, collected = batches(LSTM, 3)
-    memory, keys = MirrorMemory(learner.actor), (*OBSERVATION, "is_init", *MEMORY_KEYS["lstm"])
-    decisions = [batch.select(*keys) for batch in collected[:2]]
-    starts = [memory.starts(part) for part in decisions]
-    runner = PolicyRunner(learner.actor, action_repeat=1)
-    image = mirrored(torch.cat(decisions, 1).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))
-    actions = []
+    memory, encoder = PlainRecurrent(learner.actor[0]), ObservationEncoder(OBSERVATION)
+    mirrors, runner = MirrorMemory(memory), PolicyRunner(learner.actor, action_repeat=1)
+    image = mirrored(torch.cat(collected[:2], 1).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))
+    means = []
     for step in image.unbind(1):
         runner.reset(step["is_init"].squeeze(-1))
-        actions.append(runner(step.select(*OBSERVATION)))
-    rows = torch.tensor([True, False, True, True])
-    with set_recurrent_mode(True):
-        second = learner.actor(mirrored_rows(decisions[1], rows, starts[1]))["action"]
-        original = learner.actor(decisions[1].clone())["action"]
-    torch.testing.assert_close(second[rows], torch.stack(actions[8:], 1)[rows])
-    assert torch.equal(second[~rows], original[~rows])
-    assert not torch.allclose(second[rows], original[rows], atol=1e-3)
+        runner(step.select(*OBSERVATION))
+        assert runner.distribution is not None
+        means.append(runner.distribution[0])
+    for part, batch in enumerate(image.split(8, 1)):
+        features = encoder(*(batch[key] for key in OBSERVATION))
+        loc, _, _ = memory.sequence(features, batch["is_init"], mirrors.starts(features, batch["is_init"]))
+        torch.testing.assert_close(loc, torch.stack(means[8 * part : 8 * part + 8], 1))
 
 
 def test_a_privileged_critic_learns(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_what_cannot_be_gone_on_with_raises_and_is_not_overwritten(own_run: OwnR
     with pytest.raises(ValueError, match=r"trained with world='maze', hidden=\[16\], and a run that"):
         run(PPO, tmp_path, folder, hidden=(8,), world="moon")
     state = state_of(folder)
-    name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
+    name = next(name for name in state["learner"]["loss"] if name.startswith("critic."))
     state["learner"]["loss"][name].fill_(torch.inf)
     save_run(folder, Checkpoint.load(folder), state)
     with pytest.raises(ValueError, match=rf"training_state\.pt holds NaN or infinity in the weights {name}: it cannot"):

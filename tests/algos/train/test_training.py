@@ -63,7 +63,8 @@ def test_a_run_writes_settings_progress_and_policies_that_can_be_evaluated(
 @pytest.mark.slow
 def test_ppo_learns_to_reach_goals(tmp_path: Path) -> None:
     """After these steps, 32 of 32 goals were reached with either seed, at random none."""
-    config = training_config("ppo", world="inspect", num_envs=64, minibatch=256, total_steps=40_000, seed=0)
+    few = {"num_envs": 64, "rollout_length": 16, "minibatch": 256, "epochs": 10}
+    config = training_config("ppo", world="inspect", total_steps=40_000, seed=0, **few)
     actor = Checkpoint.load(run(config, tmp_path).checkpoint).make_actor()
     episodes = draw_episodes("inspect", 8, seed=0)
     assert evaluate(actor, episodes, env=EnvConfig(backend="warp"), seconds=40).success_rate >= 0.8

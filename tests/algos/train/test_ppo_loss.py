@@ -1,0 +1,67 @@
+"""The loss of PPO on plain tensors is that of TorchRL, and threads share its minibatches."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.modules import ProbabilisticActor, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+
+from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.policy.networks import BoundedTanhNormal, NormalParameters
+from rover_rl.algos.train.collectors import collect
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.ppo_loss import ppo_losses, squashing
+from rover_rl.algos.train.progress import Stopwatch
+from rover_rl.algos.train.run import prepare
+from tests.algos.train.runs import FIELD, PPO, equal
+
+LOW, HIGH = torch.tensor([-0.5, -3.0]), torch.tensor([1.0, 3.0])
+ROWS = 64
+
+
+def test_losses_and_their_gradients_are_those_of_torchrl() -> None:
+    torch.manual_seed(0)
+    body, critic = nn.Sequential(nn.Linear(5, 4), NormalParameters(1.0)), nn.Linear(5, 1)
+    actor = ProbabilisticActor(
+        TensorDictModule(body, ["features"], ["loc", "scale"]),
+        ["loc", "scale"],
+        distribution_class=BoundedTanhNormal,
+        distribution_kwargs={"low": LOW, "high": HIGH},
+    )
+    rows = {"features": torch.randn(ROWS, 5), "action": LOW + (HIGH - LOW) * (0.01 + 0.98 * torch.rand(ROWS, 2))}
+    log_prob = actor.get_dist(TensorDict(rows, [ROWS])).log_prob(rows["action"]).detach()
+    rows["action_log_prob"] = log_prob + 0.3 * torch.randn(ROWS)
+    rows |= {"advantage": torch.randn(ROWS, 1), "value_target": torch.randn(ROWS, 1)}
+    options = {"clip_epsilon": 0.2, "entropy_coeff": 0.01, "critic_coeff": 0.5, "loss_critic_type": "l2"}
+    loss = ClipPPOLoss(actor, ValueOperator(critic, ["features"]), **options)
+    torch.manual_seed(1)
+    expected = loss(TensorDict(rows, [ROWS]))
+    torch.manual_seed(1)
+    noise = torch.randn(1, ROWS, 2)[0]
+    plain = rows | squashing(rows["action"], LOW, HIGH) | {"advantage": rows["advantage"].squeeze(-1)}
+    found = ppo_losses(*body(rows["features"]), critic(rows["features"]), plain, noise, 0.2)
+    for name in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
+        torch.testing.assert_close(found[name], expected[name])
+    assert 0 < found["clip_fraction"] < 1
+    total = found["loss_objective"] + found["loss_critic"] - 0.01 * found["entropy"]
+    weights = [*body.parameters(), *critic.parameters()]
+    gradients = torch.autograd.grad(total, weights)
+    sum(value for name, value in expected.items() if name.startswith("loss_")).backward()
+    theirs = dict(loss.named_parameters())
+    torch.testing.assert_close([*gradients], [weight.grad for weight in theirs.values()], rtol=1e-4, atol=1e-5)
+
+
+def test_weights_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    size = {"num_envs": 128, "rollout_length": 16, "minibatch": 2048}
+    config, learned = with_settings(PPO, world=FIELD, action_repeat=1, epochs=1, **size), []
+    for threads in (1, 3):
+        monkeypatch.setattr(TrainingConfig, "learner_threads", threads)
+        learner = PPOLearner(prepare(config))
+        with collect(config, learner.actor) as batches:
+            learner.update(next(batches), 0.0, Stopwatch())
+        learned.append(learner.weights())
+    assert equal(*learned)
