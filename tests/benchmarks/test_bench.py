@@ -61,7 +61,7 @@ def test_rollouts(bench: Bench) -> None:
 def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulators, "WORLDS", ("maze",))
     ratios = bench("simulators", "--engines", "warp")["ratios"]
-    assert len(ratios) == 2 + 1 + 1
+    assert len(ratios) == 2 + 1 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
 
 
