@@ -14,14 +14,20 @@ from rover_rl.sims.warp.planar.robots import PlanarRobot
 @wp.func
 def clip_edges(plan: Plan, scan: Scan, height: float):
     """Shortens the beams that meet every ``lanes``-th edge in view of a lidar at a height, m."""
-    cell = cell_at(plan.view, scan.origin[0], scan.origin[1])
-    if cell < 0:
-        return
     at = wp.vec2(scan.origin[0], scan.origin[1])
     ahead = wp.vec2(scan.ahead[0], scan.ahead[1])
-    count = float(scan.beams.shape[0])
-    for k in range(plan.view_starts[cell] + scan.lane, plan.view_starts[cell + 1], scan.lanes):
-        number = plan.view_edges[k]
+    beams = float(scan.beams.shape[0])
+    # Outside of the grid, all edges may be in view.
+    cell = cell_at(plan.view, at[0], at[1])
+    first = int(0)
+    count = plan.edges.shape[0]
+    if cell >= 0:
+        first = plan.view_starts[cell]
+        count = plan.view_starts[cell + 1] - first
+    for k in range(scan.lane, count, scan.lanes):
+        number = int(k)
+        if cell >= 0:
+            number = plan.view_edges[first + k]
         edge = plan.edges[number]
         span = plan.spans[number]
         a = unturned(wp.vec2(edge[0], edge[1]) - at, ahead)
@@ -29,7 +35,7 @@ def clip_edges(plan: Plan, scan: Scan, height: float):
         # Seen from its free side, an edge goes clockwise.
         if a[0] * b[1] - a[1] * b[0] < 0.0 and span[0] < height and height < span[1]:
             angles = span_in_turns(a, b)
-            clip_span(scan, a, b, angles[0] * count, angles[1] * count)
+            clip_span(scan, a, b, angles[0] * beams, angles[1] * beams)
 
 
 @wp.kernel

@@ -14,7 +14,7 @@ LEVEL = 1e-3
 """Largest difference of heights of level ground, m."""
 UPRIGHT = 1e-6
 """Largest sine of the angle between a face of a prism and the vertical or the horizontal."""
-NEAR_CELL, VIEW_CELL = 0.5, 1.5
+NEAR_CELL, VIEW_CELL = 1.0, 1.5
 """Side of the cells that list the edges which a rover may touch, and of those that list what a lidar may see, m."""
 MAX_MARGIN = 0.4
 """Largest distance at which contacts are looked for, m: what a rover and an obstacle approach in a substep."""
@@ -41,11 +41,11 @@ class Plan:
     # Ends (ax, ay, bx, by) of each edge, and lowest and highest point of its face above the ground, m.
     edges: wp.array[wp.vec4]
     spans: wp.array[wp.vec2]
-    # Edges that a rover in a cell may touch.
+    # Edges that a rover in a cell may touch; outside of the grid, there are none.
     near: Cells
     near_starts: wp.array[int]
     near_edges: wp.array[int]
-    # Edges that a lidar in a cell may see.
+    # Edges that a lidar in a cell may see; outside of the grid, it may see all.
     view: Cells
     view_starts: wp.array[int]
     view_edges: wp.array[int]
@@ -53,7 +53,7 @@ class Plan:
 
 @wp.func
 def cell_at(cells: Cells, x: float, y: float) -> int:
-    """Number of the cell at a point; -1 outside of the grid, where there are no edges."""
+    """Number of the cell at a point; -1 outside of the grid."""
     column = int(wp.floor((x - cells.origin[0]) / cells.side))
     row = int(wp.floor((y - cells.origin[1]) / cells.side))
     if column < 0 or row < 0 or column >= cells.columns or row >= cells.rows:
@@ -71,9 +71,11 @@ def plan_contents(world: World, reach: float, farthest: float, lidars: np.ndarra
     spans = np.stack([corner[:, 2] - ground for corner in solids.bounding_boxes], 1)
     sight = Sight([np.concatenate((one, np.roll(one, -1, 0)), 1) for one in solids.outlines], spans)
     edges, owners = sight.free_edges()
-    near, near_starts, near_edges = _listed(sight, edges, NEAR_CELL, reach + MAX_MARGIN, (1.0, 0.0))
-    heights = float(lidars.min()), float(lidars.max())
-    view, view_starts, view_edges = _listed(sight, edges, VIEW_CELL, farthest, heights)
+    ends, reach, heights = edges.reshape(-1, 2), reach + MAX_MARGIN, (float(lidars.min()), float(lidars.max()))
+    around = np.concatenate((ends - reach, ends + reach))
+    near, near_starts, near_edges = _listed(sight, edges, around, NEAR_CELL, reach, (1.0, 0.0))
+    driven = np.concatenate((ends, np.transpose(world.spawn_range), np.transpose(world.goal_range)))
+    view, view_starts, view_edges = _listed(sight, edges, driven, VIEW_CELL, farthest, heights)
     lists = {"near_starts": near_starts, "near_edges": near_edges, "view_starts": view_starts, "view_edges": view_edges}
     arrays = {"edges": edges.astype(np.float32), "spans": spans[owners].astype(np.float32)}
     return {"ground": ground, "near": near, "view": view}, arrays | lists
@@ -108,16 +110,15 @@ def plan_problem(world: World, climb: float, tops: np.ndarray, lidars: np.ndarra
 
 
 def _listed(
-    sight: Sight, edges: np.ndarray, side: float, reach: float, heights: tuple[float, float]
+    sight: Sight, edges: np.ndarray, points: np.ndarray, side: float, reach: float, heights: tuple[float, float]
 ) -> tuple[Cells, np.ndarray, np.ndarray]:
-    """Grid of cells, where the list of each cell starts, and the lists, as :meth:`Sight.edges_of` finds them."""
+    """Grid of cells around ``points``, where the list of each cell starts, and the lists of :meth:`Sight.edges_of`."""
     cells = Cells()
     cells.side = side
     starts, found = [np.zeros(1, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     if len(edges):
-        ends = edges.reshape(-1, 2)
-        corner = ends.min(0) - reach
-        columns, rows = np.ceil((ends.max(0) + reach - corner) / side).astype(int).tolist()
+        corner = points.min(0)
+        columns, rows = (np.ceil((points.max(0) - corner) / side).astype(int) + 1).tolist()
         cells.origin, cells.columns, cells.rows = wp.vec2(*corner.tolist()), columns, rows
         y, x = np.divmod(np.arange(rows * columns), columns)
         middles = corner + side * (np.stack((x, y), 1) + 0.5)
