@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl import rng
+from rover_rl.envs.chosen_rows import EVERY_ROW, ChosenRows
 from rover_rl.envs.config import HeadingGains, LimitsConfig, PoseConfig, Randomization
 from rover_rl.robots.fleet import Fleet
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
@@ -33,13 +33,26 @@ class Perception:
     ``ranges`` are the raw scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid. From
     them follow ``readings``, the pooled scan, ``[N, lidar_points]``, m; from the state, ``euler``, roll, pitch and yaw,
     ``[N, 3]``, ``yaw``, ``[N, 1]`` (rad), and ``position``, x and y, ``[N, 2]``, m.
+
+    If only some ``rows`` differ from the ``last`` state and scan, what follows is computed for these alone.
     """
 
-    def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
+    def __init__(
+        self,
+        rover: RoverState,
+        ranges: Tensor,
+        pooling: Callable[[Tensor], Tensor],
+        rows: ChosenRows = EVERY_ROW,
+        last: Perception | None = None,
+    ) -> None:
         self.rover, self.ranges = rover, ranges
-        self.euler = quaternion_to_euler(rover.orientation)
-        self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
-        self.readings = pooling(ranges)
+        position, orientation = rover.position, rover.orientation
+        if last is None or not rows.are_selected:
+            self.euler, self.readings = quaternion_to_euler(orientation), pooling(ranges)
+        else:
+            self.euler = rows.into(last.euler, quaternion_to_euler(rows.of(orientation)))
+            self.readings = rows.into(last.readings, pooling(rows.of(ranges)))
+        self.yaw, self.position = self.euler[:, 2:], position[:, :2]
 
 
 class SensedPose(NamedTuple):
@@ -75,7 +88,10 @@ class StepState:
     world_steps: Tensor | None = None
     """Number of steps since the worlds of groups changed, at which episodes are truncated. ``None``: ``steps``."""
     movers: Mapping[str, Tensor] = {}  #: Entries of ``outcome`` on movers. Empty if no world has any.
-    outcome: TensorDict  #: Events and measurements of the last step.
+    events: Tensor  #: Events of the last step, ``[N, 7]``: see :data:`~rover_rl.envs.task.EVENTS`.
+    phase: Tensor  #: Event that decides the last step: a :class:`~rover_rl.envs.task.StepEvent`.
+    progress: Tensor  #: Decrease of the distance to the goal in the last step, m.
+    alignment: Tensor  #: See :func:`~rover_rl.envs.task.heading_alignment`.
     terminated: Tensor  #: Whether the last step ended the episode by an event.
     truncated: Tensor  #: Whether it did so by the length of the episode.
 

@@ -18,6 +18,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.stages import Perception, StepState
@@ -48,6 +49,7 @@ class StepEvent(IntEnum):
 
 EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal_reached", "collision")
 """Names of the events in ``outcome``, in the order of :class:`StepEvent`."""
+_GOAL_REACHED = slice(StepEvent.GOAL, StepEvent.GOAL + 1)
 
 
 class PositionHistory:
@@ -142,27 +144,30 @@ class Navigation:
             self._ranges = fleet.table(lambda robot: collision_ranges(robot, config.lidar.beams).tolist())
         self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
-    def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, first: bool) -> None:
-        """Begins episodes in the rows of ``mask``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters.
+    def begin(self, state: StepState, rows: ChosenRows, goal: Tensor | None, first: bool) -> None:
+        """Begins episodes in ``rows``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters.
 
         ``first`` is whether this is the first reset since the simulator was built.
         """
-        zeros, reference = torch.zeros_like(state.keys), state.reference
+        mask, reference = rows.mask, state.reference
+        if first:
+            state.events = mask.new_zeros(len(mask), len(EVENTS))
+            state.phase, state.progress = torch.zeros_like(state.keys), torch.zeros_like(reference.yaw)
+            state.alignment = state.progress
+            state.terminated = state.truncated = torch.zeros_like(mask)
         if goal is None:
-            goal = self._placement.draw_goal(state.keys, zeros, reference.position, mask, state.goal)
-        target = target_info(reference.position, reference.yaw, goal)
-        state.goal, state.target = torch.where(mask, goal, state.goal), torch.where(mask, target, state.target)
+            state.goal = self._placement.draw_goal(state.keys, 0, reference.position, rows, state.goal)
+        else:
+            state.goal = torch.where(mask, goal, state.goal)
+        target = target_info(rows.of(reference.position), rows.of(reference.yaw), rows.of(state.goal))
+        state.target = rows.into(state.target, target)
+        state.alignment = rows.into(state.alignment, heading_alignment(target[:, 1:]))
+        state.events = state.events.masked_fill(mask, False)
+        state.phase = state.phase.masked_fill(mask, StepEvent.NONE)
+        state.progress = state.progress.masked_fill(mask, 0.0)
         state.goals = state.goals.masked_fill(mask, 1)
         state.collision_steps = state.collision_steps.masked_fill(mask, 0)
-        none = torch.zeros(len(mask), len(EVENTS), dtype=torch.bool, device=mask.device)
-        phase, progress = torch.full_like(state.keys, StepEvent.NONE), torch.zeros_like(reference.yaw)
-        outcome = _outcome(state, none, phase, progress, heading_alignment(state.target[:, 1:]))
-        if first:
-            state.outcome = outcome
-            state.terminated, state.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
-        else:
-            state.outcome = outcome.where(mask.squeeze(-1), state.outcome)
-            state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
+        state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
 
     def advance(self, state: StepState, invalid: Tensor) -> None:
         """Computes the outcome of a step in the state's ``active`` rows, sets new goals, and ends episodes.
@@ -182,18 +187,15 @@ class Navigation:
             bounds=(self._placement.bounds_low, self._placement.bounds_high),
             config=self._task,
         )
+        progress, alignment = last[:, :1] - target[:, :1], heading_alignment(target[:, 1:])
         if active is not None:
             target = torch.where(active, target, last)
             collision_steps = torch.where(active, collision_steps, state.collision_steps)
-        state.target, state.collision_steps = target, collision_steps
-        outcome = _outcome(state, events, phase, last[:, :1] - target[:, :1], heading_alignment(target[:, 1:]))
-        if active is not None:
-            outcome, phase = (
-                outcome.where(active.squeeze(-1), state.outcome),
-                phase.masked_fill(~active, StepEvent.NONE),
-            )
-            outcome.set("phase", phase)
-        state.outcome = outcome
+            events, phase = torch.where(active, events, state.events), phase.masked_fill(~active, StepEvent.NONE)
+            progress = torch.where(active, progress, state.progress)
+            alignment = torch.where(active, alignment, state.alignment)
+        state.target, state.collision_steps, state.events, state.phase = target, collision_steps, events, phase
+        state.progress, state.alignment = progress, alignment
         if not self._end_on_goal:
             self._set_next_goals(state, phase == StepEvent.GOAL)
         self._end(state)
@@ -212,16 +214,15 @@ class Navigation:
         # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
         if reached.device.type == "cpu" and not reached.any():
             return
-        reference = state.reference
-        drawn = self._placement.draw_goal(state.keys, state.goals, reference.position, reached, state.goal)
-        state.goal = torch.where(reached, drawn, state.goal)
-        target = target_info(reference.position, reference.yaw, state.goal)
-        state.target, state.goals = torch.where(reached, target, state.target), state.goals + reached
+        rows, reference = ChosenRows(reached), state.reference
+        state.goal = self._placement.draw_goal(state.keys, state.goals, reference.position, rows, state.goal)
+        target = target_info(rows.of(reference.position), rows.of(reference.yaw), rows.of(state.goal))
+        state.target, state.goals = rows.into(state.target, target), state.goals + reached
 
     def _end(self, state: StepState) -> None:
-        terminated = state.outcome.get("phase") < StepEvent.GOAL
+        terminated = state.phase < StepEvent.GOAL
         if self._end_on_goal:
-            terminated = terminated | state.outcome.get("goal_reached")
+            terminated = terminated | state.events[:, _GOAL_REACHED]
         steps = state.steps if state.world_steps is None else state.world_steps
         truncated = (steps >= self.length) & ~terminated
         if state.active is not None:
@@ -230,12 +231,19 @@ class Navigation:
         state.terminated, state.truncated = terminated, truncated
 
 
-def _outcome(state: StepState, events: Tensor, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
-    entries = dict(zip(EVENTS, events.split(1, -1), strict=True))
-    entries |= {"phase": phase, "progress": progress, "alignment": alignment}
+def outcome(state: StepState) -> TensorDict:
+    """Returns the entries of ``outcome``, as the state has them after a step or reset."""
     rover = state.reference.rover
-    entries |= {"linear_velocity": rover.linear_velocity, "angular_velocity": rover.angular_velocity}
-    entries |= {"steps": state.steps, "total_steps": state.total_steps}
-    if state.world is not None:
-        entries["world"] = state.world
-    return unchecked_tensordict({**entries, **state.movers}, events.shape[:1])
+    entries = {
+        **dict(zip(EVENTS, state.events.split(1, -1), strict=True)),
+        "phase": state.phase,
+        "progress": state.progress,
+        "alignment": state.alignment,
+        "linear_velocity": rover.linear_velocity,
+        "angular_velocity": rover.angular_velocity,
+        "steps": state.steps,
+        "total_steps": state.total_steps,
+        **({} if state.world is None else {"world": state.world}),
+        **state.movers,
+    }
+    return unchecked_tensordict(entries, state.steps.shape[:1])
