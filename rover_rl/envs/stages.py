@@ -129,11 +129,13 @@ def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tens
         raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
     # A policy may have another precision, and gradients, which end here.
     action = action.detach().reshape(-1, len(bounds[0])).to(bounds[0].dtype)
-    invalid = ~torch.isfinite(action).all(-1, keepdim=True)
-    if action.device.type == "cpu" and invalid.any():
-        rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()
+    finite = torch.isfinite(action)
+    if action.device.type != "cpu":
+        return torch.clamp(action, *bounds), ~finite.all(-1, keepdim=True)
+    if not finite.all():
+        rows = (~finite).any(-1).nonzero().squeeze(-1).tolist()
         raise ValueError(f"action must be finite numbers, got NaN or infinity in rows {rows}")
-    return torch.clamp(action, *bounds), invalid
+    return torch.clamp(action, *bounds), torch.zeros(len(action), 1, dtype=torch.bool)
 
 
 class HeadingController:

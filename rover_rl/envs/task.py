@@ -57,20 +57,19 @@ class PositionHistory:
 
     def __init__(self, num_envs: int, window: int, device: torch.device) -> None:
         self._window = window
-        self._rows = torch.arange(num_envs, device=device)
-        self._positions = torch.zeros(num_envs, window, 2, device=device)
+        # x + iy: a position is one element.
+        self._positions = torch.zeros(num_envs, window, dtype=torch.complex64, device=device)
 
     def displacement(self, position: Tensor, steps: Tensor, active: Tensor | None = None) -> Tensor:
         """Stores positions ``[N, 2]`` of ``active`` rows, and returns their distance from the oldest ones, ``[N, 1]``.
 
         It is inf until the buffer is full. ``steps`` are those of the episode, including this one, int64 ``[N, 1]``.
         """
-        slot = ((steps - 1) % self._window).squeeze(-1)
+        slot, point = (steps - 1) % self._window, torch.view_as_complex(position.contiguous())[:, None]
         if active is not None:
-            position = torch.where(active, position, self._positions[self._rows, slot])
-        self._positions[self._rows, slot] = position
-        oldest = self._positions[self._rows, (slot + 1) % self._window]
-        displacement = torch.linalg.vector_norm(position - oldest, dim=-1, keepdim=True)
+            point = torch.where(active, point, self._positions.gather(1, slot))
+        oldest = self._positions.scatter_(1, slot, point).gather(1, (slot + 1) % self._window)
+        displacement = torch.linalg.vector_norm(torch.view_as_real(point - oldest), dim=-1)
         return displacement.masked_fill(steps < self._window, math.inf)
 
 
