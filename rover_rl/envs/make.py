@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
-from tensordict import TensorDictBase, is_tensor_collection
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from rover_rl.envs.actions import action_transforms, find_action
-from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig, env_signature
 from rover_rl.envs.events import events
 from rover_rl.envs.rewards import TotalReward, reward_components
@@ -28,29 +25,6 @@ class RewardedEnv(TransformedEnv):
     config: EnvConfig
     # Otherwise TorchRL does not allow random actions if a transform around this environment changes the action.
     rand_action = EnvBase.rand_action
-
-    def _reset_proc_data(self, tensordict: TensorDictBase | None, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        """Updates the rows that begin an episode, as TorchRL does: on the CPU, these rows alone."""
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is None or mask.device.type != "cpu" or len(self.batch_size) != 1:
-            return super()._reset_proc_data(tensordict, tensordict_reset)
-        self._reset_check_done(tensordict, tensordict_reset)
-        _update(tensordict.exclude("_reset", inplace=True), tensordict_reset, ChosenRows(mask.reshape(-1, 1)))
-        return tensordict
-
-
-def _update(tensordict: TensorDictBase, following: TensorDictBase, rows: ChosenRows) -> None:
-    """Updates rows of a tensordict. Entries that one of both does not have are 0 in its rows."""
-    for key in {**dict(tensordict), **dict(following)}:
-        old, new = tensordict.get(key, None), following.get(key, None)
-        given = new if old is None else old
-        if is_tensor_collection(given):
-            nested = given.empty() if old is None else old
-            _update(nested, given.empty() if new is None else new, rows)
-            tensordict.set(key, nested)
-        else:
-            zeros = torch.zeros_like(given) if old is None or new is None else given
-            tensordict.set(key, rows.into(zeros if old is None else old, rows.of(zeros if new is None else new)))
 
 
 def make_env(*args: Any, **settings: Any) -> EnvBase:
