@@ -66,8 +66,8 @@ class Placement:
     def draw_start(self, keys: Tensor, rows: ChosenRows = EVERY_ROW, taken: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
 
-        Those of other rows may be anything. ``taken`` are positions of their rovers, ``[N, 2]``, m, for rovers that share
-        worlds.
+        Those of other rows may be anything. ``taken`` are positions of their rovers, ``[N, 2]``, m: rovers of a group
+        share worlds.
         """
         return rows.into(None, self._starts(rows.of(keys), 0, rows.of(self._worlds.slots)))
 
