@@ -144,7 +144,10 @@ class RowWorlds:
         ``keys`` are int64 ``[N, 1]``, and ``next_keys`` those of the rows, ``[M, 1]``.
         """
         keys = rows.of(keys)
-        drawn = torch.where(keys == rows.of(self._next_keys), rows.of(self._next), self._drawn(keys))
+        known, drawn = keys == rows.of(self._next_keys), rows.of(self._next)
+        # Nearly always true. On an accelerator, this check would synchronize with it.
+        if not (rows.are_selected and known.all()):
+            drawn = torch.where(known, drawn, self._drawn(keys))
         before, self.index = self.index, rows.into(self.index, drawn)
         self._next_keys = rows.into(self._next_keys, next_keys)
         self._next = rows.into(self._next, self._drawn(next_keys))
