@@ -35,12 +35,12 @@ class ChosenRows:
 
         Without values, the other rows may be anything.
         """
-        if self.mask is None or (self._index is None and values is None):
+        if self._index is not None:
+            values = changed.new_zeros(len(self.mask), *changed.shape[1:]) if values is None else values
+            return values.index_copy(0, self._index, changed)
+        if self.mask is None or values is None:
             return changed
-        if self._index is None:
-            return torch.where(self.mask.reshape(-1, *[1] * (changed.ndim - 1)), changed, values)
-        values = changed.new_zeros(len(self.mask), *changed.shape[1:]) if values is None else values
-        return values.index_copy(0, self._index, changed)
+        return torch.where(self.mask.reshape(-1, *[1] * (changed.ndim - 1)), changed, values)
 
 
 EVERY_ROW = ChosenRows()

@@ -1,4 +1,4 @@
-"""Rewards as TorchRL transforms: one per component, and their sum.
+"""Rewards as TorchRL transforms: one per component or for several of the contract's, and their sum.
 
 A component of the contract's reward is active in the rows whose step is decided by its event (``outcome["phase"]``), so
 that the sum equals the contract's ``task_reward``. To remove or reweight a component or to add your own, pass a list of
