@@ -12,19 +12,13 @@ class ChosenRows:
     """The rows of a ``mask`` (bool ``[N, 1]``; ``None``: all), to compute what changes in them alone.
 
     On the CPU, these rows are selected. On an accelerator, this would synchronize with it: all rows are computed there,
-    and the mask chooses from the results.
+    and the mask chooses from the results. ``are_selected`` tells which.
     """
 
     def __init__(self, mask: Tensor | None = None) -> None:
         self.mask: Any = mask
-        self._index = None
-        if mask is not None and mask.device.type == "cpu":
-            self._index = mask.squeeze(-1).nonzero().squeeze(-1)
-
-    @property
-    def are_selected(self) -> bool:
-        """Whether fewer rows than all are computed."""
-        return self._index is not None
+        self.are_selected = mask is not None and mask.device.type == "cpu"
+        self._index = self.mask.squeeze(-1).nonzero().squeeze(-1) if self.are_selected else None
 
     def of(self, values: Tensor) -> Tensor:
         """Returns the values ``[M, ...]`` of the rows, from those of all, ``[N, ...]``."""

@@ -9,7 +9,7 @@ from torchrl.envs import Compose, EnvBase, TransformedEnv
 from rover_rl.envs.actions import action_transforms, find_action
 from rover_rl.envs.config import EnvConfig, env_signature
 from rover_rl.envs.events import events
-from rover_rl.envs.rewards import TotalReward, reward_components, together
+from rover_rl.envs.rewards import TotalReward, reward_components
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.terminations import terminations
 
@@ -66,7 +66,7 @@ def add_terms(env: RoverEnv, config: EnvConfig | None = None) -> EnvBase:
     """
     config = config or env.config
     rewards = reward_components(config.reward, config.contract_reward)
-    transforms = [*action_transforms(config, env.fleet), *terminations(config.terminate), *together(rewards)]
+    transforms = [*action_transforms(config, env.fleet), *terminations(config.terminate), *rewards]
     if not transforms:
         return env
     rewarded = RewardedEnv(env, Compose(*transforms, *([TotalReward()] if rewards else [])))

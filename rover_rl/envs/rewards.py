@@ -1,4 +1,4 @@
-"""Rewards as TorchRL transforms: one per component or for several of the contract's, and their sum.
+"""Rewards as TorchRL transforms: one per component, and their sum.
 
 A component of the contract's reward is active in the rows whose step is decided by its event (``outcome["phase"]``), so
 that the sum equals the contract's ``task_reward``. To remove or reweight a component or to add your own, pass a list of
@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import lru_cache, reduce
-from itertools import groupby
 from typing import Any
 
 import torch
@@ -56,7 +55,22 @@ class RewardComponent(Transform):
         """
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return _write_components([self], next_tensordict)
+        rows = in_rows(next_tensordict)
+        outcome = rows.get("outcome")
+        phase, value = outcome.get("phase"), self.value(outcome, rows)
+        value = value.float() if isinstance(value, Tensor) else _number(value, phase.device)
+        value = torch.where(self._active(phase), value, _number(0.0, phase.device))
+        components = next_tensordict.get("reward_components", None)
+        if components is None:
+            components = unchecked_tensordict({}, next_tensordict.batch_size, next_tensordict.device)
+            next_tensordict.set("reward_components", components)
+        components.set(self.name, value if next_tensordict.batch_dims else value[0])
+        return next_tensordict
+
+    def _active(self, phase: Tensor) -> Tensor:
+        if not self.phases:
+            return phase != StepEvent.NONE
+        return reduce(torch.logical_or, (phase == active for active in self.phases))
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         # TorchRL copies the specs of the environment for all transforms, and again in each transform. The copies in the
@@ -75,35 +89,6 @@ class RewardComponent(Transform):
         components[self.name] = Unbounded(shape=(*shape, 1), device=device)
         reward_spec["reward_components"] = components
         return reward_spec
-
-
-def _write_components(components: Sequence[RewardComponent], next_tensordict: TensorDictBase) -> TensorDictBase:
-    """Writes the values of components, with few operations on the device for all of them together."""
-    rows = in_rows(next_tensordict)
-    outcome = rows.get("outcome")
-    phase = outcome.get("phase")
-    values = [component.value(outcome, rows) for component in components]
-    columns = [each.float() if isinstance(each, Tensor) else _number(each, phase.device) for each in values]
-    active = _activity(tuple(component.phases for component in components), phase.device)
-    active = active.index_select(0, phase.squeeze(-1))
-    paid = torch.where(
-        active, torch.cat([column.expand_as(phase) for column in columns], -1), _number(0.0, phase.device)
-    )
-    entries = next_tensordict.get("reward_components", None)
-    if entries is None:
-        entries = unchecked_tensordict({}, next_tensordict.batch_size, next_tensordict.device)
-        next_tensordict.set("reward_components", entries)
-    for component, value in zip(components, paid.split(1, -1), strict=True):
-        entries.set(component.name, value if next_tensordict.batch_dims else value[0])
-    return next_tensordict
-
-
-@lru_cache(maxsize=64)
-def _activity(phases: tuple[tuple[StepEvent, ...], ...], device: torch.device) -> Tensor:
-    """Returns whether each component is active in a step that each event decides, bool ``[events, components]``."""
-    return torch.tensor(
-        [[event in each if each else event != StepEvent.NONE for each in phases] for event in StepEvent], device=device
-    )
 
 
 @lru_cache(maxsize=256)
@@ -179,29 +164,6 @@ class ConfiguredComponent(RewardComponent):
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
         return self._value(outcome, observation, self.config)
-
-
-class ConfiguredComponents(Transform):
-    """Several components of :data:`CONTRACT` and :data:`SHAPING` in one transform."""
-
-    def __init__(self, components: Sequence[ConfiguredComponent]) -> None:
-        super().__init__()
-        self.components = components
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return _write_components(self.components, next_tensordict)
-
-    def transform_output_spec(self, output_spec: Composite) -> Composite:
-        return reduce(lambda spec, component: component.transform_output_spec(spec), self.components, output_spec)
-
-
-def together(components: Sequence[Transform]) -> list[Transform]:
-    """Returns components with those that follow one another in one transform, where their classes allow it."""
-    result: list[Transform] = []
-    for configured, group in groupby(components, lambda component: type(component) is ConfiguredComponent):
-        several = list(group)
-        result += [ConfiguredComponents(several)] if configured else several
-    return result
 
 
 class ActionRatePenalty(ConfiguredComponent):

@@ -177,9 +177,9 @@ class RoverEnv(EnvBase):
         begins = episodes.begin(chosen)
         state.keys = keys = episodes.keys
         self._change_worlds(begins)
-        first = not self._started
+        last = state.truth if self._started else None
         if start is None:
-            start = self.placement.draw_start(keys, chosen, None if first else state.truth.position)
+            start = self.placement.draw_start(keys, chosen, None if last is None else last.position)
         noise, device = self.config.randomization, self.simulator.device
         if self.robots.are_several:
             self.robots.draw(mask, keys)
@@ -193,9 +193,9 @@ class RoverEnv(EnvBase):
             stage.begin(mask, keys)
         self.controller.reset(mask)
         state.steps = state.steps.masked_fill(mask, 0)
-        self._simulation.reset(state, chosen, start, first)
+        self._simulation.reset(state, chosen, start, last)
         self._sense(state)
-        self._navigation.begin(state, chosen, goal, first)
+        self._navigation.begin(state, chosen, goal)
         self._started = True
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
         return self._pack(mask.squeeze(-1))

@@ -139,10 +139,7 @@ class RowWorlds:
             self._resident = self.table.hold(worlds.get(k) or self.pool[k] for k in range(len(self.pool)))
 
     def draw(self, rows: ChosenRows, keys: Tensor, next_keys: Tensor) -> None:
-        """Draws the worlds of rows, whose episodes begin with ``keys``, and those of the next ones with ``next_keys``.
-
-        ``keys`` are int64 ``[N, 1]``, and ``next_keys`` those of the rows, ``[M, 1]``.
-        """
+        """Draws the worlds of episodes that begin with ``keys`` ``[N, 1]``, and of the rows' next, ``[M, 1]``."""
         keys = rows.of(keys)
         known, drawn = keys == rows.of(self._next_keys), rows.of(self._next)
         # Nearly always true. On an accelerator, this check would synchronize with it.

@@ -148,14 +148,11 @@ class Simulation:
             drive = type(robot.drive).__name__
             raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")
 
-    def reset(self, state: stages.StepState, rows: ChosenRows, poses: Tensor, first: bool) -> None:
-        """Places the rovers of ``rows`` at ``poses`` ``[N, 3]``, and writes their true state.
-
-        ``first`` is whether this is the first reset since the simulator was built.
-        """
+    def reset(self, state: stages.StepState, rows: ChosenRows, poses: Tensor, last: stages.Perception | None) -> None:
+        """Places the rovers of ``rows`` at ``poses`` ``[N, 3]``, and writes the true state that follows ``last``."""
         placed = rows.mask.squeeze(-1).to(self.simulator.device)
         rover = self.simulator.reset(placed, poses.to(placed.device))
-        self._perceive(state, rover, placed, rows.mask, rows, None if first else state.truth)
+        self._perceive(state, rover, placed, rows.mask, rows, last)
 
     def step(self, state: stages.StepState, command: Tensor, episodes: Episodes) -> None:
         """Advances the ``active`` rovers and the movers around them, and writes their true state."""

@@ -97,8 +97,11 @@ class StepState:
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self.steps = self.total_steps = self.goals = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
-        self.collision_steps = self.steps
+        self.collision_steps = self.phase = self.steps
         self.goal = self.target = torch.zeros(num_envs, 2, device=device)
+        self.progress = self.alignment = self.goal[:, :1]
+        self.events = torch.zeros(num_envs, 7, dtype=torch.bool, device=device)
+        self.terminated = self.truncated = self.events[:, :1]
 
 
 class Stage:

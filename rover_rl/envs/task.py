@@ -143,17 +143,9 @@ class Navigation:
             self._ranges = fleet.table(lambda robot: collision_ranges(robot, config.lidar.beams).tolist())
         self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
-    def begin(self, state: StepState, rows: ChosenRows, goal: Tensor | None, first: bool) -> None:
-        """Begins episodes in ``rows``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters.
-
-        ``first`` is whether this is the first reset since the simulator was built.
-        """
+    def begin(self, state: StepState, rows: ChosenRows, goal: Tensor | None) -> None:
+        """Begins episodes in ``rows``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters."""
         mask, reference = rows.mask, state.reference
-        if first:
-            state.events = mask.new_zeros(len(mask), len(EVENTS))
-            state.phase, state.progress = torch.zeros_like(state.keys), torch.zeros_like(reference.yaw)
-            state.alignment = state.progress
-            state.terminated = state.truncated = torch.zeros_like(mask)
         if goal is None:
             state.goal = self._placement.draw_goal(state.keys, 0, reference.position, rows, state.goal)
         else:
@@ -232,17 +224,11 @@ class Navigation:
 
 def outcome(state: StepState) -> TensorDict:
     """Returns the entries of ``outcome``, as the state has them after a step or reset."""
+    entries = dict(zip(EVENTS, state.events.split(1, -1), strict=True))
+    entries |= {"phase": state.phase, "progress": state.progress, "alignment": state.alignment}
     rover = state.reference.rover
-    entries = {
-        **dict(zip(EVENTS, state.events.split(1, -1), strict=True)),
-        "phase": state.phase,
-        "progress": state.progress,
-        "alignment": state.alignment,
-        "linear_velocity": rover.linear_velocity,
-        "angular_velocity": rover.angular_velocity,
-        "steps": state.steps,
-        "total_steps": state.total_steps,
-        **({} if state.world is None else {"world": state.world}),
-        **state.movers,
-    }
-    return unchecked_tensordict(entries, state.steps.shape[:1])
+    entries |= {"linear_velocity": rover.linear_velocity, "angular_velocity": rover.angular_velocity}
+    entries |= {"steps": state.steps, "total_steps": state.total_steps}
+    if state.world is not None:
+        entries["world"] = state.world
+    return unchecked_tensordict({**entries, **state.movers}, state.steps.shape[:1])

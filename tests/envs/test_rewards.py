@@ -92,23 +92,6 @@ def test_specs_hold(num_envs):
     torch.testing.assert_close(rollout["next", "reward"], sum(parts.values()))
 
 
-def test_components_together_are_those_one_by_one():
-    alone, together = contract_reward(), rewards.together([*contract_reward(), Haste()])
-    assert [type(part) for part in together] == [rewards.ConfiguredComponents, Haste]
-    scripts = [
-        [Moment(ranges=reading), Moment(roll=roll, v=0.5, x=0.1)]
-        for reading, roll in ((0.0, 0.0), (5.0, 0.0), (5.0, 3.0))
-    ]
-    for step in play(scripted(*scripts), 2):
-        one, other = (step.select("outcome", "lidar") for _ in range(2))
-        for part in alone:
-            part._step(one, one)
-        for part in together[:1]:
-            part._step(other, other)
-        assert list(one["reward_components"].keys()) == list(other["reward_components"].keys())
-        assert (one["reward_components"] == other["reward_components"]).all()
-
-
 def met(speed, contact, distance, before):
     """Results of a step and of the one before, of a rover for each entry of the lists."""
     rows = len(speed)
