@@ -17,8 +17,8 @@ class ChosenRows:
 
     def __init__(self, mask: Tensor | None = None) -> None:
         self.mask: Any = mask
-        self.are_selected = mask is not None and mask.device.type == "cpu"
-        self._index = self.mask.squeeze(-1).nonzero().squeeze(-1) if self.are_selected else None
+        self._index = None if mask is None or mask.device.type != "cpu" else mask.squeeze(-1).nonzero().squeeze(-1)
+        self.are_selected = self._index is not None
 
     def of(self, values: Tensor) -> Tensor:
         """Returns the values ``[M, ...]`` of the rows, from those of all, ``[N, ...]``."""
