@@ -17,6 +17,7 @@ from typing import Any
 
 import torch
 from rich.table import Table
+from torch.profiler import ProfilerActivity, profile
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
@@ -58,7 +59,8 @@ class Row:
     """Results of one environment: steps per second of one process, and of all workers if they share the rovers equally.
 
     ``physics`` and ``rays`` are the times in ``stepSimulation`` and ``rayTestBatch`` per rover and step, ``rest`` is
-    the remaining time per batched step, us.
+    the remaining time per batched step, us. ``operators`` is the number of PyTorch operators of a step in which all
+    rovers reset: on a GPU, the host would launch most of them one by one.
     """
 
     num_envs: int
@@ -68,6 +70,7 @@ class Row:
     physics: float
     rays: float
     rest: float
+    operators: float
 
     @property
     def share(self) -> float:
@@ -132,6 +135,17 @@ def time_rollout(env: EnvBase, seconds: float) -> dict[str, float]:
     return {"steps_per_s": steps / total, "physics": physics, "rays": rays, "rest": rest}
 
 
+def count_operators(env: EnvBase, steps: int = 5) -> float:
+    """Counts the PyTorch operators of a step in which all rovers reset, without those that operators call."""
+    length, env.base_env.length = env.base_env.length, 1
+    td = env.reset()
+    with profile(activities=[ProfilerActivity.CPU]) as profiler:
+        for _ in range(steps):
+            _, td = env.step_and_maybe_reset(td.set("action", env.action_spec.zero()))
+    env.base_env.length = length
+    return sum(event.cpu_parent is None and event.name.startswith("aten::") for event in profiler.events()) / steps
+
+
 def measure(options: Options) -> list[dict[str, Any]]:
     """Measures each number of beams and rovers. Returns a row for each."""
     return [
@@ -143,7 +157,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 def _measure(options: Options, beams: int, num_envs: int) -> dict[str, Any]:
     env = make_worker_env(options.world, num_envs, beams, 0)
-    times = time_rollout(env, options.seconds)
+    times = time_rollout(env, options.seconds) | {"operators": count_operators(env)}
     env.close()
     shared = None
     if options.workers > 1 and num_envs % options.workers == 0:
@@ -154,8 +168,18 @@ def _measure(options: Options, beams: int, num_envs: int) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    headings = "rovers", "beams", "steps/s", "all workers", "us/rover: physics", "rays", "us/batch: rest", "share"
-    table = Table(*headings, title="Batched rollouts")
+    headings = (
+        "rovers",
+        "beams",
+        "steps/s",
+        "all workers",
+        "us/rover: physics",
+        "rays",
+        "us/batch: rest",
+        "share",
+        "operators",
+    )
+    table = Table(*headings, "operators", title="Batched rollouts")
     for row in (Row(**row) for row in rows):
         table.add_row(
             f"{row.num_envs:,}",
@@ -166,5 +190,6 @@ def table(rows: list[dict[str, Any]]) -> Table:
             f"{row.rays:,.0f}",
             f"{row.rest:,.0f}",
             f"{row.share:.1%}",
+            f"{row.operators:,.0f}",
         )
     return table

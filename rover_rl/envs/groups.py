@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.apart_kernels import choose_apart
-from rover_rl.envs.placement import Placement, chosen_rows, scattered
+from rover_rl.envs.chosen_rows import EVERY_ROW, ChosenRows
+from rover_rl.envs.placement import Placement
 from rover_rl.envs.rows import Episodes, first_of_group
 from rover_rl.native.warp import stream_of, wp
 from rover_rl.rng import episode_keys
@@ -38,17 +39,18 @@ class GroupEpisodes(Episodes):
         self._first = self.world_keys = first_of_group(self._rows, agents)
         self._world_number = self.world_steps = torch.zeros_like(self._rows)
 
-    def begin(self, mask: Tensor) -> Tensor:
+    def begin(self, rows: ChosenRows) -> ChosenRows:
         world_keys = self.world_keys
-        super().begin(mask)
-        whole = self._in_group(mask.reshape(-1, self._agents).all(1))
-        self._world_number = self._world_number + whole
-        self.world_keys = torch.where(whole, episode_keys(self._first, self._world_number), world_keys)
-        self.world_steps = self.world_steps.masked_fill(whole, 0)
+        super().begin(rows)
+        whole = ChosenRows(self._in_group(rows.mask.reshape(-1, self._agents).all(1)))
+        numbers = whole.of(self._world_number) + 1
+        self._world_number = whole.into(self._world_number, numbers)
+        self.world_keys = whole.into(world_keys, episode_keys(whole.of(self._first), numbers))
+        self.world_steps = self.world_steps.masked_fill(whole.mask, 0)
         return whole
 
-    def next_world_keys(self) -> Tensor:
-        return episode_keys(self._first, self._world_number + 1)
+    def next_world_keys(self, rows: ChosenRows) -> Tensor:
+        return episode_keys(rows.of(self._first), rows.of(self._world_number) + 1)
 
     def advance(self, active: Tensor | None) -> Tensor | None:
         if active is not None:
@@ -72,37 +74,31 @@ class GroupPlacement(Placement):
         self._unchecked = worlds.follow()
         super().__init__(worlds, robot, min_goal_distance)
 
-    def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
+    def draw_start(self, keys: Tensor, rows: ChosenRows = EVERY_ROW, taken: Tensor | None = None) -> Tensor:
         if self._crowded:
             raise ValueError(self._crowded)
-        rows = chosen_rows(mask)
-        slot = self._worlds.slots[rows]
+        slot = rows.of(self._worlds.slots)
         draw = torch.arange(_CANDIDATES, device=keys.device).repeat(len(slot))[:, None]
-        several = keys[rows].repeat_interleave(_CANDIDATES, 0), draw, slot.repeat_interleave(_CANDIDATES)
+        several = rows.of(keys).repeat_interleave(_CANDIDATES, 0), draw, slot.repeat_interleave(_CANDIDATES)
         poses = self._starts(*several).reshape(len(slot), _CANDIDATES, 3)
         allowed = torch.ones_like(poses[..., 0], dtype=torch.bool)
-        return self._apart(poses, allowed, rows, mask, taken, len(keys))
+        return rows.into(None, self._apart(poses, allowed, rows, taken, len(keys)))
 
     def draw_goal(
-        self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
-    ) -> Tensor:
-        rows = chosen_rows(mask)
-        slot = self._worlds.slots[rows]
-        candidates, far = self._goals(keys[rows], number[rows], position[rows], slot, _CANDIDATES)
-        return self._apart(candidates, far.squeeze(-1), rows, mask, taken, len(keys))
-
-    def _apart(
         self,
-        candidates: Tensor,
-        allowed: Tensor,
-        rows: Tensor | slice,
-        mask: Tensor | None,
-        taken: Tensor | None,
-        count: int,
+        keys: Tensor,
+        number: Tensor | int,
+        position: Tensor,
+        rows: ChosenRows = EVERY_ROW,
+        goals: Tensor | None = None,
     ) -> Tensor:
+        candidates, far = self._goals(keys, number, position, rows, _CANDIDATES)
+        return rows.into(goals, self._apart(candidates, far.squeeze(-1), rows, goals, len(keys)))
+
+    def _apart(self, candidates: Tensor, allowed: Tensor, rows: ChosenRows, taken: Tensor | None, count: int) -> Tensor:
         device = candidates.device
-        drawn = torch.ones(count, dtype=torch.bool, device=device) if mask is None else mask.squeeze(-1)
-        number = torch.arange(count, device=device) if isinstance(rows, slice) else drawn.cumsum(0) - 1
+        drawn = torch.ones(count, dtype=torch.bool, device=device) if rows.mask is None else rows.mask.squeeze(-1)
+        number = torch.arange(count, device=device) if len(candidates) == count else drawn.cumsum(0) - 1
         numbers = torch.where(drawn, number, -1).int()
         places = torch.zeros(count, 2, device=device) if taken is None else taken.contiguous().clone()
         chosen = torch.zeros(count, dtype=torch.int32, device=device)
@@ -111,8 +107,8 @@ class GroupPlacement(Placement):
             given = [drawn_from, wp.from_torch(allowed.contiguous()), wp.from_torch(numbers), self._agents]
             results = [self._spacing, wp.from_torch(places, dtype=wp.vec2), wp.from_torch(chosen)]
             wp.launch(choose_apart, count // self._agents, given + results, device=wp.device_from_torch(device))
-        index = chosen[rows].long()[:, None, None].expand(-1, 1, candidates.shape[-1])
-        return scattered(candidates.gather(1, index).squeeze(1), rows, count)
+        index = rows.of(chosen).long()[:, None, None].expand(-1, 1, candidates.shape[-1])
+        return candidates.gather(1, index).squeeze(1)
 
     def enter_worlds(self) -> None:
         super().enter_worlds()

@@ -15,6 +15,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from rover_rl.envs.chosen_rows import EVERY_ROW, ChosenRows
 from rover_rl.envs.config import Randomization
 from rover_rl.rng import random_bits, to_index, to_unit
 from rover_rl.robots import Robot
@@ -62,14 +63,13 @@ class Placement:
         self.bounds_low, self.bounds_high = corners = self._bounds.values[self._worlds.slots].unbind(1)
         self.bounds = torch.cat(corners, -1)
 
-    def draw_start(self, keys: Tensor, mask: Tensor | None = None, taken: Tensor | None = None) -> Tensor:
+    def draw_start(self, keys: Tensor, rows: ChosenRows = EVERY_ROW, taken: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
 
-        Those of rows that are not in ``mask`` (bool ``[N, 1]``) may be 0. ``taken`` are positions of the rovers of the
-        other rows, ``[N, 2]``, m, for rovers that share worlds.
+        Those of other rows may be anything. ``taken`` are positions of their rovers, ``[N, 2]``, m: rovers of a group
+        share worlds.
         """
-        rows = chosen_rows(mask)
-        return scattered(self._starts(keys[rows], 0, self._worlds.slots[rows]), rows, len(keys))
+        return rows.into(None, self._starts(rows.of(keys), 0, rows.of(self._worlds.slots)))
 
     def _starts(self, keys: Tensor, draw: Tensor | int, slot: Tensor) -> Tensor:
         bits = random_bits(keys, _START, draw, 5)
@@ -80,26 +80,33 @@ class Placement:
         return torch.cat((self._start_cells.values[slot, cell] + jitter * self._cells.values[slot], yaw), -1)
 
     def draw_goal(
-        self, keys: Tensor, number: Tensor, position: Tensor, mask: Tensor | None = None, taken: Tensor | None = None
+        self,
+        keys: Tensor,
+        number: Tensor | int,
+        position: Tensor,
+        rows: ChosenRows = EVERY_ROW,
+        goals: Tensor | None = None,
     ) -> Tensor:
         """Draws goals ``[N, 2]`` (m), uniformly from the free goal cells that are far enough from the position.
 
-        ``number`` are the goals set in the episode so far, ``[N, 1]``, and ``taken`` goals. See :meth:`draw_start`.
+        ``number`` are the goals set in the episode so far, ``[N, 1]`` or one for all. Other rows keep their ``goals``.
         """
-        rows = chosen_rows(mask)
-        candidates, far = self._goals(keys[rows], number[rows], position[rows], self._worlds.slots[rows], _CANDIDATES)
+        candidates, far = self._goals(keys, number, position, rows, _CANDIDATES)
         first = far.to(torch.uint8).argmax(1, keepdim=True).expand(-1, 1, 2)
-        return scattered(candidates.gather(1, first).squeeze(1), rows, len(keys))
+        return rows.into(goals, candidates.gather(1, first).squeeze(1))
 
-    def _goals(self, keys: Tensor, number: Tensor, position: Tensor, slot: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """Returns candidates ``[M, K, 2]``, and which are far enough ``[M, K, 1]``."""
-        bits = random_bits(keys, _GOAL, number, count)
+    def _goals(
+        self, keys: Tensor, number: Tensor | int, position: Tensor, rows: ChosenRows, count: int
+    ) -> tuple[Tensor, Tensor]:
+        """Returns candidates of the rows, ``[M, K, 2]``, and which are far enough ``[M, K, 1]``."""
+        slot, number = rows.of(self._worlds.slots), number if isinstance(number, int) else rows.of(number)
+        bits = random_bits(rows.of(keys), _GOAL, number, count)
         # The upper 32 bits select the cell. The lower two times 16 bits are the position in the cell.
         jitter = torch.stack((bits & 0xFFFF, (bits >> 16) & 0xFFFF), -1).float() * 2.0**-16 - 0.5
         cell = to_index(bits, self._goal_cells.lengths[slot][:, None])
         drawn = self._goal_cells.values[slot[:, None], cell] + jitter * self._cells.values[slot][:, None]
         candidates = torch.cat((drawn, self._extremes.values[slot]), 1)
-        offset = candidates - position[:, None]
+        offset = candidates - rows.of(position)[:, None]
         return candidates, (offset * offset).sum(-1, keepdim=True) >= self._min_goal_distance**2
 
 
@@ -127,16 +134,6 @@ def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
     ranges = {name: getattr(randomization, name) for name in names}
     pairs = zip(fractions, ranges.items(), strict=True)
     return Dynamics(**{name: low + fraction * (high - low) for fraction, (name, (low, high)) in pairs})
-
-
-def chosen_rows(mask: Tensor | None) -> Tensor | slice:
-    """Returns the rows to draw for. On an accelerator these are all rows: selecting some would synchronize with it."""
-    return slice(None) if mask is None or mask.device.type != "cpu" else mask.squeeze(-1).nonzero().squeeze(-1)
-
-
-def scattered(drawn: Tensor, rows: Tensor | slice, count: int) -> Tensor:
-    """Returns ``drawn`` in ``rows`` of a tensor with ``count`` rows, and 0 in the others."""
-    return drawn if isinstance(rows, slice) else drawn.new_zeros((count, drawn.shape[1])).index_copy(0, rows, drawn)
 
 
 def _draw_bin(bits: Tensor, allowed: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts
 from rover_rl.envs import actions, placement, privileged, rows, specs, stages, task
+from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
@@ -172,11 +173,13 @@ class RoverEnv(EnvBase):
         mask = self._every[:, None] if mask is None or not self._started else mask.reshape(self.num_envs, 1)
         start = placement.checked_place("start", start, tensordict, (*self.batch_size, 3), self._tensor_device)
         goal = placement.checked_place("goal", goal, tensordict, (*self.batch_size, 2), self._tensor_device)
-        begins = episodes.begin(mask)
+        chosen = ChosenRows(mask)
+        begins = episodes.begin(chosen)
         state.keys = keys = episodes.keys
         self._change_worlds(begins)
+        last = state.truth if self._started else None
         if start is None:
-            start = self.placement.draw_start(keys, mask, state.truth.position if self._started else None)
+            start = self.placement.draw_start(keys, chosen, None if last is None else last.position)
         noise, device = self.config.randomization, self.simulator.device
         if self.robots.are_several:
             self.robots.draw(mask, keys)
@@ -185,25 +188,25 @@ class RoverEnv(EnvBase):
             self.simulator.set_dynamics(mask.squeeze(-1).to(device), placement.draw_dynamics(noise, keys.to(device)))
         if self._privileged is not None:
             self._dynamics = placement.draw_dynamics(noise, keys)
-        self.movers.reset(begins, episodes.world_keys, start[:, :2])
+        self.movers.reset(begins.mask, episodes.world_keys, start[:, :2])
         for stage in self._simulation.stages:
             stage.begin(mask, keys)
         self.controller.reset(mask)
         state.steps = state.steps.masked_fill(mask, 0)
-        self._simulation.reset(state, mask, start)
+        self._simulation.reset(state, chosen, start, last)
         self._sense(state)
-        self._navigation.begin(state, mask, goal, first=not self._started)
+        self._navigation.begin(state, chosen, goal)
         self._started = True
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
         return self._pack(mask.squeeze(-1))
 
-    def _change_worlds(self, begins: Tensor) -> None:
+    def _change_worlds(self, begins: ChosenRows) -> None:
         """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
         worlds, episodes, changes = self._row_worlds, self._episodes, self._simulation.changes_worlds
         if not worlds.is_drawn or not (changes or (self.simulator.live is None and episodes.are_first())):
             return
         before = worlds.index
-        worlds.draw(begins, episodes.world_keys, episodes.next_world_keys())
+        worlds.draw(begins, episodes.world_keys, episodes.next_world_keys(begins))
         if not changes and worlds.index.equal(before):
             return
         self.placement.enter_worlds()
@@ -250,9 +253,7 @@ class RoverEnv(EnvBase):
         self._simulation.step(state, command, self._episodes)
         self._sense(state)
         self._navigation.advance(state, invalid)
-        reward = state.outcome.get("goal_reached").to(torch.float32)
-        if active is not None:
-            reward = reward * active
+        reward = (state.phase == task.StepEvent.GOAL).to(torch.float32)
         return self._pack(self._every if active is None else active.squeeze(-1), reward=reward)
 
     def _sense(self, state: stages.StepState) -> None:
@@ -291,7 +292,7 @@ class RoverEnv(EnvBase):
         done = {"terminated": state.terminated, "truncated": state.truncated}
         done["done"] = state.terminated | state.truncated
         result = tensordicts.unchecked_tensordict(
-            {**observation, "outcome": state.outcome, **entries, **done}, self._row_shape, self.device
+            {**observation, "outcome": task.outcome(state), **entries, **done}, self._row_shape, self.device
         )
         return result if self.batch_size else result[0]
 

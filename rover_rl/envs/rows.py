@@ -9,6 +9,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_index
 from rover_rl.robots import get_robots
@@ -48,14 +49,15 @@ class Episodes:
     def are_first(self) -> bool:
         return bool((self._number == 1).all())
 
-    def begin(self, mask: Tensor) -> Tensor:
-        """Begins episodes in the rows of ``mask``, and returns those whose world begins one, bool ``[N, 1]`` each."""
-        self._number = self._number + mask
-        self.keys = self.world_keys = torch.where(mask, episode_keys(self._rows, self._number), self.keys)
-        return mask
+    def begin(self, rows: ChosenRows) -> ChosenRows:
+        """Begins episodes in rows, and returns those whose world begins one."""
+        numbers = rows.of(self._number) + 1
+        self._number = rows.into(self._number, numbers)
+        self.keys = self.world_keys = rows.into(self.keys, episode_keys(rows.of(self._rows), numbers))
+        return rows
 
-    def next_world_keys(self) -> Tensor:
-        return episode_keys(self._rows, self._number + 1)
+    def next_world_keys(self, rows: ChosenRows) -> Tensor:
+        return episode_keys(rows.of(self._rows), rows.of(self._number) + 1)
 
     def advance(self, active: Tensor | None) -> Tensor | None:
         """Counts a step of the ``active`` rows, and returns the rows in whose worlds time passes. ``None``: all."""
@@ -136,12 +138,16 @@ class RowWorlds:
             worlds = self._known()
             self._resident = self.table.hold(worlds.get(k) or self.pool[k] for k in range(len(self.pool)))
 
-    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> None:
-        """Draws the worlds of the rows of ``mask``, whose episodes begin with ``keys``, and those of the next ones."""
-        drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
-        before, self.index = self.index, torch.where(mask, drawn, self.index)
-        self._next_keys = torch.where(mask, next_keys, self._next_keys)
-        self._next = torch.where(mask, self._drawn(next_keys), self._next)
+    def draw(self, rows: ChosenRows, keys: Tensor, next_keys: Tensor) -> None:
+        """Draws the worlds of episodes that begin with ``keys`` ``[N, 1]``, and of the rows' next, ``[M, 1]``."""
+        keys = rows.of(keys)
+        known, drawn = keys == rows.of(self._next_keys), rows.of(self._next)
+        # Nearly always true. On an accelerator, this check would synchronize with it.
+        if not (rows.are_selected and known.all()):
+            drawn = torch.where(known, drawn, self._drawn(keys))
+        before, self.index = self.index, rows.into(self.index, drawn)
+        self._next_keys = rows.into(self._next_keys, next_keys)
+        self._next = rows.into(self._next, self._drawn(next_keys))
         if self._resident is not None:
             self.table.enter(self._resident[self.index.squeeze(-1)])
             return
@@ -150,7 +156,7 @@ class RowWorlds:
         source = self.pool if self._ahead is None else self._ahead
         self.table.assign(changed, [source[index] for index in self.index[changed, 0].tolist()])
         if self._ahead:
-            self._ahead.request(self._next[mask].tolist())
+            self._ahead.request(self._next[rows.mask].tolist())
 
     def set_weights(self, weights: Tensor) -> None:
         """Sets the weights of the worlds, ``[len(pool)]``, in later draws. The next episodes have theirs already."""

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs import stages
+from rover_rl.envs.chosen_rows import EVERY_ROW, ChosenRows
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.emergency_brake import EmergencyBrake
 from rover_rl.envs.events import Events
@@ -147,10 +148,11 @@ class Simulation:
             drive = type(robot.drive).__name__
             raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")
 
-    def reset(self, state: stages.StepState, mask: Tensor, poses: Tensor) -> None:
-        """Places the rovers of ``mask`` (bool ``[N, 1]``) at ``poses`` ``[N, 3]``, and writes their true state."""
-        rows = mask.squeeze(-1).to(self.simulator.device)
-        self._perceive(state, self.simulator.reset(rows, poses.to(rows.device)), rows, mask)
+    def reset(self, state: stages.StepState, rows: ChosenRows, poses: Tensor, last: stages.Perception | None) -> None:
+        """Places the rovers of ``rows`` at ``poses`` ``[N, 3]``, and writes the true state that follows ``last``."""
+        placed = rows.mask.squeeze(-1).to(self.simulator.device)
+        rover = self.simulator.reset(placed, poses.to(placed.device))
+        self._perceive(state, rover, placed, rows.mask, rows, last)
 
     def step(self, state: stages.StepState, command: Tensor, episodes: Episodes) -> None:
         """Advances the ``active`` rovers and the movers around them, and writes their true state."""
@@ -166,8 +168,19 @@ class Simulation:
             rover = self.simulator.step(command.to(device), rows)
         self._perceive(state, rover, rows, active)
 
-    def _perceive(self, state: stages.StepState, rover: RoverState, rows: Tensor | None, moved: Tensor | None) -> None:
-        """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same."""
+    def _perceive(
+        self,
+        state: stages.StepState,
+        rover: RoverState,
+        rows: Tensor | None,
+        moved: Tensor | None,
+        placed: ChosenRows = EVERY_ROW,
+        last: stages.Perception | None = None,
+    ) -> None:
+        """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same.
+
+        After a reset, only the rows that are ``placed`` differ from the ``last`` readings.
+        """
         if self._agents > 1:
             self.movers.follow(rover, moved, state.steps == 0)
         due = None
@@ -182,13 +195,16 @@ class Simulation:
         ranges = self._lidar.scan(scanning)
         if self.simulator.device != self._device:
             rover, ranges = rover.to(self._device), ranges.to(self._device)
-        state.truth = truth = stages.Perception(rover, ranges, self.pooling)
+        state.truth = truth = stages.Perception(rover, ranges, self.pooling, placed, last)
         if self.has_movers:
             distance, speed = self.movers.nearest(truth.position)
             touched = rover.mover_contact
             if touched is None:
                 touched = torch.zeros_like(distance, dtype=torch.bool)
-            state.movers = {"mover_contact": touched, "mover_distance": distance, "mover_speed": speed}
+            met = {"mover_contact": touched, "mover_distance": distance, "mover_speed": speed}
+            if moved is not None and state.movers:
+                met = {name: torch.where(moved, value, state.movers[name]) for name, value in met.items()}
+            state.movers = met
 
     def close(self) -> None:
         self.simulator.close()

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl import rng
+from rover_rl.envs.chosen_rows import EVERY_ROW, ChosenRows
 from rover_rl.envs.config import HeadingGains, LimitsConfig, PoseConfig, Randomization
 from rover_rl.robots.fleet import Fleet
 from rover_rl.rotations import quaternion_to_euler, wrap_angle
@@ -33,13 +33,26 @@ class Perception:
     ``ranges`` are the raw scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid. From
     them follow ``readings``, the pooled scan, ``[N, lidar_points]``, m; from the state, ``euler``, roll, pitch and yaw,
     ``[N, 3]``, ``yaw``, ``[N, 1]`` (rad), and ``position``, x and y, ``[N, 2]``, m.
+
+    If only some ``rows`` differ from the ``last`` state and scan, what follows is computed for these alone.
     """
 
-    def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
+    def __init__(
+        self,
+        rover: RoverState,
+        ranges: Tensor,
+        pooling: Callable[[Tensor], Tensor],
+        rows: ChosenRows = EVERY_ROW,
+        last: Perception | None = None,
+    ) -> None:
         self.rover, self.ranges = rover, ranges
-        self.euler = quaternion_to_euler(rover.orientation)
-        self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
-        self.readings = pooling(ranges)
+        position, orientation = rover.position, rover.orientation
+        if last is None or not rows.are_selected:
+            self.euler, self.readings = quaternion_to_euler(orientation), pooling(ranges)
+        else:
+            self.euler = rows.into(last.euler, quaternion_to_euler(rows.of(orientation)))
+            self.readings = rows.into(last.readings, pooling(rows.of(ranges)))
+        self.yaw, self.position = self.euler[:, 2:], position[:, :2]
 
 
 class SensedPose(NamedTuple):
@@ -75,14 +88,20 @@ class StepState:
     world_steps: Tensor | None = None
     """Number of steps since the worlds of groups changed, at which episodes are truncated. ``None``: ``steps``."""
     movers: Mapping[str, Tensor] = {}  #: Entries of ``outcome`` on movers. Empty if no world has any.
-    outcome: TensorDict  #: Events and measurements of the last step.
+    events: Tensor  #: Events of the last step, ``[N, 7]``: see :data:`~rover_rl.envs.task.EVENTS`.
+    phase: Tensor  #: Event that decides the last step: a :class:`~rover_rl.envs.task.StepEvent`.
+    progress: Tensor  #: Decrease of the distance to the goal in the last step, m.
+    alignment: Tensor  #: See :func:`~rover_rl.envs.task.heading_alignment`.
     terminated: Tensor  #: Whether the last step ended the episode by an event.
     truncated: Tensor  #: Whether it did so by the length of the episode.
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self.steps = self.total_steps = self.goals = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
-        self.collision_steps = self.steps
+        self.collision_steps = self.phase = self.steps
         self.goal = self.target = torch.zeros(num_envs, 2, device=device)
+        self.progress = self.alignment = self.goal[:, :1]
+        self.events = torch.zeros(num_envs, 7, dtype=torch.bool, device=device)
+        self.terminated = self.truncated = self.events[:, :1]
 
 
 class Stage:
@@ -113,11 +132,13 @@ def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tens
         raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
     # A policy may have another precision, and gradients, which end here.
     action = action.detach().reshape(-1, len(bounds[0])).to(bounds[0].dtype)
-    invalid = ~torch.isfinite(action).all(-1, keepdim=True)
-    if action.device.type == "cpu" and invalid.any():
-        rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()
+    finite = torch.isfinite(action)
+    if action.device.type != "cpu":
+        return torch.clamp(action, *bounds), ~finite.all(-1, keepdim=True)
+    if not finite.all():
+        rows = (~finite).any(-1).nonzero().squeeze(-1).tolist()
         raise ValueError(f"action must be finite numbers, got NaN or infinity in rows {rows}")
-    return torch.clamp(action, *bounds), invalid
+    return torch.clamp(action, *bounds), torch.zeros(len(action), 1, dtype=torch.bool)
 
 
 class HeadingController:

@@ -18,6 +18,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.stages import Perception, StepState
@@ -48,6 +49,7 @@ class StepEvent(IntEnum):
 
 EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal_reached", "collision")
 """Names of the events in ``outcome``, in the order of :class:`StepEvent`."""
+_GOAL_REACHED = slice(StepEvent.GOAL, StepEvent.GOAL + 1)
 
 
 class PositionHistory:
@@ -55,20 +57,19 @@ class PositionHistory:
 
     def __init__(self, num_envs: int, window: int, device: torch.device) -> None:
         self._window = window
-        self._rows = torch.arange(num_envs, device=device)
-        self._positions = torch.zeros(num_envs, window, 2, device=device)
+        # x + iy: a position is one element.
+        self._positions = torch.zeros(num_envs, window, dtype=torch.complex64, device=device)
 
     def displacement(self, position: Tensor, steps: Tensor, active: Tensor | None = None) -> Tensor:
         """Stores positions ``[N, 2]`` of ``active`` rows, and returns their distance from the oldest ones, ``[N, 1]``.
 
         It is inf until the buffer is full. ``steps`` are those of the episode, including this one, int64 ``[N, 1]``.
         """
-        slot = ((steps - 1) % self._window).squeeze(-1)
+        slot, point = (steps - 1) % self._window, torch.view_as_complex(position.contiguous())[:, None]
         if active is not None:
-            position = torch.where(active, position, self._positions[self._rows, slot])
-        self._positions[self._rows, slot] = position
-        oldest = self._positions[self._rows, (slot + 1) % self._window]
-        displacement = torch.linalg.vector_norm(position - oldest, dim=-1, keepdim=True)
+            point = torch.where(active, point, self._positions.gather(1, slot))
+        oldest = self._positions.scatter_(1, slot, point).gather(1, (slot + 1) % self._window)
+        displacement = torch.linalg.vector_norm(torch.view_as_real(point - oldest), dim=-1)
         return displacement.masked_fill(steps < self._window, math.inf)
 
 
@@ -142,27 +143,22 @@ class Navigation:
             self._ranges = fleet.table(lambda robot: collision_ranges(robot, config.lidar.beams).tolist())
         self._history = PositionHistory(len(fleet), config.task.stuck_window, fleet.index.device)
 
-    def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, first: bool) -> None:
-        """Begins episodes in the rows of ``mask``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters.
-
-        ``first`` is whether this is the first reset since the simulator was built.
-        """
-        zeros, reference = torch.zeros_like(state.keys), state.reference
+    def begin(self, state: StepState, rows: ChosenRows, goal: Tensor | None) -> None:
+        """Begins episodes in ``rows``: sets ``goal`` ``[N, 2]`` (m), or draws it, and clears counters."""
+        mask, reference = rows.mask, state.reference
         if goal is None:
-            goal = self._placement.draw_goal(state.keys, zeros, reference.position, mask, state.goal)
-        target = target_info(reference.position, reference.yaw, goal)
-        state.goal, state.target = torch.where(mask, goal, state.goal), torch.where(mask, target, state.target)
+            state.goal = self._placement.draw_goal(state.keys, 0, reference.position, rows, state.goal)
+        else:
+            state.goal = torch.where(mask, goal, state.goal)
+        target = target_info(rows.of(reference.position), rows.of(reference.yaw), rows.of(state.goal))
+        state.target = rows.into(state.target, target)
+        state.alignment = rows.into(state.alignment, heading_alignment(target[:, 1:]))
+        state.events = state.events.masked_fill(mask, False)
+        state.phase = state.phase.masked_fill(mask, StepEvent.NONE)
+        state.progress = state.progress.masked_fill(mask, 0.0)
         state.goals = state.goals.masked_fill(mask, 1)
         state.collision_steps = state.collision_steps.masked_fill(mask, 0)
-        none = torch.zeros(len(mask), len(EVENTS), dtype=torch.bool, device=mask.device)
-        phase, progress = torch.full_like(state.keys, StepEvent.NONE), torch.zeros_like(reference.yaw)
-        outcome = _outcome(state, none, phase, progress, heading_alignment(state.target[:, 1:]))
-        if first:
-            state.outcome = outcome
-            state.terminated, state.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
-        else:
-            state.outcome = outcome.where(mask.squeeze(-1), state.outcome)
-            state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
+        state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
 
     def advance(self, state: StepState, invalid: Tensor) -> None:
         """Computes the outcome of a step in the state's ``active`` rows, sets new goals, and ends episodes.
@@ -182,18 +178,15 @@ class Navigation:
             bounds=(self._placement.bounds_low, self._placement.bounds_high),
             config=self._task,
         )
+        progress, alignment = last[:, :1] - target[:, :1], heading_alignment(target[:, 1:])
         if active is not None:
             target = torch.where(active, target, last)
             collision_steps = torch.where(active, collision_steps, state.collision_steps)
-        state.target, state.collision_steps = target, collision_steps
-        outcome = _outcome(state, events, phase, last[:, :1] - target[:, :1], heading_alignment(target[:, 1:]))
-        if active is not None:
-            outcome, phase = (
-                outcome.where(active.squeeze(-1), state.outcome),
-                phase.masked_fill(~active, StepEvent.NONE),
-            )
-            outcome.set("phase", phase)
-        state.outcome = outcome
+            events, phase = torch.where(active, events, state.events), phase.masked_fill(~active, StepEvent.NONE)
+            progress = torch.where(active, progress, state.progress)
+            alignment = torch.where(active, alignment, state.alignment)
+        state.target, state.collision_steps, state.events, state.phase = target, collision_steps, events, phase
+        state.progress, state.alignment = progress, alignment
         if not self._end_on_goal:
             self._set_next_goals(state, phase == StepEvent.GOAL)
         self._end(state)
@@ -212,16 +205,15 @@ class Navigation:
         # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
         if reached.device.type == "cpu" and not reached.any():
             return
-        reference = state.reference
-        drawn = self._placement.draw_goal(state.keys, state.goals, reference.position, reached, state.goal)
-        state.goal = torch.where(reached, drawn, state.goal)
-        target = target_info(reference.position, reference.yaw, state.goal)
-        state.target, state.goals = torch.where(reached, target, state.target), state.goals + reached
+        rows, reference = ChosenRows(reached), state.reference
+        state.goal = self._placement.draw_goal(state.keys, state.goals, reference.position, rows, state.goal)
+        target = target_info(rows.of(reference.position), rows.of(reference.yaw), rows.of(state.goal))
+        state.target, state.goals = rows.into(state.target, target), state.goals + reached
 
     def _end(self, state: StepState) -> None:
-        terminated = state.outcome.get("phase") < StepEvent.GOAL
+        terminated = state.phase < StepEvent.GOAL
         if self._end_on_goal:
-            terminated = terminated | state.outcome.get("goal_reached")
+            terminated = terminated | state.events[:, _GOAL_REACHED]
         steps = state.steps if state.world_steps is None else state.world_steps
         truncated = (steps >= self.length) & ~terminated
         if state.active is not None:
@@ -230,12 +222,13 @@ class Navigation:
         state.terminated, state.truncated = terminated, truncated
 
 
-def _outcome(state: StepState, events: Tensor, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
-    entries = dict(zip(EVENTS, events.split(1, -1), strict=True))
-    entries |= {"phase": phase, "progress": progress, "alignment": alignment}
+def outcome(state: StepState) -> TensorDict:
+    """Returns the entries of ``outcome``, as the state has them after a step or reset."""
+    entries = dict(zip(EVENTS, state.events.split(1, -1), strict=True))
+    entries |= {"phase": state.phase, "progress": state.progress, "alignment": state.alignment}
     rover = state.reference.rover
     entries |= {"linear_velocity": rover.linear_velocity, "angular_velocity": rover.angular_velocity}
     entries |= {"steps": state.steps, "total_steps": state.total_steps}
     if state.world is not None:
         entries["world"] = state.world
-    return unchecked_tensordict({**entries, **state.movers}, events.shape[:1])
+    return unchecked_tensordict({**entries, **state.movers}, state.steps.shape[:1])

@@ -137,10 +137,11 @@ class LidarPooling:
     def __call__(self, ranges: Tensor) -> Tensor:
         """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
         # NaN must be replaced before the minimum, which it would win. Clipping the fewer pooled readings is faster.
-        return self._clipped(self.grouped(torch.nan_to_num(ranges, nan=self.max_range)).amin(-1))
+        cleaned = torch.nan_to_num(ranges, nan=self.max_range)
+        return self._clip(cleaned if ranges.shape[-1] == self.points else self.grouped(cleaned).amin(-1))
 
-    def _clipped(self, readings: Tensor) -> Tensor:
-        return readings.clamp(0.0, self.max_range)
+    def _clip(self, readings: Tensor) -> Tensor:
+        return readings.clamp_(0.0, self.max_range)
 
     def grouped(self, values: Tensor) -> Tensor:
         """Returns values of the beams, ``[N, beams]``, by segment, ``[N, points, longest]``; short ones repeat one."""
@@ -163,7 +164,7 @@ class LivePooling(LidarPooling):
         if raw is None:
             return pooled
         other = (ranges != self._live.ranges()) | ~self._live.covered()
-        return torch.where(self.grouped(other).any(-1), pooled, self._clipped(raw))
+        return torch.where(self.grouped(other).any(-1), pooled, self._clip(raw.clone()))
 
 
 @dataclass(frozen=True, kw_only=True)
