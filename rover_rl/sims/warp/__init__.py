@@ -55,7 +55,7 @@ class WarpSettings(PhysicsSettings):
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "default": {},
         "full": {},
-        "planar": {"planar": True, "substeps": 2, "solver_iterations": 4},
+        "planar": {"planar": True, "substeps": 2, "solver_iterations": 3},
     }
 
     @property
