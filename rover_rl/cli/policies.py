@@ -44,7 +44,7 @@ class EnvOptions:
     robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot."""
     physics: str | None = None
-    """Preset of Bullet's physics: default, accurate or fast (docs/simulators.md#bullet-speed-and-accuracy)."""
+    """Preset of the physics: default, accurate or fast of Bullet, full or planar of Warp (docs/simulators.md)."""
     guard: GuardConfig = field(default_factory=GuardConfig)
     """Emergency brake. Default: that of --env."""
     compensate_delay: bool = False

@@ -51,7 +51,7 @@ class RobotCommand:
     backend: str | None = None
     """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None
-    """Preset of Bullet's physics: default, accurate or fast (docs/simulators.md#bullet-speed-and-accuracy)."""
+    """Preset of the physics: default, accurate or fast of Bullet, full or planar of Warp (docs/simulators.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
     lidar_view: float | None = None

@@ -57,7 +57,7 @@ MAZES = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"gamma": 0.98, "max_std": 1.0},
+        "ppo": {"num_envs": 1024, "gamma": 0.98, "max_std": 1.0},
         "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "gamma": 0.98},
     },

@@ -22,6 +22,7 @@ that of its own inertia. Contacts with obstacles are stiff dampers along the nor
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
+from rover_rl.sims.warp.kernels.dynamics import GRAVITY, axle_of, write_base_state
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RoverArrays
 from rover_rl.sims.warp.planar.contacts import (
     MARGIN,
@@ -38,8 +39,6 @@ from rover_rl.sims.warp.planar.plan import Plan
 from rover_rl.sims.warp.planar.robots import PlanarRobot
 from rover_rl.worlds.movers.part_kernels import PartArrays
 
-GRAVITY = 9.81
-"""Gravitational acceleration, m/s^2."""
 CREEP = 1.0e-3
 """Slip below which friction is in proportion to it, m/s."""
 STIFF = 200.0
@@ -127,19 +126,19 @@ def prepare_patches(
 ):  # fmt: skip
     """Fills in the patches of all wheels, for wheels that point along ``axles``."""
     share = 1.0 / float(robot.patches)
-    drive = dt * rovers.motor_torque[row] / robot.radius * share
-    for wheel in range(robot.wheels):
+    drive = dt * rovers.motor_torque[row] / robot.model.wheel_radius * share
+    for wheel in range(robot.model.wheels):
         ahead = axles[wheel]
         left = wp.vec2(-ahead[1], ahead[0])
-        motor = robot.motor_of_wheel[wheel]
+        motor = robot.model.motor_of_wheel[wheel]
         speed = float(0.0)
         limit = float(0.0)
         if motor >= 0:
-            speed = robot.radius * rovers.target_speeds[row, motor]
+            speed = robot.model.wheel_radius * rovers.target_speeds[row, motor]
             limit = drive
         across = float(1.0)
-        if robot.rollers.shape[0] > 0:
-            roller = robot.rollers[wheel]
+        if robot.model.rollers.shape[0] > 0:
+            roller = wp.vec2(robot.model.rollers[wheel][0], robot.model.rollers[wheel][1])
             if wp.length_sq(roller) > 0.0:
                 # The rim moves along the wheel, and only the part of that along the roller's axle counts.
                 along = wp.dot(roller, ahead)
@@ -165,7 +164,7 @@ def load_patches(patches: wp.array[Patch], robot: PlanarRobot, foot: wp.vec2, gr
     With the friction that accelerates the rover at a, on the ground, and its center of mass at the height z above, the
     moments balance as if the weight acted at ``c - z a / g``: the zero-moment point.
     """
-    for wheel in range(robot.wheels):
+    for wheel in range(robot.model.wheels):
         load = robot.loads[wheel]
         share = wp.max(load[0] + load[1] * foot[0] + load[2] * foot[1], 0.0) / float(robot.patches)
         for n in range(robot.patches):
@@ -214,15 +213,15 @@ def solve(
     own = System()
     own.diagonal = mass
     own.right = wp.cw_mul(mass, start)
-    rolling = robot.wheel_inertia / (robot.radius * robot.radius) / float(robot.patches)
-    for k in range(robot.wheels * robot.patches):
+    rolling = robot.model.wheel_inertia / (robot.model.wheel_radius * robot.model.wheel_radius) / float(robot.patches)
+    for k in range(robot.model.wheels * robot.patches):
         if patches[k].drive == 0.0 and patches[k].across > 0.0:
             # The ground turns a wheel without a motor, which has its speed of before.
-            own = with_row(own, patches[k].ahead, rolling, robot.radius * spins[k // robot.patches])
+            own = with_row(own, patches[k].ahead, rolling, robot.model.wheel_radius * spins[k // robot.patches])
     u = guess
     for _ in range(solver.iterations):
         system = own
-        for k in range(robot.wheels * robot.patches):
+        for k in range(robot.model.wheels * robot.patches):
             system = with_friction(system, patches[k], u)
         if count > 0:
             system = with_touches(system, touches, count, u, STIFF * mass[0], friction)
@@ -234,15 +233,15 @@ def solve(
 def wheel_speeds(spins: wp.array[float], patches: wp.array[Patch], robot: PlanarRobot, rovers: RoverArrays, row: int,
                  u: wp.vec3):  # fmt: skip
     """Writes how fast the wheels turn: as their motors are told, or as they roll if these are too weak; rad/s."""
-    for wheel in range(robot.wheels):
+    for wheel in range(robot.model.wheels):
         first = wheel * robot.patches
         last = first + robot.patches - 1
         rolling = 0.5 * (wp.dot(patches[first].ahead, u) + wp.dot(patches[last].ahead, u))
         slip = wp.abs(rolling - patches[first].speed)
         across = wp.abs(wp.dot(patches[first].left, u)) * patches[first].across
         pull = patches[first].grip * slip / wp.max(wp.sqrt(slip * slip + across * across), CREEP)
-        motor = robot.motor_of_wheel[wheel]
-        spins[wheel] = rolling / robot.radius
+        motor = robot.model.motor_of_wheel[wheel]
+        spins[wheel] = rolling / robot.model.wheel_radius
         if motor >= 0 and pull <= patches[first].drive:
             spins[wheel] = rovers.target_speeds[row, motor]
 
@@ -278,8 +277,7 @@ def step_planar(
     touches = wp.zeros(shape=(MAX_TOUCHES,), dtype=Touch)
     axles = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec2)
     spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
-    for wheel in range(robot.wheels):
-        axles[wheel] = wp.vec2(1.0, 0.0)
+    for wheel in range(robot.model.wheels):
         spins[wheel] = rovers.wheel_spins[row, wheel]
     dt = solver.dt
     center = wp.vec2(rovers.center[row][0], rovers.center[row][1])
@@ -341,43 +339,19 @@ def step_planar(
     rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, rate)
     for n in range(3):
         rovers.impulses[row, n] = change[n]
-    for wheel in range(robot.wheels):
+    for wheel in range(robot.model.wheels):
         rovers.wheel_spins[row, wheel] = spins[wheel]
     for joint in range(rovers.angles.shape[1]):
         rovers.angles[row, joint] = rovers.target_angles[row, joint]
-    write_state(robot, rovers, row)
+    write_base_state(robot.model, rovers, row)
 
 
 @wp.func
 def steer(axles: wp.array[wp.vec2], robot: PlanarRobot, rovers: RoverArrays, row: int, share: float):
     """Turns the wheels that steer, after a share of the control step."""
-    for wheel in range(robot.wheels):
-        joint = robot.steering_of_wheel[wheel]
-        if joint >= 0:
-            before = rovers.angles[row, joint]
-            angle = before + share * (rovers.target_angles[row, joint] - before)
-            axles[wheel] = wp.vec2(wp.cos(angle), wp.sin(angle))
-
-
-@wp.func
-def write_state(robot: PlanarRobot, rovers: RoverArrays, row: int):
-    """Writes the output of a rover: pose of the base frame, mean wheel speed of each motor, and steering angles."""
-    orientation = rovers.orientation[row]
-    base = rovers.position[row] - wp.quat_rotate(orientation, rovers.center[row])
-    for n in range(3):
-        rovers.base_state[row, n] = base[n]
-    for n in range(4):
-        rovers.base_state[row, 3 + n] = orientation[n]
-    for motor in range(robot.motors):
-        total = float(0.0)
-        count = float(0.0)
-        for wheel in range(robot.wheels):
-            if robot.motor_of_wheel[wheel] == motor:
-                total += rovers.wheel_spins[row, wheel]
-                count += 1.0
-        rovers.base_state[row, 7 + motor] = total / count
-    for joint in range(rovers.angles.shape[1]):
-        rovers.base_state[row, 7 + rovers.target_speeds.shape[1] + joint] = rovers.angles[row, joint]
+    for wheel in range(robot.model.wheels):
+        axle = axle_of(robot.model, rovers, row, wheel, share)
+        axles[wheel] = wp.vec2(axle[1], -axle[0])
 
 
 @wp.kernel
@@ -404,4 +378,4 @@ def place_planar(plans: wp.array[Plan], robots: wp.array[PlanarRobot], rovers: R
         rovers.angles[row, joint] = 0.0
     rovers.contact[row] = False
     rovers.mover_contact[row] = False
-    write_state(robot, rovers, row)
+    write_base_state(robot.model, rovers, row)

@@ -55,7 +55,7 @@ def scan_planar(
     if lanes == 1:
         for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
-    robot = robots[rovers.robot[row]]
+    robot = robots[rovers.robot[row]].model
     plan = plans[rovers.scene[row]]
     z = rovers.base_state[row, 5]
     w = rovers.base_state[row, 6]

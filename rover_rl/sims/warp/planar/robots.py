@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS
+from rover_rl.sims.warp.kernels.contacts import FRICTION_POINT
+from rover_rl.sims.warp.kernels.types import RobotModel
+from rover_rl.sims.warp.models import make_robot_model
 
 STANCE = 0.01
 """Largest difference of the heights of the wheels' lowest points on level ground, m."""
-FRICTION_POINT = 0.57735027
-"""Point at which friction acts, between the middle and the edge of a tread, as in the full engine."""
 
 
 @wp.struct
 class PlanarRobot:
     """A robot seen from above. Positions in the base frame, m."""
 
-    wheels: int
-    motors: int
-    motor_of_wheel: wp.array[int]
-    steering_of_wheel: wp.array[int]
+    # Wheels, motors and lidar, as the full engine reads them.
+    model: RobotModel
     hubs: wp.array[wp.vec2]
-    radius: float
-    # Moment of inertia of one wheel about its axle, kg m^2.
-    wheel_inertia: float
     # Number of points of each wheel at which friction acts, 1 or 2, and their distance from its hub along the axle.
     patches: int
     treads: wp.array[float]
-    # Direction of the roller of each wheel on the ground, zero for a tire; empty if all are tires.
-    rollers: wp.array[wp.vec2]
     # Share of the weight on each wheel for a center of mass at the origin, and what it gains for each meter of x and y.
     loads: wp.array[wp.vec3]
     # Height of the base frame above the ground.
@@ -48,8 +40,6 @@ class PlanarRobot:
     wheel_of_box: wp.array[int]
     # Radius of a disc around the center of mass that contains the outline.
     reach: float
-    lidar_position: wp.vec3
-    lidar_range: float
 
 
 class PlanarRobots:
@@ -64,60 +54,42 @@ class PlanarRobots:
         self.models = wp.array(self._owners, dtype=PlanarRobot, device=device)
         self.reach = max(model.reach for model in self._owners)
         self.ranges = fleet.table(lambda robot: robot.lidar_range)
-        stand = [model.height for model in self._owners]
-        self.highest_axle = max(
-            h + max(hub[2] for hub in r.wheels.hubs) for h, r in zip(stand, fleet.robots, strict=True)
-        )
-        self.tops = np.array([h + _spans(r)[:, 1].max() for h, r in zip(stand, fleet.robots, strict=True)])
-        self.lidars = np.array([h + r.lidar_position[2] for h, r in zip(stand, fleet.robots, strict=True)])
+        pairs = [(model.height, robot) for model, robot in zip(self._owners, fleet.robots, strict=True)]
+        self.highest_axle = max(stands + hub[2] for stands, robot in pairs for hub in robot.wheels.hubs)
+        self.tops = np.array([stands + _parts(robot)[1][:, 1].max() for stands, robot in pairs])
+        self.lidars = np.array([stands + robot.lidar_position[2] for stands, robot in pairs])
         self.sight = max(r.lidar_range + math.hypot(*r.lidar_position[:2]) for r in fleet.robots)
 
 
 def _planar(robot: Robot, device: wp.Device) -> PlanarRobot:
-    wheels, drive = robot.wheels, robot.drive
-    hubs = np.array(wheels.hubs)
-    if len(hubs) > MAX_WHEELS:
-        raise ValueError(f"the planar tier supports at most {MAX_WHEELS} wheels, {robot.name!r} has {len(hubs)}")
-    lowest = hubs[:, 2] - wheels.radius
+    hubs = np.array(robot.wheels.hubs)
+    lowest = hubs[:, 2] - robot.wheels.radius
     loads = _loads(hubs[:, :2])
     center = np.array(robot.center_of_mass)
     if np.ptp(lowest) > STANCE or (loads @ [1.0, *center[:2]]).min() < 0:
         raise ValueError(f"physics='planar' needs a robot that stands level on all wheels, and {robot.name!r} does not")
-    boxes, spans, owners = _rectangles(robot), _spans(robot), _owners(robot)
+    boxes, spans, owners = _parts(robot)
     kept = _visible(boxes, spans)
     corners, corner_owners = _corners(boxes[kept], spans[kept] - lowest.mean(), owners[kept])
-    model = PlanarRobot()
-    model.wheels, model.motors, model.radius = len(hubs), len(drive.motors), wheels.radius
-    model.wheel_inertia, model.height = robot.wheel.inertia[1][1], float(-lowest.mean())
+    planar = PlanarRobot()
+    planar.model = make_robot_model(robot, device)
+    planar.height = float(-lowest.mean())
     # A roller touches the ground below the hub.
-    rollers = drive.rollers or (None,) * len(hubs)
-    treads = [FRICTION_POINT * wheels.width / 2 if roller is None else 0.0 for roller in rollers]
-    model.patches = 2 if max(treads) > 0 else 1
+    rollers = robot.drive.rollers or (None,) * len(hubs)
+    treads = [FRICTION_POINT * robot.wheels.width / 2 if roller is None else 0.0 for roller in rollers]
+    planar.patches = 2 if max(treads) > 0 else 1
     reach = np.linalg.norm(np.abs(boxes[:, :2] - center[:2]) + boxes[:, 2:], axis=1).max()
     # The margin covers the shift of the center of mass, some millimeters, when the mass of the chassis is randomized.
-    model.reach = float(reach) + 0.01
-    model.lidar_position, model.lidar_range = wp.vec3(*robot.lidar_position), robot.lidar_range
-    arms = [(0.0, 0.0) if angle is None else (math.cos(angle), math.sin(angle)) for angle in drive.rollers]
-    indices = {
-        "motor_of_wheel": drive.motor_of_wheel,
-        "steering_of_wheel": wheels.steering or (-1,) * len(hubs),
-        "wheel_of_corner": corner_owners,
-        "wheel_of_box": owners[kept],
-    }
-    vectors: dict[str, tuple[Any, Any]] = {
-        "hubs": (hubs[:, :2], wp.vec2),
-        "rollers": (np.reshape(arms, (-1, 2)), wp.vec2),
-        "loads": (loads, wp.vec3),
-        "corners": (corners, wp.vec4),
-        "boxes": (boxes[kept], wp.vec4),
-        "box_spans": (spans[kept] + model.height, wp.vec2),
-    }
-    model.treads = wp.array(treads, dtype=float, device=device)
-    for name, values in indices.items():
-        setattr(model, name, wp.array(np.asarray(values), dtype=int, device=device))
-    for name, (values, dtype) in vectors.items():
-        setattr(model, name, wp.array(values, dtype=dtype, device=device))
-    return model
+    planar.reach = float(reach) + 0.01
+    planar.treads = wp.array(treads, dtype=float, device=device)
+    planar.wheel_of_corner = wp.array(corner_owners, dtype=int, device=device)
+    planar.wheel_of_box = wp.array(owners[kept], dtype=int, device=device)
+    planar.hubs = wp.array(hubs[:, :2], dtype=wp.vec2, device=device)
+    planar.loads = wp.array(loads, dtype=wp.vec3, device=device)
+    planar.corners = wp.array(corners, dtype=wp.vec4, device=device)
+    planar.boxes = wp.array(boxes[kept], dtype=wp.vec4, device=device)
+    planar.box_spans = wp.array(spans[kept] + planar.height, dtype=wp.vec2, device=device)
+    return planar
 
 
 def _loads(hubs: np.ndarray) -> np.ndarray:
@@ -133,24 +105,19 @@ def _loads(hubs: np.ndarray) -> np.ndarray:
     return np.column_stack((1 / len(hubs) - slopes @ middle, slopes))
 
 
-def _rectangles(robot: Robot) -> np.ndarray:
-    """Boxes and wheels seen from above: centers and half sides, ``[B + W, 4]``, m."""
-    boxes = [(*box.center[:2], box.size[0] / 2, box.size[1] / 2) for box in robot.boxes]
-    half = robot.wheels.radius, robot.wheels.width / 2 or robot.wheels.radius
-    return np.array(boxes + [(*hub[:2], *half) for hub in robot.wheels.hubs])
+def _parts(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Boxes and wheels as rectangles (center, half sides) ``[B + W, 4]``, their lowest and highest points, and wheels.
 
-
-def _spans(robot: Robot) -> np.ndarray:
-    """Lowest and highest points of boxes and wheels, ``[B + W, 2]``, m."""
-    boxes = [(box.center[2] - box.size[2] / 2, box.center[2] + box.size[2] / 2) for box in robot.boxes]
-    radius = robot.wheels.radius
-    return np.array(boxes + [(hub[2] - radius, hub[2] + radius) for hub in robot.wheels.hubs])
-
-
-def _owners(robot: Robot) -> np.ndarray:
-    """Steered wheel that each box and wheel turns with, or -1, ``[B + W]``."""
-    steering = robot.wheels.steering or (-1,) * len(robot.wheels.hubs)
-    return np.array([-1] * len(robot.boxes) + [wheel if joint >= 0 else -1 for wheel, joint in enumerate(steering)])
+    The wheel is that which a rectangle turns with, or -1, ``[B + W]``. Lengths in m.
+    """
+    radius, half_width = robot.wheels.radius, robot.wheels.width / 2 or robot.wheels.radius
+    centers = np.array([*(box.center for box in robot.boxes), *robot.wheels.hubs])
+    wheel = (radius, half_width, radius)
+    halves = np.array([*(np.array(box.size) / 2 for box in robot.boxes), *[wheel] * len(robot.wheels.hubs)])
+    steering = [wheel if joint >= 0 else -1 for wheel, joint in enumerate(robot.wheels.steering)]
+    owners = np.array([-1] * len(robot.boxes) + (steering or [-1] * len(robot.wheels.hubs)))
+    spans = np.stack((centers[:, 2] - halves[:, 2], centers[:, 2] + halves[:, 2]), 1)
+    return np.column_stack((centers[:, :2], halves[:, :2])), spans, owners
 
 
 def _visible(boxes: np.ndarray, spans: np.ndarray) -> np.ndarray:
