@@ -42,7 +42,7 @@ class NetworkConfig:
     """Largest standard deviation of an action before it is squashed to its bounds.
     Large values explore fast. Small ones (0.6) keep the policy from relying on chance to leave a corner."""
     memory: MemoryKind = "none"
-    """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers.
+    """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers. Give it a rollout_length of 16 or more.
     The policy then decides every action_repeat steps wherever it drives, as in training."""
     memory_size: int = 128
     """Number of units of the memory."""
