@@ -125,35 +125,46 @@ def meets(surface: Surface, low: float, high: float) -> bool:
 
 
 @wp.func
-def touch_corner(
+def touch_disc(
     touches: wp.array[Touch],
     count: int,
     robot: PlanarRobot,
     axles: wp.array[wp.vec2],
     outline: Outline,
     surface: Surface,
-    point: wp.vec2,
+    center: wp.vec2,
+    radius: float,
 ) -> int:
-    """Adds a contact of a corner of an obstacle with each rectangle of the rover that it is at; returns the count."""
+    """Adds the contacts of the rover with a disc, or with a corner, whose radius is 0; returns the count."""
     for n in range(robot.boxes.shape[0]):
         span = robot.box_spans[n]
         if meets(surface, span[0], span[1]):
             box = robot.boxes[n]
             wheel = robot.wheel_of_box[n]
-            local = point - steered_point(robot, axles, wheel, wp.vec2(box[0], box[1]), outline.center)
+            local = center - steered_point(robot, axles, wheel, wp.vec2(box[0], box[1]), outline.center)
             if wheel >= 0:
                 local = unturned(local, axles[wheel])
-            gap_x = wp.abs(local[0]) - box[2]
-            gap_y = wp.abs(local[1]) - box[3]
-            gap = wp.max(gap_x, gap_y)
-            # Beside a corner of the rectangle, two corners meet, which the next substep finds inside if they do.
-            if gap < outline.margin and wp.min(gap_x, gap_y) < 0.0:
-                normal = wp.vec2(-wp.sign(local[0]), 0.0)
-                if gap_y > gap_x:
-                    normal = wp.vec2(0.0, -wp.sign(local[1]))
+            nearest = wp.vec2(wp.clamp(local[0], -box[2], box[2]), wp.clamp(local[1], -box[3], box[3]))
+            away = nearest - local
+            distance = wp.length(away)
+            # Two corners that pass by each other do not touch; if they do, the next substep finds one inside.
+            passes = radius == 0.0 and away[0] * away[1] != 0.0
+            if distance < radius + outline.margin and not passes:
+                normal = away / wp.max(distance, 1.0e-6)
+                gap = distance - radius
+                if distance < 1.0e-6:
+                    # The middle of the disc is inside of the rectangle: leave through the nearest side.
+                    gap_x = wp.abs(local[0]) - box[2]
+                    gap_y = wp.abs(local[1]) - box[3]
+                    normal = wp.vec2(-wp.sign(local[0]), 0.0)
+                    if gap_y > gap_x:
+                        normal = wp.vec2(0.0, -wp.sign(local[1]))
+                    gap = wp.max(gap_x, gap_y) - radius
+                offset = nearest - local
                 if wheel >= 0:
                     normal = turned(normal, axles[wheel])
-                count = add_touch(touches, count, outline, surface, normal, point, gap)
+                    offset = turned(offset, axles[wheel])
+                count = add_touch(touches, count, outline, surface, normal, center + offset, gap)
     return count
 
 
@@ -180,7 +191,7 @@ def touch_edge(
     if distance > reach or middle < -reach or middle > length + reach:
         return count
     if wp.length_sq(start) < reach * reach:
-        count = touch_corner(touches, count, robot, axles, outline, surface, start)
+        count = touch_disc(touches, count, robot, axles, outline, surface, start, 0.0)
     if distance > 0.0:
         for n in range(robot.corners.shape[0]):
             corner = robot.corners[n]
@@ -212,47 +223,6 @@ def touch_obstacles(
         start = unturned(wp.vec2(edge[0], edge[1]) - outline.position, outline.ahead)
         end = unturned(wp.vec2(edge[2], edge[3]) - outline.position, outline.ahead)
         count = touch_edge(touches, count, robot, axles, outline, surface, start, end)
-    return count
-
-
-@wp.func
-def touch_disc(
-    touches: wp.array[Touch],
-    count: int,
-    robot: PlanarRobot,
-    axles: wp.array[wp.vec2],
-    outline: Outline,
-    surface: Surface,
-    radius: float,
-) -> int:
-    """Adds the contacts of the rover with a disc at the place of a surface; returns the count."""
-    for n in range(robot.boxes.shape[0]):
-        span = robot.box_spans[n]
-        if meets(surface, span[0], span[1]):
-            box = robot.boxes[n]
-            wheel = robot.wheel_of_box[n]
-            local = surface.place - steered_point(robot, axles, wheel, wp.vec2(box[0], box[1]), outline.center)
-            if wheel >= 0:
-                local = unturned(local, axles[wheel])
-            nearest = wp.vec2(wp.clamp(local[0], -box[2], box[2]), wp.clamp(local[1], -box[3], box[3]))
-            away = nearest - local
-            distance = wp.length(away)
-            if distance < radius + outline.margin:
-                normal = away / wp.max(distance, 1.0e-6)
-                gap = distance - radius
-                if distance < 1.0e-6:
-                    # The middle of the disc is inside of the rectangle: leave through the nearest side.
-                    gap_x = wp.abs(local[0]) - box[2]
-                    gap_y = wp.abs(local[1]) - box[3]
-                    normal = wp.vec2(-wp.sign(local[0]), 0.0)
-                    if gap_y > gap_x:
-                        normal = wp.vec2(0.0, -wp.sign(local[1]))
-                    gap = wp.max(gap_x, gap_y) - radius
-                offset = nearest - local
-                if wheel >= 0:
-                    normal = turned(normal, axles[wheel])
-                    offset = turned(offset, axles[wheel])
-                count = add_touch(touches, count, outline, surface, normal, surface.place + offset, gap)
     return count
 
 
@@ -318,5 +288,5 @@ def touch_movers(
                 )
                 count = touch_edge(touches, count, robot, axles, outline, surface, start, end)
         else:
-            count = touch_disc(touches, count, robot, axles, outline, surface, half[0])
+            count = touch_disc(touches, count, robot, axles, outline, surface, surface.place, half[0])
     return count
