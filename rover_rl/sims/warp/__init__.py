@@ -31,8 +31,8 @@ class WarpSettings(PhysicsSettings):
             ``None`` uses 8 on a GPU and 1 on the CPU. Ranges are the same for all numbers but 1, whose ranges differ
             in the last bit where two surfaces meet.
         block_size: threads per block on a GPU, a multiple of 32: to tune the speed there. ``None`` uses 32.
-        planar: simulate level worlds with three degrees of freedom, several times as fast: see
-            :mod:`rover_rl.sims.warp.planar`. The preset ``"planar"`` has fewer substeps, too.
+        planar: simulate level worlds with three degrees of freedom, several times as fast. The preset ``"planar"``
+            has fewer substeps and iterations, too.
 
     Raises:
         ValueError: if a number is out of range.

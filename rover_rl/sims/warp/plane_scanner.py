@@ -19,8 +19,7 @@ from rover_rl.worlds.table import WorldTable
 class PlaneScanner:
     """Lidar on the rovers of any simulator, by the poses in its state: see :class:`~rover_rl.sims.base.Scanner`.
 
-    It intersects the plane of a scan with what does not move in the worlds of the rows, as
-    :mod:`rover_rl.sims.warp.kernels.lidar` tells.
+    It intersects the plane of a scan with what does not move in the worlds of the rows, as the Warp backend does.
     """
 
     def __init__(self, simulator: Simulator, worlds: WorldTable, robot: Robot, beams: int) -> None:
