@@ -14,7 +14,7 @@ LEVEL = 1e-3
 """Largest difference of heights of level ground, m."""
 UPRIGHT = 1e-6
 """Largest sine of the angle between a face of a prism and the vertical or the horizontal."""
-NEAR_CELL, VIEW_CELL = 1.0, 1.5
+NEAR_CELL, VIEW_CELL = 1.0, 2.0
 """Side of the cells that list the edges which a rover may touch, and of those that list what a lidar may see, m."""
 MAX_MARGIN = 0.4
 """Largest distance at which contacts are looked for, m: what a rover and an obstacle approach in a substep."""

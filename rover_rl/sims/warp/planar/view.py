@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -155,7 +156,7 @@ class Sight:
         owners = np.repeat(np.arange(len(self.outlines)), [len(outline) for outline in self.outlines])
         edges = np.concatenate([np.empty((0, 4)), *self.outlines])
         free = wp.empty(len(edges), dtype=wp.bool, device="cpu")
-        wp.launch(stick_out, free.shape, [self._struct(), _array(owners, int), free], device="cpu")
+        wp.launch(stick_out, free.shape, [self._struct, _array(owners, int), free], device="cpu")
         kept = free.numpy() & (np.linalg.norm(edges[:, 2:] - edges[:, :2], axis=1) > 1e-6)
         return edges[kept], owners[kept]
 
@@ -173,9 +174,10 @@ class Sight:
         """
         seen = wp.empty((len(middles), len(edges)), dtype=wp.bool, device="cpu")
         arrays = [_array(edges, wp.vec4), _array(middles, wp.vec2)]
-        wp.launch(look, seen.shape, [self._struct(), *arrays, side / 2, reach, *heights, seen], device="cpu")
+        wp.launch(look, seen.shape, [self._struct, *arrays, side / 2, reach, *heights, seen], device="cpu")
         return seen.numpy()
 
+    @cached_property
     def _struct(self) -> Outlines:
         outlines = Outlines()
         corners = [outline[:, :2] for outline in self.outlines]
