@@ -15,8 +15,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from rover_rl import checks, tensordicts
-from rover_rl.envs import actions, placement, privileged, rows, specs, stages, task
-from rover_rl.envs.chosen_rows import ChosenRows
+from rover_rl.envs import actions, chosen_rows, placement, privileged, rows, specs, stages, task
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
@@ -173,7 +172,7 @@ class RoverEnv(EnvBase):
         mask = self._every[:, None] if mask is None or not self._started else mask.reshape(self.num_envs, 1)
         start = placement.checked_place("start", start, tensordict, (*self.batch_size, 3), self._tensor_device)
         goal = placement.checked_place("goal", goal, tensordict, (*self.batch_size, 2), self._tensor_device)
-        chosen = ChosenRows(mask)
+        chosen = chosen_rows.ChosenRows(mask)
         begins = episodes.begin(chosen)
         state.keys = keys = episodes.keys
         self._change_worlds(begins)
@@ -200,7 +199,7 @@ class RoverEnv(EnvBase):
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
         return self._pack(mask.squeeze(-1))
 
-    def _change_worlds(self, begins: ChosenRows) -> None:
+    def _change_worlds(self, begins: chosen_rows.ChosenRows) -> None:
         """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
         worlds, episodes, changes = self._row_worlds, self._episodes, self._simulation.changes_worlds
         if not worlds.is_drawn or not (changes or (self.simulator.live is None and episodes.are_first())):

@@ -95,17 +95,18 @@ def training_physics(config: TrainingConfig) -> str:
     It is ``"planar"`` in Warp if all worlds are level, of which ranges are told by some, and nothing is measured or
     seen that depends on how the body tilts.
     """
-    from rover_rl.sims.warp.planar.simulator import PlanarSimulator, planar_problem
-
     env = config.env
     if env.backend != "warp" or env.physics != DEFAULT_PHYSICS:
         return env.physics
-    measured = {need for sensor in own_sensors(_sensors(config)).values() for need in sensor.needs}
-    tilts = any(isinstance(sensor, PixelImage) for sensor in own_sensors(_sensors(config)).values())
-    if tilts or measured - PlanarSimulator.features:
+    # Importing NVIDIA Warp takes half a second.
+    from rover_rl.sims.warp.planar.simulator import PlanarSimulator, planar_problem
+
+    sensors = own_sensors(_sensors(config)).values()
+    measured = {need for sensor in sensors for need in sensor.needs}
+    if measured - PlanarSimulator.features or any(isinstance(sensor, PixelImage) for sensor in sensors):
         return DEFAULT_PHYSICS
-    pool = WorldPool.of(env.world)
-    return DEFAULT_PHYSICS if planar_problem(pool.some(), get_robots(env.robot)) else "planar"
+    worlds = WorldPool.of(env.world).some()
+    return DEFAULT_PHYSICS if planar_problem(worlds, get_robots(env.robot)) else "planar"
 
 
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:

@@ -206,9 +206,7 @@ class TrainingRun:
         if self._from_start:
             self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
         if self.config.env.physics == DEFAULT_PHYSICS and training_physics(self.config) == "planar":
-            self._log.say(
-                "All worlds are level: training takes physics planar; --physics full takes all six directions"
-            )
+            self._log.say("All worlds are level: training takes --physics planar (full engine: --physics full)")
         if self._record.changed:
             self._log.say(f"{self.folder} continues after {self.steps:,} steps with {self._record}")
         return self

@@ -16,6 +16,7 @@ from rover_rl.sims import make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.worlds import Terrain, World, box, cylinder, get_world
+from tests.robots.drives import vehicles
 
 LEVEL = World("level", Terrain.flat((200.0, 200.0)))
 PLANAR = WarpSettings.preset("planar")
@@ -43,6 +44,29 @@ def test_positions_after_5_s_of_random_driving_are_those_of_the_full_engine(name
     error = (planar - full).norm(dim=-1)
     assert error.median() < 0.05
     assert error.quantile(0.95) < 0.1
+
+
+@pytest.mark.parametrize("make", [vehicles.make_omni, vehicles.make_pair])
+def test_rollers_and_casters_carry_a_robot_as_in_the_full_engine(make, tmp_path):
+    robot, generator = make(tmp_path), torch.Generator().manual_seed(0)
+    commands = (torch.rand(10, 32, 2 + robot.drive.sideways, generator=generator) - 0.5).repeat_interleave(10, 0)
+    planar, full = (driven(settings, robot, commands)[-1] for settings in (PLANAR, WarpSettings()))
+    assert (planar.position - full.position)[:, :2].norm(dim=-1).median() < 0.05
+    for name in ("linear_velocity", "angular_velocity", *["lateral_velocity"] * robot.drive.sideways):
+        torch.testing.assert_close(getattr(planar, name), getattr(full, name), rtol=0.05, atol=0.02)
+
+
+@pytest.mark.filterwarnings("ignore:.*slope")
+def test_weak_motors_speed_up_a_robot_and_its_wheels_as_in_the_full_engine(tmp_path):
+    for robot in (get_robot("rover_zero"), vehicles.make_omni(tmp_path)):
+        command = torch.zeros(12, 1, 2 + robot.drive.sideways).index_fill(2, torch.tensor(0), 1.0)
+        weak = replace(robot, drive=replace(robot.drive, torque=robot.drive.torque / 12))
+        planar, full = (driven(settings, weak, command) for settings in (PLANAR, WarpSettings()))
+        way = [(states[-1].position - states[0].position)[0, 0].item() for states in (planar, full)]
+        assert way[0] == pytest.approx(way[1], rel=0.05)
+        odometry = [states[-1].linear_velocity[0, 0].item() for states in (planar, full)]
+        assert 0.2 < odometry[1] < 0.8
+        assert odometry[0] == pytest.approx(odometry[1], rel=0.05)
 
 
 def test_a_spin_and_a_braking_distance_follow_the_law_of_friction():

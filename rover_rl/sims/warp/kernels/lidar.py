@@ -45,31 +45,19 @@ def clip_beams(scan: Scan, a: wp.vec2, b: wp.vec2):
     2D cross product. It meets the segment itself if a and b are on different sides of it: ``(d x a) (d x b) <= 0``.
     Only the beams between the angles of a and b are tested.
     """
-    count = float(scan.beams.shape[0])
-    span = span_in_turns(a, b)
-    clip_span(scan, a, b, span[0] * count, span[1] * count)
-
-
-@wp.func
-def span_in_turns(a: wp.vec2, b: wp.vec2) -> wp.vec2:
-    """Lowest and highest angle of a segment, in turns; the highest is above 0.5 if it crosses the direction behind."""
-    angle_a = angle_in_turns(a[0], a[1])
-    angle_b = angle_in_turns(b[0], b[1])
-    low = wp.min(angle_a, angle_b)
-    high = wp.max(angle_a, angle_b)
-    # A segment spans less than half a turn.
-    if high - low > 0.5:
-        return wp.vec2(high, low + 1.0)
-    return wp.vec2(low, high)
-
-
-@wp.func
-def clip_span(scan: Scan, a: wp.vec2, b: wp.vec2, low: float, high: float):
-    """Shortens the beams from number ``low`` to ``high`` that cross the segment: see :func:`clip_beams`."""
     count = scan.beams.shape[0]
     along = b - a
     offset = a[0] * along[1] - a[1] * along[0]
     least = wp.abs(offset) * scan.tie
+    angle_a = angle_in_turns(a[0], a[1]) * float(count)
+    angle_b = angle_in_turns(b[0], b[1]) * float(count)
+    low = wp.min(angle_a, angle_b)
+    high = wp.max(angle_a, angle_b)
+    # A segment spans less than half a turn: if the difference is more, it crosses the direction straight behind.
+    if high - low > 0.5 * float(count):
+        swap = low + float(count)
+        low = high
+        high = swap
     for k in range(int(wp.ceil(low - BEAM_SLACK)), int(wp.floor(high + BEAM_SLACK)) + 1):
         beam = k
         if beam < 0:
@@ -327,6 +315,24 @@ def slice_obstacles(scene: Scene, scan: Scan) -> bool:
 
 
 @wp.func
+def scan_of(rovers: RoverArrays, model: RobotModel, beams: wp.array[wp.vec2], row: int, lane: int, lanes: int) -> Scan:
+    """The share of the scan of a rover that belongs to one of its lanes."""
+    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
+    orientation = wp.quat(
+        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
+    )
+    share = scan_plane.start_scan(base, orientation, model.lidar_position, model.lidar_range)
+    share.beams = beams
+    share.ranges = rovers.ranges
+    share.visible = rovers.visible
+    share.row = row
+    share.lane = lane
+    share.lanes = lanes
+    share.tie = wp.where(lanes == 1, 1.0, TIE)
+    return share
+
+
+@wp.func
 def scan_share(
     scenes: wp.array[Scene],
     models: wp.array[RobotModel],
@@ -337,20 +343,8 @@ def scan_share(
     lanes: int,
 ):
     """Shortens the beams of one rover by the share of the world that belongs to one of its lanes."""
-    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
-    orientation = wp.quat(
-        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
-    )
     scene = scenes[rovers.scene[row]]
-    robot = rovers.robot[row]
-    share = scan_plane.start_scan(base, orientation, models[robot].lidar_position, models[robot].lidar_range)
-    share.beams = beams
-    share.ranges = rovers.ranges
-    share.visible = rovers.visible
-    share.row = row
-    share.lane = lane
-    share.lanes = lanes
-    share.tie = wp.where(lanes == 1, 1.0, TIE)
+    share = scan_of(rovers, models[rovers.robot[row]], beams, row, lane, lanes)
     inside = slice_obstacles(scene, share)
     slice_ground(scene, share)
     if inside or share.origin[2] < ground_at(scene, share.origin[0], share.origin[1])[3]:

@@ -15,8 +15,9 @@ iteration, and u follows from a linear system of three equations (E. Weiszfeld, 
 tutorial on MM algorithms", 2004). No impulse is stored: iterations begin with the change of u in the last substep.
 
 A motor holds the speed of its wheel within a torque limit T, which bounds the longitudinal force of a patch to its
-share of ``T / r``. Then the wheel turns as fast as it rolls. A wheel without a motor feels no longitudinal force but
-that of its own inertia. Contacts with obstacles are stiff dampers along the normal that only push, and friction.
+share of ``T / r``. Then the wheel turns as fast as it rolls, and its inertia J adds ``J / r^2`` to the mass along it. A
+wheel without a motor has no torque at all. Contacts with obstacles are stiff dampers along the normal that only push,
+and friction.
 """
 
 from __future__ import annotations
@@ -63,15 +64,18 @@ class PlanarSolver:
 class Patch:
     """A patch of a tread: Jacobian rows along the wheel (or the axle of its roller) and across, and its friction.
 
-    ``speed`` is that of the rim along the first row, m/s; ``grip`` is ``h mu N`` and ``drive`` the largest impulse of
-    the motor, N s. ``across`` is 0 for a roller, which nothing holds there.
+    ``rim`` is the speed of the rim along the first row for each rad/s of the wheel, m, and ``speed`` that at the target
+    of the motor, m/s; ``grip`` is ``h mu N`` and ``drive`` the largest impulse of the motor, N s; ``inertia`` is what
+    the wheel adds to the mass as it rolls, kg. ``across`` is 0 for a roller, which nothing holds there.
     """
 
     ahead: wp.vec3
     left: wp.vec3
+    rim: float
     speed: float
     grip: float
     drive: float
+    inertia: float
     across: float
 
 
@@ -126,34 +130,35 @@ def prepare_patches(
 ):  # fmt: skip
     """Fills in the patches of all wheels, for wheels that point along ``axles``."""
     share = 1.0 / float(robot.patches)
-    drive = dt * rovers.motor_torque[row] / robot.model.wheel_radius * share
     for wheel in range(robot.model.wheels):
         ahead = axles[wheel]
         left = wp.vec2(-ahead[1], ahead[0])
-        motor = robot.model.motor_of_wheel[wheel]
-        speed = float(0.0)
-        limit = float(0.0)
-        if motor >= 0:
-            speed = robot.model.wheel_radius * rovers.target_speeds[row, motor]
-            limit = drive
+        rim = robot.model.wheel_radius
         across = float(1.0)
         if robot.model.rollers.shape[0] > 0:
             roller = wp.vec2(robot.model.rollers[wheel][0], robot.model.rollers[wheel][1])
             if wp.length_sq(roller) > 0.0:
                 # The rim moves along the wheel, and only the part of that along the roller's axle counts.
                 along = wp.dot(roller, ahead)
-                speed = speed * along
-                limit = limit / wp.max(wp.abs(along), 1.0e-3)
+                rim = rim * wp.where(wp.abs(along) > 1.0e-3, along, 1.0e-3)
                 ahead = roller
                 across = 0.0
+        speed = float(0.0)
+        drive = float(0.0)
+        motor = robot.model.motor_of_wheel[wheel]
+        if motor >= 0:
+            speed = rim * rovers.target_speeds[row, motor]
+            drive = dt * share * rovers.motor_torque[row] / wp.abs(rim)
         for n in range(robot.patches):
             side = wp.where(n == 0, robot.treads[wheel], -robot.treads[wheel])
             arm = robot.hubs[wheel] + side * left - center
             k = wheel * robot.patches + n
             patches[k].ahead = row_at(arm, ahead)
             patches[k].left = row_at(arm, left)
+            patches[k].rim = rim
             patches[k].speed = speed
-            patches[k].drive = limit
+            patches[k].drive = drive
+            patches[k].inertia = share * robot.model.wheel_inertia / (rim * rim)
             patches[k].across = across
 
 
@@ -172,8 +177,8 @@ def load_patches(patches: wp.array[Patch], robot: PlanarRobot, foot: wp.vec2, gr
 
 
 @wp.func
-def with_friction(system: System, patch: Patch, u: wp.vec3) -> System:
-    """Adds the friction of a patch, with the slip at velocity ``u``."""
+def with_friction(system: System, patch: Patch, start: wp.vec3, u: wp.vec3) -> System:
+    """Adds the friction of a patch, with the slip at velocity ``u``, in a substep from velocity ``start``."""
     ahead = wp.dot(patch.ahead, u) - patch.speed
     left = patch.across * wp.dot(patch.left, u)
     slip = wp.max(wp.sqrt(ahead * ahead + left * left), CREEP)
@@ -184,6 +189,8 @@ def with_friction(system: System, patch: Patch, u: wp.vec3) -> System:
         rate = patch.drive / wp.max(wp.abs(ahead), CREEP)
         rest = wp.sqrt(wp.max(patch.grip * patch.grip - patch.drive * patch.drive, 0.0))
         rate_left = patch.across * rest / wp.max(wp.abs(left), CREEP)
+        # The wheel speeds up with the rover.
+        system = with_row(system, patch.ahead, patch.inertia, wp.dot(patch.ahead, start))
     system = with_row(system, patch.ahead, rate, patch.speed)
     return with_row(system, patch.left, rate_left, 0.0)
 
@@ -207,22 +214,17 @@ def with_touches(
 @wp.func
 def solve(
     start: wp.vec3, guess: wp.vec3, patches: wp.array[Patch], robot: PlanarRobot, touches: wp.array[Touch], count: int,
-    mass: wp.vec3, spins: wp.array[float], solver: PlanarSolver, friction: float,
+    mass: wp.vec3, solver: PlanarSolver, friction: float,
 ) -> wp.vec3:  # fmt: skip
     """Velocity at the end of a substep, from that at its ``start`` and a first ``guess``."""
     own = System()
     own.diagonal = mass
     own.right = wp.cw_mul(mass, start)
-    rolling = robot.model.wheel_inertia / (robot.model.wheel_radius * robot.model.wheel_radius) / float(robot.patches)
-    for k in range(robot.model.wheels * robot.patches):
-        if patches[k].drive == 0.0 and patches[k].across > 0.0:
-            # The ground turns a wheel without a motor, which has its speed of before.
-            own = with_row(own, patches[k].ahead, rolling, robot.model.wheel_radius * spins[k // robot.patches])
     u = guess
     for _ in range(solver.iterations):
         system = own
         for k in range(robot.model.wheels * robot.patches):
-            system = with_friction(system, patches[k], u)
+            system = with_friction(system, patches[k], start, u)
         if count > 0:
             system = with_touches(system, touches, count, u, STIFF * mass[0], friction)
         u = solved(system)
@@ -230,8 +232,7 @@ def solve(
 
 
 @wp.func
-def wheel_speeds(spins: wp.array[float], patches: wp.array[Patch], robot: PlanarRobot, rovers: RoverArrays, row: int,
-                 u: wp.vec3):  # fmt: skip
+def turn_wheels(patches: wp.array[Patch], robot: PlanarRobot, rovers: RoverArrays, row: int, u: wp.vec3):
     """Writes how fast the wheels turn: as their motors are told, or as they roll if these are too weak; rad/s."""
     for wheel in range(robot.model.wheels):
         first = wheel * robot.patches
@@ -241,9 +242,9 @@ def wheel_speeds(spins: wp.array[float], patches: wp.array[Patch], robot: Planar
         across = wp.abs(wp.dot(patches[first].left, u)) * patches[first].across
         pull = patches[first].grip * slip / wp.max(wp.sqrt(slip * slip + across * across), CREEP)
         motor = robot.model.motor_of_wheel[wheel]
-        spins[wheel] = rolling / robot.model.wheel_radius
+        rovers.wheel_spins[row, wheel] = rolling / patches[first].rim
         if motor >= 0 and pull <= patches[first].drive:
-            spins[wheel] = rovers.target_speeds[row, motor]
+            rovers.wheel_spins[row, wheel] = rovers.target_speeds[row, motor]
 
 
 @wp.func
@@ -276,9 +277,6 @@ def step_planar(
     patches = wp.zeros(shape=(MAX_PATCHES,), dtype=Patch)
     touches = wp.zeros(shape=(MAX_TOUCHES,), dtype=Touch)
     axles = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec2)
-    spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
-    for wheel in range(robot.model.wheels):
-        spins[wheel] = rovers.wheel_spins[row, wheel]
     dt = solver.dt
     center = wp.vec2(rovers.center[row][0], rovers.center[row][1])
     mass = wp.vec3(rovers.mass[row], rovers.mass[row], rovers.inertia[row][2, 2])
@@ -315,7 +313,7 @@ def step_planar(
         load_patches(patches, robot, center - lever * wp.vec2(change[0], change[1]), grip)
         local = unturned(velocity, ahead)
         start = wp.vec3(local[0], local[1], rate)
-        u = solve(start, start + change, patches, robot, touches, count, mass, spins, solver, obstacle_friction)
+        u = solve(start, start + change, patches, robot, touches, count, mass, solver, obstacle_friction)
         change = u - start
         way = u - late_share(change, mass, grip) * change
         for k in range(count):
@@ -329,8 +327,8 @@ def step_planar(
         position += dt * turned(wp.vec2(way[0], way[1]), ahead)
         half = 0.5 * dt * way[2]
         half_turn = wp.normalize(turned(half_turn, wp.vec2(wp.cos(half), wp.sin(half))))
-        if substep + 1 == solver.substeps or rovers.angles.shape[1] > 0:
-            wheel_speeds(spins, patches, robot, rovers, row, u)
+        if substep + 1 == solver.substeps:
+            turn_wheels(patches, robot, rovers, row, u)
     rovers.contact[row] = touched
     rovers.mover_contact[row] = met
     rovers.position[row] = wp.vec3(position[0], position[1], rovers.position[row][2])
@@ -339,8 +337,6 @@ def step_planar(
     rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, rate)
     for n in range(3):
         rovers.impulses[row, n] = change[n]
-    for wheel in range(robot.model.wheels):
-        rovers.wheel_spins[row, wheel] = spins[wheel]
     for joint in range(rovers.angles.shape[1]):
         rovers.angles[row, joint] = rovers.target_angles[row, joint]
     write_base_state(robot.model, rovers, row)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.native.warp import wp
-from rover_rl.sims.warp.kernels.lidar import TIE, clip_span, span_in_turns
+from rover_rl.sims.warp.kernels.lidar import clip_beams, scan_of
 from rover_rl.sims.warp.kernels.scan_plane import Scan
 from rover_rl.sims.warp.kernels.types import RoverArrays
 from rover_rl.sims.warp.planar.contacts import unturned
@@ -16,7 +16,6 @@ def clip_edges(plan: Plan, scan: Scan, height: float):
     """Shortens the beams that meet every ``lanes``-th edge in view of a lidar at a height, m."""
     at = wp.vec2(scan.origin[0], scan.origin[1])
     ahead = wp.vec2(scan.ahead[0], scan.ahead[1])
-    beams = float(scan.beams.shape[0])
     # Outside of the grid, all edges may be in view.
     cell = cell_at(plan.view, at[0], at[1])
     first = int(0)
@@ -34,8 +33,7 @@ def clip_edges(plan: Plan, scan: Scan, height: float):
         b = unturned(wp.vec2(edge[2], edge[3]) - at, ahead)
         # Seen from its free side, an edge goes clockwise.
         if a[0] * b[1] - a[1] * b[0] < 0.0 and span[0] < height and height < span[1]:
-            angles = span_in_turns(a, b)
-            clip_span(scan, a, b, angles[0] * beams, angles[1] * beams)
+            clip_beams(scan, a, b)
 
 
 @wp.kernel
@@ -55,22 +53,6 @@ def scan_planar(
     if lanes == 1:
         for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
-    robot = robots[rovers.robot[row]].model
     plan = plans[rovers.scene[row]]
-    z = rovers.base_state[row, 5]
-    w = rovers.base_state[row, 6]
-    share = Scan()
-    share.ahead = wp.vec3(w * w - z * z, 2.0 * w * z, 0.0)
-    share.left = wp.vec3(-share.ahead[1], share.ahead[0], 0.0)
-    mount = robot.lidar_position
-    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
-    share.origin = base + mount[0] * share.ahead + mount[1] * share.left + wp.vec3(0.0, 0.0, mount[2])
-    share.range = robot.lidar_range
-    share.beams = beams
-    share.ranges = rovers.ranges
-    share.visible = rovers.visible
-    share.row = row
-    share.lane = lane
-    share.lanes = lanes
-    share.tie = wp.where(lanes == 1, 1.0, TIE)
+    share = scan_of(rovers, robots[rovers.robot[row]].model, beams, row, lane, lanes)
     clip_edges(plan, share, share.origin[2] - plan.ground)

@@ -60,13 +60,17 @@ def planar_problem(worlds: Iterable[World], robots: Sequence[Robot]) -> str | No
     try:
         known = PlanarRobots(Fleet(robots, torch.zeros(1, dtype=torch.int64)), wp.get_device("cpu"))
         for world in worlds:
-            _checked_contents(world, known)
+            _check_level(world, known)
     except ValueError as error:
         return str(error)
     return None
 
 
-def _checked_contents(world: World, robots: PlanarRobots) -> Contents:
+def _check_level(world: World, robots: PlanarRobots) -> None:
     if problem := plan_problem(world, robots.highest_axle, robots.tops, robots.lidars):
         raise ValueError(f"physics='planar' needs level worlds, and {world.name!r} {problem}; use physics='full'")
+
+
+def _checked_contents(world: World, robots: PlanarRobots) -> Contents:
+    _check_level(world, robots)
     return plan_contents(world, robots.reach, robots.sight, robots.lidars)
