@@ -86,16 +86,13 @@ def _place_blocks(rng: np.random.Generator) -> list[Block]:
 def _fits(taken: int, new: int) -> bool:
     """Returns whether a block may be added to the taken squares.
 
-    It must overlap nothing, and touch other blocks and walls along at most one square's side. The free squares must
-    remain connected by their sides, and no two blocks may touch only at a corner.
+    It must overlap nothing, and touch other blocks and walls along at most one square's side, and none only at a
+    corner. So the free squares remain connected by their sides: those around the block are a ring with one gap at most.
     """
     if taken & new:
         return False
     sides = sum((neighbors & new).bit_count() for neighbors in _shifted(taken | _WALLS))
-    if sides > 1 or _corner_gaps(taken | new):
-        return False
-    # A block that touches nothing is surrounded by free squares, which connect what it separates.
-    return sides == 0 or _connected(_FLOOR & ~(taken | new))
+    return sides <= 1 and not _corner_gaps(taken | new)
 
 
 def _thinned(blocks: list[Block], rng: np.random.Generator, count: int) -> list[Block]:
@@ -114,7 +111,7 @@ def _closable_squares(blocks: list[Block], rng: np.random.Generator) -> list[Blo
     for index in rng.permutation([bit for bit in range(corridors.bit_length()) if corridors >> bit & 1]).tolist():
         square = 1 << index
         beside = _FLOOR & ~taken & sum(_shifted(square))
-        if beside.bit_count() == 2 and _connected(_FLOOR & ~(taken | square)):
+        if beside.bit_count() == 2 and _connected(beside & -beside, beside & (beside - 1), _FLOOR & ~(taken | square)):
             taken |= square
             closed.append(Block(index // _WIDTH - 1, index % _WIDTH - 1, 1, 1))
     return closed
@@ -144,14 +141,14 @@ def _corner_gaps(taken: int) -> int:
     return _NOT_LAST & ((taken & northeast & ~east & ~north) | (east & north & ~taken & ~northeast))
 
 
-def _connected(free: int) -> bool:
-    reached = free & -free
-    while True:
-        west, east, south, north = _shifted(reached)
-        more = (reached | west | east | south | north) & free
-        if more == reached:
-            return reached == free
-        reached = more
+def _connected(one: int, other: int, free: int) -> bool:
+    """Returns whether free squares connect two of them. Both grow until they meet, or one fills all that it reaches."""
+    while not one & other:
+        more, others = (free & (reduce(or_, _shifted(grown), grown)) for grown in (one, other))
+        if more == one or others == other:
+            return False
+        one, other = more, others
+    return True
 
 
 _COLUMN = [sum(1 << row * _WIDTH for row in range(rows)) for rows in range(SIDE + 1)]
