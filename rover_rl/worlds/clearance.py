@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.worlds.solids import Solids, bounding_balls
+from rover_rl.worlds.solids import Solids
 from rover_rl.worlds.terrain import Terrain
 
 NEAR_GROUND = 0.5
@@ -35,8 +35,8 @@ def clearance_on_grid(
     outlines = [outline for outline, counts in zip(solids.outlines, near, strict=True) if counts]
     if outlines:
         corners, starts = np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).astype(np.int32)
-        circles = np.column_stack(bounding_balls(corners, starts.tolist()))
-        inputs = [xs, ys, corners, starts, circles, limit, clearance.numpy()]
+        boxes = np.hstack([ends.reduceat(corners, starts[:-1]) for ends in (np.minimum, np.maximum)])
+        inputs = [xs, ys, corners, starts, boxes, limit, clearance.numpy()]
         wp.launch(measure_clearance, dim=len(ys), inputs=inputs, device="cpu")
     return clearance
 

@@ -135,29 +135,30 @@ def measure_clearance(
     ys: wp.array[wp.float64],
     outlines: wp.array[wp.vec2d],
     starts: wp.array[int],
-    circles: wp.array[wp.vec3d],
+    boxes: wp.array[wp.vec4d],
     limit: wp.float64,
     clearance: wp.array2d[wp.float64],
 ):
     """Distances (m) from cells to the nearest of several convex polygons; thread ``j`` does row j.
 
     ``starts`` are the indices of each polygon's first vertex among ``outlines``, counter-clockwise, and the number of
-    all. ``circles`` are around each. On input, ``clearance`` is ``limit``, the largest distance of interest.
+    all. ``boxes`` (least x and y, greatest x and y) are around each. On input, ``clearance`` is ``limit``, the largest
+    distance of interest.
     """
     j = wp.tid()
     y = ys[j]
     cell = xs[1] - xs[0]
-    for n in range(circles.shape[0]):
-        circle = circles[n]
-        reach = limit + circle[2]
-        if wp.abs(circle[1] - y) < reach:
-            first = wp.max(int(wp.ceil((circle[0] - reach - xs[0]) / cell)), 0)
-            last = wp.min(int(wp.floor((circle[0] + reach - xs[0]) / cell)), xs.shape[0] - 1)
+    for n in range(boxes.shape[0]):
+        box = boxes[n]
+        off_y = wp.max(box[1] - y, y - box[3])
+        if off_y < limit:
+            off_y = wp.max(off_y, wp.float64(0.0))
+            first = wp.max(int(wp.ceil((box[0] - limit - xs[0]) / cell)), 0)
+            last = wp.min(int(wp.floor((box[2] + limit - xs[0]) / cell)), xs.shape[0] - 1)
             for i in range(first, last + 1):
-                off_x = xs[i] - circle[0]
-                off_y = y - circle[1]
-                # The circle is a lower bound of the distance: most polygons are not the nearest one.
-                bound = clearance[j, i] + circle[2]
+                off_x = wp.max(wp.max(box[0] - xs[i], xs[i] - box[2]), wp.float64(0.0))
+                # The distance to the box is a lower bound, but for rounding: most polygons are not the nearest one.
+                bound = clearance[j, i] + wp.float64(1.0e-9)
                 if off_x * off_x + off_y * off_y < bound * bound:
                     distance = distance_to_outline(xs[i], y, outlines, starts[n], starts[n + 1])
                     clearance[j, i] = wp.min(clearance[j, i], distance)
