@@ -69,7 +69,7 @@ def plan_contents(world: World, reach: float, farthest: float, lidars: np.ndarra
     ground = float(world.terrain.heights.mean())
     solids = Solids.of(world.obstacles)
     spans = np.stack([corner[:, 2] - ground for corner in solids.bounding_boxes], 1)
-    sight = Sight([np.concatenate((one, np.roll(one, -1, 0)), 1) for one in solids.outlines], spans)
+    sight = Sight(solids.outlines, spans)
     edges, owners = sight.free_edges()
     ends, reach, heights = edges.reshape(-1, 2), reach + MAX_MARGIN, (float(lidars.min()), float(lidars.max()))
     around = np.concatenate((ends - reach, ends + reach))

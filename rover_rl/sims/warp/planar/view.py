@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from rover_rl.native.warp import wp
+from rover_rl.worlds.solids import bounding_balls
 
 CLEAR = 2.0e-3
 """Distance in front of an edge at which it is looked at: its own obstacle, and what touches it, is behind, m."""
@@ -70,8 +71,8 @@ def hides(outlines: Outlines, number: int, middle: wp.vec2, half: float, edge: w
     circle = outlines.circles[number]
     along = 0.5 * wp.vec2(edge[0] + edge[2], edge[1] + edge[3]) - middle
     offset = wp.vec2(circle[0], circle[1]) - middle
-    beside = along[0] * offset[1] - along[1] * offset[0]
-    if beside * beside > circle[2] * circle[2] * wp.length_sq(along):
+    share = wp.clamp(wp.dot(offset, along) / wp.length_sq(along), 0.0, 1.0)
+    if wp.length_sq(offset - share * along) > circle[2] * circle[2]:
         return False
     # A loop to a constant would be unrolled, which takes long to compile.
     pairs = int(8)
@@ -81,6 +82,19 @@ def hides(outlines: Outlines, number: int, middle: wp.vec2, half: float, edge: w
         if not crosses(outlines, number, corner, target):
             return False
     return True
+
+
+@wp.func
+def faces(edge: wp.vec4, middle: wp.vec2, radius: float, reach: float) -> bool:
+    """Whether some point within a circle is on the free side of an edge and within ``reach`` (m) of it."""
+    along = wp.vec2(edge[2], edge[3]) - wp.vec2(edge[0], edge[1])
+    offset = middle - wp.vec2(edge[0], edge[1])
+    square = wp.length_sq(along)
+    ahead = wp.min(wp.dot(offset, outward_of(edge)), 0.0)
+    if ahead * ahead > radius * radius * square:
+        return False
+    share = wp.clamp(wp.dot(offset, along) / square, 0.0, 1.0)
+    return wp.length_sq(offset - share * along) <= (reach + radius) * (reach + radius)
 
 
 @wp.kernel
@@ -98,28 +112,25 @@ def look(
 
     Obstacles hide edges if they reach from the height ``low`` to ``high``, m; none does if ``low`` is above ``high``.
     """
-    cell, number = wp.tid()
-    edge = edges[number]
+    cell = wp.tid()
     middle = middles[cell]
-    along = wp.vec2(edge[2], edge[3]) - wp.vec2(edge[0], edge[1])
-    offset = middle - wp.vec2(edge[0], edge[1])
-    radius = 1.41421356 * half
-    square = wp.length_sq(along)
-    seen[cell, number] = False
-    ahead = wp.min(wp.dot(offset, outward_of(edge)), 0.0)
-    if ahead * ahead > radius * radius * square:
-        return
-    share = wp.clamp(wp.dot(offset, along) / square, 0.0, 1.0)
-    if wp.length_sq(offset - share * along) > (reach + radius) * (reach + radius):
-        return
-    if low <= high:
-        moved = moved_out(edge)
-        for k in range(outlines.spans.shape[0]):
-            span = outlines.spans[k]
-            if span[0] < low and span[1] > high:
-                if hides(outlines, k, middle, half, moved):
-                    return
-    seen[cell, number] = True
+    count = outlines.spans.shape[0]
+    # What hides an edge often hides the next one.
+    first = int(0)
+    for number in range(edges.shape[0]):
+        edge = edges[number]
+        visible = faces(edge, middle, 1.41421356 * half, reach)
+        if visible and low <= high:
+            moved = moved_out(edge)
+            for n in range(count):
+                k = (first + n) % count
+                span = outlines.spans[k]
+                if span[0] < low and span[1] > high:
+                    if hides(outlines, k, middle, half, moved):
+                        visible = False
+                        first = k
+                        break
+        seen[cell, number] = visible
 
 
 @wp.kernel
@@ -146,15 +157,14 @@ def stick_out(outlines: Outlines, owners: wp.array[int], free: wp.array[wp.bool]
 
 @dataclass(frozen=True)
 class Sight:
-    """Obstacles that hide one another: convex outlines, each with its edges ``[K, 4]``, and spans ``[N, 2]``, m."""
+    """Obstacles that hide one another: convex outlines, each with its corners ``[K, 2]``, and spans ``[N, 2]``, m."""
 
     outlines: list[np.ndarray]
     spans: np.ndarray
 
     def free_edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns the edges that do not lie within another obstacle, ``[E, 4]``, and their obstacles ``[E]``."""
-        owners = np.repeat(np.arange(len(self.outlines)), [len(outline) for outline in self.outlines])
-        edges = np.concatenate([np.empty((0, 4)), *self.outlines])
+        edges, owners = self._edges, np.repeat(np.arange(len(self.outlines)), np.diff(self._starts))
         free = wp.empty(len(edges), dtype=wp.bool, device="cpu")
         wp.launch(stick_out, free.shape, [self._struct, _array(owners, int), free], device="cpu")
         kept = free.numpy() & (np.linalg.norm(edges[:, 2:] - edges[:, :2], axis=1) > 1e-6)
@@ -174,18 +184,26 @@ class Sight:
         """
         seen = wp.empty((len(middles), len(edges)), dtype=wp.bool, device="cpu")
         arrays = [_array(edges, wp.vec4), _array(middles, wp.vec2)]
-        wp.launch(look, seen.shape, [self._struct, *arrays, side / 2, reach, *heights, seen], device="cpu")
+        wp.launch(look, len(middles), [self._struct, *arrays, side / 2, reach, *heights, seen], device="cpu")
         return seen.numpy()
 
     @cached_property
+    def _starts(self) -> np.ndarray:
+        return np.cumsum([0, *map(len, self.outlines)])
+
+    @cached_property
+    def _edges(self) -> np.ndarray:
+        corners = np.concatenate([np.empty((0, 2)), *self.outlines])
+        after = np.arange(1, len(corners) + 1)
+        after[self._starts[1:] - 1] = self._starts[:-1]
+        return np.hstack((corners, corners[after]))
+
+    @cached_property
     def _struct(self) -> Outlines:
-        outlines = Outlines()
-        corners = [outline[:, :2] for outline in self.outlines]
-        centers = np.reshape([one.mean(0) for one in corners], (-1, 2))
-        radii = [np.linalg.norm(one - center, axis=1).max() for one, center in zip(corners, centers, strict=True)]
-        outlines.edges = _array(np.concatenate([np.empty((0, 4)), *self.outlines]), wp.vec4)
-        outlines.starts = _array(np.cumsum([0, *map(len, self.outlines)]), int)
-        outlines.circles = _array(np.column_stack((centers, radii)), wp.vec3)
+        outlines, corners = Outlines(), self._edges[:, :2]
+        middles, radii = bounding_balls(corners, self._starts) if len(corners) else (corners, np.empty(0))
+        outlines.edges, outlines.starts = _array(self._edges, wp.vec4), _array(self._starts, int)
+        outlines.circles = _array(np.column_stack((middles, radii)), wp.vec3)
         outlines.spans = _array(self.spans, wp.vec2)
         return outlines
 
