@@ -118,8 +118,8 @@ def free_space(world: World, robot: Robot) -> FreeSpace:
 
 
 _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
-_CELLS = ("spawn_cells", "goal_cells")
-"""Lists of cells, which are stored as booleans of the grid."""
+_CELLS = ("passable", "roomy", "spawn_cells", "goal_cells")
+"""What is stored as a bit for each cell of the grid: booleans, and lists of cells."""
 
 
 def _stored(world: World, robot: Robot) -> FreeSpace:
@@ -129,14 +129,18 @@ def _stored(world: World, robot: Robot) -> FreeSpace:
     grid = CellGrid(overlap(world.bounds, world.terrain.extent))
     arrays = cache.load_arrays("free_space", key)
     if arrays is not None:
-        cells = {name: grid.centers(arrays.pop(name)) for name in _CELLS}
+        bits = arrays.pop("bits")
+        chosen = {name: bits & (1 << k) != 0 for k, name in enumerate(_CELLS)}
         tensors = {name: torch.from_numpy(each) for name, each in arrays.items()}
-        return FreeSpace(grid.cell, grid.origin, **cells, **tensors)
+        for name, cells in chosen.items():
+            tensors[name] = grid.centers(cells) if name.endswith("cells") else torch.from_numpy(cells)
+        return FreeSpace(grid.cell, grid.origin, **tensors)
     space = _compute(world, robot, grid)
     arrays = {name: value.numpy() for name, value in space._tensors()}
-    for name in _CELLS:
-        arrays[name] = np.zeros_like(arrays["passable"])
-        arrays[name][cells_of(space, getattr(space, name))] = True
+    arrays["bits"] = bits = np.zeros(grid.shape, dtype=np.uint8)
+    for k, name in enumerate(_CELLS):
+        cells = arrays.pop(name)
+        bits[cells_of(space, torch.from_numpy(cells)) if name.endswith("cells") else cells] |= np.uint8(1 << k)
     cache.store_arrays("free_space", key, arrays)
     return space
 
