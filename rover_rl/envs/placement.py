@@ -23,7 +23,7 @@ from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.rover_state import Dynamics
 from rover_rl.worlds import World
-from rover_rl.worlds.table import SlotTable, WorldTable
+from rover_rl.worlds.table import SlotTable, WorldTable, in_threads
 
 _START, _GOAL, _DYNAMICS = 0, 1, 2
 """Streams of random numbers."""
@@ -54,8 +54,9 @@ class Placement:
 
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed."""
-        for slot, world in self._entered().items():
-            space = free_space(world, self._robot_in(world))
+        worlds = self._entered()
+        spaces = in_threads(lambda world: free_space(world, self._robot_in(world)), worlds.values())
+        for (slot, world), space in zip(worlds.items(), spaces, strict=True):
             self._start_cells[slot], self._headings[slot] = space.spawn_cells, space.spawn_headings
             self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
             self._bounds[slot] = torch.tensor(world.bounds).T

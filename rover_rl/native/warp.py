@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.native.output import native_output_silenced
@@ -24,7 +26,16 @@ with native_output_silenced():
 BLOCK_SIZE = 32
 """Threads per block on a GPU of kernels whose threads have much to do."""
 
-__all__ = ["launch_options", "stream_of", "wp"]
+_LOADER = ThreadPoolExecutor(1, thread_name_prefix="kernels")
+"""Warp compiles its headers again in each thread that compiles kernels, which takes longer than most kernels."""
+
+__all__ = ["launch_options", "loading", "stream_of", "wp"]
+
+
+@cache
+def loading(device: str, block_size: int | None, *modules: Any) -> Future[None]:
+    """Begins to load modules of kernels, one after the other, after those that were asked for before."""
+    return _LOADER.submit(wp.force_load, device, [*modules], block_size, max_workers=0)
 
 
 def stream_of(device: torch.device) -> Any:

@@ -124,14 +124,26 @@ def make_simulator(
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
         return _make_custom(settings, {"worlds": worlds, "robot": robot, **options})
-    name = name_of(settings)
-    path = getattr(settings, "simulator", f"rover_rl.sims.{name}.simulator:{name.capitalize()}Simulator")
-    module, _, attribute = path.partition(":")
-    simulator = getattr(import_module(module), attribute)
+    name, simulator = name_of(settings), _simulator_of(settings)
     if len(robots) > 1 and "robots" not in simulator.features:
         problem = f"{simulator.__name__} does not have the feature 'robots'; use backend='warp', or name one robot"
         raise ValueError(f"several robots in one batch need a backend that simulates them: {problem}")
     return simulator(worlds, robot, settings, **{option: options[option] for option in _OPTIONS.get(name, ())})
+
+
+def begin_loading(backend: BackendLike, physics: str | None, device: torch.device) -> None:
+    """Begins to load what a simulator takes long to load, while its worlds are made, for :func:`make_simulator`."""
+    settings = resolve_backend(backend, physics)
+    if not isinstance(settings, Backend) and name_of(settings) == "warp":
+        _simulator_of(settings).begin_loading(settings, device)
+
+
+def _simulator_of(settings: Any) -> Any:
+    """The class of the simulator of a built-in backend."""
+    name = name_of(settings)
+    path = getattr(settings, "simulator", f"rover_rl.sims.{name}.simulator:{name.capitalize()}Simulator")
+    module, _, attribute = path.partition(":")
+    return getattr(import_module(module), attribute)
 
 
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:

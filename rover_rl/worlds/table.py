@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import takewhile
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -13,8 +14,23 @@ from torch import Tensor
 from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
+T = TypeVar("T")
+
 GROWTH = 1.25
 """Factor by which the longest possible list grows at least."""
+
+
+def in_threads(function: Callable[[World], T], worlds: Iterable[World]) -> list[T]:
+    """Calls a function for each world, on as many threads as torch has, and returns the results.
+
+    The first call is on its own, so that kernels of the function compile once.
+    """
+    first, *others = [*worlds] or [None]
+    if first is None:
+        return []
+    results = [function(first)]
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        return [*results, *pool.map(function, others)]
 
 
 class WorldTable(Sequence[World]):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
@@ -11,10 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.native.warp import stream_of, wp
+from rover_rl.native.warp import loading, stream_of, wp
 from rover_rl.robots import Robot
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Feature, Simulator, View
+from rover_rl.sims.free_space.kernels import find_headings
 from rover_rl.sims.movers.field import MoverField, shown_parts
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rover_state import Dynamics, Force, RoverState, SimulatedDrives, beam_angles
@@ -28,8 +29,9 @@ from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.models import ModelTable
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.worlds import Terrain, World, hull
+from rover_rl.worlds.ground_kernels import measure_clearance
 from rover_rl.worlds.movers.parts import Parts
-from rover_rl.worlds.table import WorldTable
+from rover_rl.worlds.table import WorldTable, in_threads
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
@@ -52,8 +54,10 @@ class WarpSimulator(Simulator):
         {"contacts", "dynamics", "lidar", "movers", "robots", "worlds", "contact_force", "wheel_torque"}
     )
 
-    _step, _place, _scan = step_dynamics, place, scan
+    _step, _place, _scan = _kernels = step_dynamics, place, scan
     """Kernels that advance rovers by a control step, place them, and scan."""
+    _prepare: tuple[wp.Kernel, ...] = (measure_clearance, find_headings)
+    """Kernels that prepare worlds, one of each module."""
 
     def __init__(
         self,
@@ -74,14 +78,14 @@ class WarpSimulator(Simulator):
         self._wp_device = wp.device_from_torch(self.device)
         blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         self._options = {"device": self._wp_device, **blocks}
-        # At a first start, the kernels of the physics take longest to compile. The others compile meanwhile.
-        modules = [*dict.fromkeys(kernel.module for kernel in (self._step, self._place, self._scan))]
-        wp.force_load(self._wp_device, modules, blocks.get("block_dim"), max_workers=len(modules))
+        preparing, stepping = self.begin_loading(self.settings, self.device)
         self._buffers = StateBuffers(self.fleet)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
         self._models, self._scenes = self._make_tables()
+        preparing.result()
         self.enter_worlds()
+        stepping.result()
         self._poses = wp.from_torch(self._buffers.poses, dtype=wp.vec3)
         self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
@@ -89,6 +93,14 @@ class WarpSimulator(Simulator):
         self._parts: Parts | None = None
         self._dynamics = self._record_dynamics()
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
+
+    @classmethod
+    def begin_loading(cls, settings: WarpSettings, device: torch.device) -> tuple[Future[None], Future[None]]:
+        """Loads the kernels that prepare worlds, and those of a step, which compile while worlds are prepared."""
+        first, later = ([kernel.module for kernel in kernels] for kernels in (cls._prepare, cls._kernels))
+        block_size = (settings.block_size or GPU_BLOCK_SIZE) if device.type == "cuda" else None
+        alias = str(wp.device_from_torch(device))
+        return loading("cpu", None, *dict.fromkeys(first)), loading(alias, block_size, *dict.fromkeys(later))
 
     def _make_tables(self) -> tuple[Any, SceneTable]:
         """Makes the tables of the robots, by index, and of the worlds, by slot, that the kernels read."""
@@ -155,9 +167,11 @@ class WarpSimulator(Simulator):
         return scanner
 
     def enter_worlds(self) -> None:
+        worlds = self._entered()
+        in_threads(self._scenes.prepare, worlds.values())
         # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
         with wp.ScopedStream(stream_of(self.device)):
-            for slot, world in self._entered().items():
+            for slot, world in worlds.items():
                 self._scenes[slot] = world
         self._buffers.tensors["scene"].copy_(self._worlds.slots)
 

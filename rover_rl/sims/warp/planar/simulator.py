@@ -18,6 +18,7 @@ from rover_rl.sims.warp.planar.dynamics import PlanarSolver, place_planar, step_
 from rover_rl.sims.warp.planar.lidar import scan_planar
 from rover_rl.sims.warp.planar.plan import Plan, plan_contents, plan_problem
 from rover_rl.sims.warp.planar.robots import PlanarRobots
+from rover_rl.sims.warp.planar.view import look
 from rover_rl.sims.warp.simulator import WarpSimulator
 from rover_rl.worlds import World
 from rover_rl.worlds.movers.part_kernels import DTYPES, PartArrays
@@ -31,7 +32,8 @@ class PlanarSimulator(WarpSimulator):
     """
 
     features: frozenset[Feature] = WarpSimulator.features - {"contact_force", "wheel_torque"}
-    _step, _place, _scan = step_planar, place_planar, scan_planar
+    _step, _place, _scan = _kernels = step_planar, place_planar, scan_planar
+    _prepare = (*WarpSimulator._prepare, look)
 
     def _make_tables(self) -> tuple[PlanarRobots, SceneTable]:
         robots = PlanarRobots(self.fleet, self._wp_device)
