@@ -19,7 +19,6 @@ from rover_rl.envs import actions, chosen_rows, placement, privileged, rows, spe
 from rover_rl.envs.config import EnvConfig, describe_settings, env_signature
 from rover_rl.envs.sensors import base, standard, suite
 from rover_rl.envs.simulation import Simulation
-from rover_rl.sims.backends import begin_loading
 from rover_rl.sims.base import RoverState, View
 from rover_rl.worlds import World
 
@@ -89,7 +88,6 @@ class RoverEnv(EnvBase):
         self._tensor_device = device = torch.device("cpu") if self.device is None else self.device
         self.num_envs, self._row_shape = num_envs, torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=device)
-        begin_loading(config.backend, config.preset, device)
         self._row_worlds, self.robots = rows.RowRobots.of(config, rows.first_keys(seed, num_envs, device))
         self.fleet, self.robot_in = self.robots.fleet, self.robots.robot_in
         self.robot, self.pool = self.fleet.largest, self._row_worlds.pool

@@ -14,6 +14,7 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_index
 from rover_rl.robots import get_robots
 from rover_rl.robots.fleet import Fleet
+from rover_rl.sims.backends import begin_loading
 from rover_rl.sims.free_space.fitting import RobotGroups
 from rover_rl.worlds import World
 from rover_rl.worlds.pool import WorldPool, WorldsAhead, WorldSource, draws_worlds
@@ -215,7 +216,8 @@ class RowRobots:
 
     @classmethod
     def of(cls, config: EnvConfig, keys: Tensor) -> tuple[RowWorlds, RowRobots]:
-        """Creates the worlds and the robots of an environment with their first episodes."""
+        """Creates the worlds and the robots of an environment with their first episodes, while its simulator loads."""
+        begin_loading(config.backend, config.preset, keys.device)
         groups = RobotGroups(get_robots(config.robot))
         source, choices = groups.spread(config.world)
         is_drawn = (draws_worlds(config.world) or len(choices) > len(config.worlds)) if choices else None

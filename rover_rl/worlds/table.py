@@ -25,12 +25,10 @@ def in_threads(function: Callable[[World], T], worlds: Iterable[World]) -> list[
 
     The first call is on its own, so that kernels of the function compile once.
     """
-    first, *others = [*worlds] or [None]
-    if first is None:
-        return []
-    results = [function(first)]
+    waiting = [*worlds]
+    results = [function(world) for world in waiting[:1]]
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        return [*results, *pool.map(function, others)]
+        return [*results, *pool.map(function, waiting[1:])]
 
 
 class WorldTable(Sequence[World]):
