@@ -68,31 +68,6 @@ def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
     return (least - distance) * share * offset / distance
 
 
-@wp.struct
-class Neighbor:
-    """Another mover, or a rover."""
-
-    position: wp.vec2
-    velocity: wp.vec2
-    radius: float
-
-
-@wp.func
-def is_noticed(crowd: Crowd, row: int, mover: int, other: int) -> bool:
-    """Whether a mover takes notice of another one; the numbers after those of movers are of rovers."""
-    if other < crowd.present.shape[1]:
-        return crowd.present[row, other] and other != mover
-    return crowd.settings[row, mover, SEES_ROVER] > 0.0
-
-
-@wp.func
-def neighbor(crowd: Crowd, before: States, row: int, other: int) -> Neighbor:
-    rover = other - crowd.present.shape[1]
-    if rover < 0:
-        return Neighbor(before.position[row, other], before.velocity[row, other], crowd.radius[row, other])
-    return Neighbor(crowd.rovers[row, rover], crowd.rover_velocities[row, rover], crowd.rover_radius)
-
-
 @wp.func
 def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec2) -> wp.vec2:
     """Sum of the forces on a mover whose desired direction is ``way``, m/s^2."""
@@ -104,11 +79,18 @@ def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec
     foresight = crowd.settings[row, mover, FORESIGHT]
     desired = crowd.settings[row, mover, SPEED] * way
     sum = (desired - before.velocity[row, mover]) / crowd.settings[row, mover, RELAXATION]
-    for number in range(crowd.present.shape[1] + crowd.rovers.shape[1]):
-        if is_noticed(crowd, row, mover, number):
-            other = neighbor(crowd, before, row, number)
-            excess = radius + other.radius - 2.0 * PAPER_RADIUS
-            force = repulsion(point - other.position, foresight * other.velocity, excess, strength, reach)
+    # Functions take few arguments here: structs are copied in each call.
+    for other in range(crowd.present.shape[1]):
+        if crowd.present[row, other] and other != mover:
+            excess = radius + crowd.radius[row, other] - 2.0 * PAPER_RADIUS
+            stride = foresight * before.velocity[row, other]
+            force = repulsion(point - before.position[row, other], stride, excess, strength, reach)
+            sum += weight(force, way, behind) * force
+    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
+        for rover in range(crowd.rovers.shape[1]):
+            excess = radius + crowd.rover_radius - 2.0 * PAPER_RADIUS
+            stride = foresight * crowd.rover_velocities[row, rover]
+            force = repulsion(point - crowd.rovers[row, rover], stride, excess, strength, reach)
             sum += weight(force, way, behind) * force
     wall = wall_at(crowd, row, point)
     wall_reach = crowd.settings[row, mover, WALL_REACH]
@@ -132,14 +114,15 @@ def way_by_forces(crowd: Crowd, before: States, row: int, mover: int, way: wp.ve
     # Contact, where the others will be if they go on.
     next = start + dt * velocity
     push = wp.vec2(0.0, 0.0)
-    for number in range(crowd.present.shape[1] + crowd.rovers.shape[1]):
-        if is_noticed(crowd, row, mover, number):
-            other = neighbor(crowd, before, row, number)
-            share = float(1.0)
-            if number < crowd.present.shape[1]:
-                share = wp.where(crowd.mine[row, number], 0.5, 1.0)
-            offset = next - other.position - dt * other.velocity
-            push += push_apart(offset, crowd.radius[row, mover] + other.radius, share)
+    radius = crowd.radius[row, mover]
+    for other in range(crowd.present.shape[1]):
+        if crowd.present[row, other] and other != mover:
+            offset = next - before.position[row, other] - dt * before.velocity[row, other]
+            push += push_apart(offset, radius + crowd.radius[row, other], wp.where(crowd.mine[row, other], 0.5, 1.0))
+    if crowd.settings[row, mover, SEES_ROVER] > 0.0:
+        for rover in range(crowd.rovers.shape[1]):
+            offset = next - crowd.rovers[row, rover] - dt * crowd.rover_velocities[row, rover]
+            push += push_apart(offset, radius + crowd.rover_radius, 1.0)
     push = push * wp.min(1.0, MAX_PUSH / wp.max(wp.length(push), 1.0e-6))
     return next - start + push
 
