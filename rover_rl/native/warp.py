@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import Any
+
+import torch
 
 from rover_rl.native.output import native_output_silenced
-
-if TYPE_CHECKING:
-    import torch
 
 try:
     import warp as wp
@@ -26,16 +28,22 @@ with native_output_silenced():
 BLOCK_SIZE = 32
 """Threads per block on a GPU of kernels whose threads have much to do."""
 
-_LOADER = ThreadPoolExecutor(1, thread_name_prefix="kernels")
-"""Warp compiles its headers again in each thread that compiles kernels, which takes longer than most kernels."""
+MIN_ROWS = 64
+"""Minimum number of rows per CPU thread of a launch; with fewer, another thread does not pay."""
 
-__all__ = ["launch_options", "loading", "stream_of", "wp"]
+__all__ = ["launch_options", "launch_rows", "loading", "stream_of", "wp"]
 
 
 @cache
-def loading(device: str, block_size: int | None, *modules: Any) -> Future[None]:
-    """Begins to load modules of kernels, one after the other, after those that were asked for before."""
-    return _LOADER.submit(wp.force_load, device, [*modules], block_size, max_workers=0)
+def loading(*jobs: tuple[str, int | None, tuple[Any, ...]]) -> list[Future[None]]:
+    """Begins to load modules of kernels, each job on a device and with a block size, one after the other.
+
+    Warp compiles its headers again in each thread, which takes longer than most kernels: so there is one for all.
+    """
+    loader = ThreadPoolExecutor(1)
+    loads = [loader.submit(wp.force_load, device, [*modules], size, max_workers=0) for device, size, modules in jobs]
+    loader.shutdown(wait=False)
+    return loads
 
 
 def stream_of(device: torch.device) -> Any:
@@ -50,3 +58,27 @@ def launch_options(device: torch.device) -> dict[str, Any]:
     """
     options: dict[str, Any] = {"device": wp.device_from_torch(device)}
     return options if device.type != "cuda" else {**options, "stream": stream_of(device), "block_dim": BLOCK_SIZE}
+
+
+def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device) -> None:
+    """Launches a kernel over rows and more, whose last argument, besides ``inputs``, is the first row of a launch.
+
+    On the CPU, as many threads as torch has share the rows.
+    """
+    threads = max(1, min(torch.get_num_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
+    ends = [shape[0] * k // threads for k in range(threads + 1)]
+    options: dict[str, Any] = {"device": wp.device_from_torch(device), "stream": stream_of(device)}
+
+    def launch(first: int, end: int) -> None:
+        wp.launch(kernel, (end - first, *shape[1:]), [*inputs, first], **options)
+
+    others = [_threads(threads, os.getpid()).submit(launch, *share) for share in pairwise(ends[1:])]
+    launch(*ends[:2])
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads(count: int, process: int) -> ThreadPoolExecutor:
+    """Threads for launches, of this process: a fork has none of them."""
+    return ThreadPoolExecutor(count)

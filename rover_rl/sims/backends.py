@@ -139,7 +139,6 @@ def begin_loading(backend: BackendLike, physics: str | None, device: torch.devic
 
 
 def _simulator_of(settings: Any) -> Any:
-    """The class of the simulator of a built-in backend."""
     name = name_of(settings)
     path = getattr(settings, "simulator", f"rover_rl.sims.{name}.simulator:{name.capitalize()}Simulator")
     module, _, attribute = path.partition(":")

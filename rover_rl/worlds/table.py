@@ -21,10 +21,7 @@ GROWTH = 1.25
 
 
 def in_threads(function: Callable[[World], T], worlds: Iterable[World]) -> list[T]:
-    """Calls a function for each world, on as many threads as torch has, and returns the results.
-
-    The first call is on its own, so that kernels of the function compile once.
-    """
+    """Calls a function for worlds: the first alone, which loads kernels, the others on as many threads as torch has."""
     waiting = [*worlds]
     results = [function(world) for world in waiting[:1]]
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:

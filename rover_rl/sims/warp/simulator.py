@@ -95,12 +95,11 @@ class WarpSimulator(Simulator):
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
 
     @classmethod
-    def begin_loading(cls, settings: WarpSettings, device: torch.device) -> tuple[Future[None], Future[None]]:
+    def begin_loading(cls, settings: WarpSettings, device: torch.device) -> list[Future[None]]:
         """Loads the kernels that prepare worlds, and those of a step, which compile while worlds are prepared."""
-        first, later = ([kernel.module for kernel in kernels] for kernels in (cls._prepare, cls._kernels))
+        first, later = (tuple(kernel.module for kernel in some) for some in (cls._prepare, cls._kernels))
         block_size = (settings.block_size or GPU_BLOCK_SIZE) if device.type == "cuda" else None
-        alias = str(wp.device_from_torch(device))
-        return loading("cpu", None, *dict.fromkeys(first)), loading(alias, block_size, *dict.fromkeys(later))
+        return loading(("cpu", None, first), (str(wp.device_from_torch(device)), block_size, later))
 
     def _make_tables(self) -> tuple[Any, SceneTable]:
         """Makes the tables of the robots, by index, and of the worlds, by slot, that the kernels read."""

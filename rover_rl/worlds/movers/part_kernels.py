@@ -7,12 +7,12 @@ intersection of the intervals of half-spaces and quadrics. The ray meets it at `
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torch import Tensor
 
-from rover_rl.native.warp import stream_of, wp
+from rover_rl.native.warp import launch_rows, wp
 from rover_rl.worlds.ground_kernels import Grounds, grounds_of, height_at
 from rover_rl.worlds.movers.motion import MoverState
 from rover_rl.worlds.movers.mover import KINDS
@@ -58,10 +58,8 @@ def _filled(arrays: Any, values: Mapping[str, Tensor]) -> Any:
     return arrays
 
 
-def _launch(kernel: Any, shape: Any, parts: Parts, *inputs: Any) -> None:
-    device = parts.kind.device
-    with wp.ScopedStream(stream_of(device)):
-        wp.launch(kernel, shape, [_filled(PartArrays(), vars(parts)), *inputs], device=wp.device_from_torch(device))
+def _launch(kernel: Any, shape: Sequence[int], parts: Parts, *inputs: Any) -> None:
+    launch_rows(kernel, shape, [_filled(PartArrays(), vars(parts)), *inputs], parts.kind.device)
 
 
 def place(
@@ -117,7 +115,7 @@ def scan_movers(parts: Parts, poses: Tensor, mounts: Tensor, beams: Tensor, rows
     """
     inputs = [wp.from_torch(poses.contiguous()), wp.from_torch(mounts, dtype=wp.vec4)]
     inputs += [wp.from_torch(beams, dtype=wp.vec2), wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
-    _launch(scan_parts, len(ranges), parts, *inputs)
+    _launch(scan_parts, ranges.shape[:1], parts, *inputs)
 
 
 @wp.kernel
@@ -132,9 +130,11 @@ def place_parts(
     rows: wp.array[wp.bool],
     begins: bool,
     dt: float,
+    first: int,
 ):
     """Turns a part by the yaw of its mover and moves it; its velocity is the way from where it was, in ``dt``."""
-    row, part = wp.tid()
+    t, part = wp.tid()
+    row = first + t
     if not rows[row]:
         placed.velocity[row, part] = wp.vec3(0.0, 0.0, 0.0)
         placed.turn[row, part] = 0.0
@@ -225,9 +225,14 @@ def meet_solid(kind: int, half: wp.vec3, origin: wp.vec3, direction: wp.vec3) ->
 
 @wp.kernel
 def cast_at_parts(
-    parts: PartArrays, origins: wp.array2d[wp.vec3], directions: wp.array2d[wp.vec3], ranges: wp.array2d[float]
+    parts: PartArrays,
+    origins: wp.array2d[wp.vec3],
+    directions: wp.array2d[wp.vec3],
+    ranges: wp.array2d[float],
+    first: int,
 ):
-    row, ray = wp.tid()
+    t, ray = wp.tid()
+    row = first + t
     start = origins[row, ray]
     along = wp.normalize(directions[row, ray])
     nearest = ranges[row, ray]
@@ -275,9 +280,10 @@ def scan_parts(
     beams: wp.array[wp.vec2],
     rows: wp.array[wp.bool],
     ranges: wp.array2d[float],
+    begin: int,
 ):
     """Tests the beams in the angle that a circle around a part fills in the scan plane: see :func:`circle_in_plane`."""
-    row = wp.tid()
+    row = begin + wp.tid()
     if not rows[row]:
         return
     turn = wp.quat(poses[row, 3], poses[row, 4], poses[row, 5], poses[row, 6])

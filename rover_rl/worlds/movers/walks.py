@@ -64,20 +64,17 @@ class _InKernels(Motion):
     @classmethod
     def _launch(cls, inputs: MotionInput, begins: bool = False) -> MoverState:
         # Importing NVIDIA Warp takes half a second.
-        from rover_rl.native.warp import stream_of, wp
+        from rover_rl.native.warp import launch_rows
         from rover_rl.worlds.movers import crowd_kernels, walking_kernels
 
         state = inputs.state
         after = MoverState(*(getattr(state, item.name).clone() for item in fields(MoverState)))
         device = after.position.device
-        with wp.ScopedStream(stream_of(device)):
-            states = [walking_kernels.arrays_of(each) for each in ([after] if begins else [state, after])]
-            kernel = crowd_kernels.begin if begins else crowd_kernels.step
-            size: Any = len(inputs.mine) if begins else tuple(inputs.mine.shape)
-            law = walking_kernels.LAWS.index(cls.law)
-            wp.launch(
-                kernel, size, [walking_kernels.crowd_of(inputs), law, *states], device=wp.device_from_torch(device)
-            )
+        states = [walking_kernels.arrays_of(each) for each in ([after] if begins else [state, after])]
+        kernel = crowd_kernels.begin if begins else crowd_kernels.step
+        shape = inputs.mine.shape[: 1 if begins else 2]
+        law = walking_kernels.LAWS.index(cls.law)
+        launch_rows(kernel, shape, [walking_kernels.crowd_of(inputs), law, *states], device)
         return after
 
 

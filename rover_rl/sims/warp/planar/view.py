@@ -157,14 +157,23 @@ def stick_out(outlines: Outlines, owners: wp.array[int], free: wp.array[wp.bool]
 
 @dataclass(frozen=True)
 class Sight:
-    """Obstacles that hide one another: convex outlines, each with its corners ``[K, 2]``, and spans ``[N, 2]``, m."""
+    """Obstacles that hide one another: convex outlines ``[K, 2]``, and lowest and highest points ``[N, 2]``, m."""
 
     outlines: list[np.ndarray]
     spans: np.ndarray
 
+    @cached_property
+    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Edges of all outlines ``[E, 4]``, and where those of each start ``[N + 1]``."""
+        corners, starts = np.concatenate([np.empty((0, 2)), *self.outlines]), np.cumsum([0, *map(len, self.outlines)])
+        after = np.arange(1, len(corners) + 1)
+        after[starts[1:] - 1] = starts[:-1]
+        return np.hstack((corners, corners[after])), starts
+
     def free_edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns the edges that do not lie within another obstacle, ``[E, 4]``, and their obstacles ``[E]``."""
-        edges, owners = self._edges, np.repeat(np.arange(len(self.outlines)), np.diff(self._starts))
+        edges, starts = self._edges
+        owners = np.repeat(np.arange(len(self.outlines)), np.diff(starts))
         free = wp.empty(len(edges), dtype=wp.bool, device="cpu")
         wp.launch(stick_out, free.shape, [self._struct, _array(owners, int), free], device="cpu")
         kept = free.numpy() & (np.linalg.norm(edges[:, 2:] - edges[:, :2], axis=1) > 1e-6)
@@ -188,21 +197,10 @@ class Sight:
         return seen.numpy()
 
     @cached_property
-    def _starts(self) -> np.ndarray:
-        return np.cumsum([0, *map(len, self.outlines)])
-
-    @cached_property
-    def _edges(self) -> np.ndarray:
-        corners = np.concatenate([np.empty((0, 2)), *self.outlines])
-        after = np.arange(1, len(corners) + 1)
-        after[self._starts[1:] - 1] = self._starts[:-1]
-        return np.hstack((corners, corners[after]))
-
-    @cached_property
     def _struct(self) -> Outlines:
-        outlines, corners = Outlines(), self._edges[:, :2]
-        middles, radii = bounding_balls(corners, self._starts) if len(corners) else (corners, np.empty(0))
-        outlines.edges, outlines.starts = _array(self._edges, wp.vec4), _array(self._starts, int)
+        outlines, (edges, starts) = Outlines(), self._edges
+        middles, radii = bounding_balls(edges[:, :2], starts) if len(edges) else (edges[:, :2], edges[:, 0])
+        outlines.edges, outlines.starts = _array(edges, wp.vec4), _array(starts, int)
         outlines.circles = _array(np.column_stack((middles, radii)), wp.vec3)
         outlines.spans = _array(self.spans, wp.vec2)
         return outlines
