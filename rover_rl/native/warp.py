@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -41,9 +41,7 @@ def loading(*jobs: tuple[str, int | None, tuple[Any, ...]]) -> list[Future[None]
     Warp compiles its headers again in each thread, which takes longer than most kernels: so there is one for all.
     """
     loader = ThreadPoolExecutor(1)
-    loads = [loader.submit(wp.force_load, device, [*modules], size, max_workers=0) for device, size, modules in jobs]
-    loader.shutdown(wait=False)
-    return loads
+    return [loader.submit(wp.force_load, device, [*modules], size, max_workers=0) for device, size, modules in jobs]
 
 
 def stream_of(device: torch.device) -> Any:
@@ -61,20 +59,14 @@ def launch_options(device: torch.device) -> dict[str, Any]:
 
 
 def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device) -> None:
-    """Launches a kernel over rows and more, whose last argument, besides ``inputs``, is the first row of a launch.
-
-    On the CPU, as many threads as torch has share the rows.
-    """
+    """Launches a kernel, on the CPU on torch's number of threads. Its last argument, after ``inputs``, is the first row."""
     threads = max(1, min(torch.get_num_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
-    ends = [shape[0] * k // threads for k in range(threads + 1)]
-    options: dict[str, Any] = {"device": wp.device_from_torch(device), "stream": stream_of(device)}
-
-    def launch(first: int, end: int) -> None:
-        wp.launch(kernel, (end - first, *shape[1:]), [*inputs, first], **options)
-
-    others = [_threads(threads, os.getpid()).submit(launch, *share) for share in pairwise(ends[1:])]
-    launch(*ends[:2])
-    for other in others:
+    ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
+    mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
+    launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device))
+    launched = [_threads(threads, os.getpid()).submit(launch, *other) for other in others]
+    launch(*mine)
+    for other in launched:
         other.result()
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import takewhile
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,13 +14,11 @@ from torch import Tensor
 from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
-T = TypeVar("T")
-
 GROWTH = 1.25
 """Factor by which the longest possible list grows at least."""
 
 
-def in_threads(function: Callable[[World], T], worlds: Iterable[World]) -> list[T]:
+def in_threads(function: Callable[[World], Any], worlds: Iterable[World]) -> list[Any]:
     """Calls a function for worlds: the first alone, which loads kernels, the others on as many threads as torch has."""
     waiting = [*worlds]
     results = [function(world) for world in waiting[:1]]

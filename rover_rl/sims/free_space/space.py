@@ -130,9 +130,9 @@ def _stored(world: World, robot: Robot) -> FreeSpace:
     arrays = cache.load_arrays("free_space", key)
     if arrays is not None:
         bits = arrays.pop("bits")
-        chosen = {name: bits & (1 << k) != 0 for k, name in enumerate(_CELLS)}
         tensors = {name: torch.from_numpy(each) for name, each in arrays.items()}
-        for name, cells in chosen.items():
+        for k, name in enumerate(_CELLS):
+            cells = bits & (1 << k) != 0
             tensors[name] = grid.centers(cells) if name.endswith("cells") else torch.from_numpy(cells)
         return FreeSpace(grid.cell, grid.origin, **tensors)
     space = _compute(world, robot, grid)

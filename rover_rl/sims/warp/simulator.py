@@ -54,10 +54,11 @@ class WarpSimulator(Simulator):
         {"contacts", "dynamics", "lidar", "movers", "robots", "worlds", "contact_force", "wheel_torque"}
     )
 
-    _step, _place, _scan = _kernels = step_dynamics, place, scan
+    _step, _place, _scan = step_dynamics, place, scan
     """Kernels that advance rovers by a control step, place them, and scan."""
     _prepare: tuple[wp.Kernel, ...] = (measure_clearance, find_headings)
-    """Kernels that prepare worlds, one of each module."""
+    _compile: tuple[tuple[wp.Kernel, ...], ...] = (step_dynamics,), (place, scan)
+    """Kernels that prepare worlds, one of each module, those that compile after them, and those of other threads."""
 
     def __init__(
         self,
@@ -78,14 +79,15 @@ class WarpSimulator(Simulator):
         self._wp_device = wp.device_from_torch(self.device)
         blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         self._options = {"device": self._wp_device, **blocks}
-        preparing, stepping = self.begin_loading(self.settings, self.device)
+        preparing, *stepping = self.begin_loading(self.settings, self.device)
         self._buffers = StateBuffers(self.fleet)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
         self._models, self._scenes = self._make_tables()
         preparing.result()
         self.enter_worlds()
-        stepping.result()
+        for kernels in stepping:
+            kernels.result()
         self._poses = wp.from_torch(self._buffers.poses, dtype=wp.vec3)
         self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
@@ -97,9 +99,10 @@ class WarpSimulator(Simulator):
     @classmethod
     def begin_loading(cls, settings: WarpSettings, device: torch.device) -> list[Future[None]]:
         """Loads the kernels that prepare worlds, and those of a step, which compile while worlds are prepared."""
-        first, later = (tuple(kernel.module for kernel in some) for some in (cls._prepare, cls._kernels))
-        block_size = (settings.block_size or GPU_BLOCK_SIZE) if device.type == "cuda" else None
-        return loading(("cpu", None, first), (str(wp.device_from_torch(device)), block_size, later))
+        size = (settings.block_size or GPU_BLOCK_SIZE) if device.type == "cuda" else None
+        worlds, *threads = (tuple(kernel.module for kernel in some) for some in (cls._prepare, *cls._compile))
+        first, *others = ((str(wp.device_from_torch(device)), size, modules) for modules in threads)
+        return [*loading(("cpu", None, worlds), first), *(loading(other)[0] for other in others)]
 
     def _make_tables(self) -> tuple[Any, SceneTable]:
         """Makes the tables of the robots, by index, and of the worlds, by slot, that the kernels read."""

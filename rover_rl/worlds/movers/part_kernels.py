@@ -7,7 +7,7 @@ intersection of the intervals of half-spaces and quadrics. The ray meets it at `
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from torch import Tensor
@@ -58,10 +58,6 @@ def _filled(arrays: Any, values: Mapping[str, Tensor]) -> Any:
     return arrays
 
 
-def _launch(kernel: Any, shape: Sequence[int], parts: Parts, *inputs: Any) -> None:
-    launch_rows(kernel, shape, [_filled(PartArrays(), vars(parts)), *inputs], parts.kind.device)
-
-
 def place(
     parts: Parts,
     yaw: Tensor,
@@ -88,7 +84,8 @@ def place(
     movers = [wp.from_torch(state.position.contiguous(), dtype=wp.vec2)]
     movers += [wp.from_torch(values.contiguous()) for values in (state.yaw, swing)]
     inputs = [_filled(LocalParts(), local), grounds_of(terrains), wp.from_torch(rows.squeeze(-1).contiguous())]
-    _launch(place_parts, yaw.shape, parts, wp.from_torch(yaw), *movers, *inputs, begins, dt)
+    inputs = [_filled(PartArrays(), vars(parts)), wp.from_torch(yaw), *movers, *inputs, begins, dt]
+    launch_rows(place_parts, yaw.shape, inputs, yaw.device)
 
 
 def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Tensor) -> Tensor:
@@ -98,7 +95,8 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
     """
     ranges = ranges.clone()
     rays = (wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions))
-    _launch(cast_at_parts, ranges.shape, parts, *rays, wp.from_torch(ranges))
+    inputs = [_filled(PartArrays(), vars(parts)), *rays, wp.from_torch(ranges)]
+    launch_rows(cast_at_parts, ranges.shape, inputs, ranges.device)
     return ranges
 
 
@@ -113,9 +111,10 @@ def scan_movers(parts: Parts, poses: Tensor, mounts: Tensor, beams: Tensor, rows
         rows: rows whose lidars scan, bool ``[N]``.
         ranges: ranges of the beams, ``[N, beams]``, m.
     """
-    inputs = [wp.from_torch(poses.contiguous()), wp.from_torch(mounts, dtype=wp.vec4)]
-    inputs += [wp.from_torch(beams, dtype=wp.vec2), wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
-    _launch(scan_parts, ranges.shape[:1], parts, *inputs)
+    inputs = [_filled(PartArrays(), vars(parts)), wp.from_torch(poses.contiguous())]
+    inputs += [wp.from_torch(mounts, dtype=wp.vec4), wp.from_torch(beams, dtype=wp.vec2)]
+    inputs += [wp.from_torch(rows.contiguous()), wp.from_torch(ranges)]
+    launch_rows(scan_parts, ranges.shape[:1], inputs, ranges.device)
 
 
 @wp.kernel

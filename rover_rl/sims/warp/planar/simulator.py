@@ -32,8 +32,8 @@ class PlanarSimulator(WarpSimulator):
     """
 
     features: frozenset[Feature] = WarpSimulator.features - {"contact_force", "wheel_torque"}
-    _step, _place, _scan = _kernels = step_planar, place_planar, scan_planar
-    _prepare = (*WarpSimulator._prepare, look)
+    _step, _place, _scan = step_planar, place_planar, scan_planar
+    _prepare, _compile = (*WarpSimulator._prepare, look), ((step_planar, scan_planar),)
 
     def _make_tables(self) -> tuple[PlanarRobots, SceneTable]:
         robots = PlanarRobots(self.fleet, self._wp_device)

@@ -164,7 +164,6 @@ class Sight:
 
     @cached_property
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Edges of all outlines ``[E, 4]``, and where those of each start ``[N + 1]``."""
         corners, starts = np.concatenate([np.empty((0, 2)), *self.outlines]), np.cumsum([0, *map(len, self.outlines)])
         after = np.arange(1, len(corners) + 1)
         after[starts[1:] - 1] = starts[:-1]
