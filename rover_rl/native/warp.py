@@ -59,7 +59,7 @@ def launch_options(device: torch.device) -> dict[str, Any]:
 
 
 def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device) -> None:
-    """Launches a kernel, on the CPU on torch's number of threads. Its last argument, after ``inputs``, is the first row."""
+    """Launches a kernel, on the CPU in the threads of torch. Its last argument, after ``inputs``, is the first row."""
     threads = max(1, min(torch.get_num_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
     ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
     mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
