@@ -64,6 +64,8 @@ def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device
     ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
     mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
     launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device))
+    # Else, each thread would compile the kernel.
+    loading((str(wp.device_from_torch(device)), None, (kernel.module,)))[0].result()
     launched = [_threads(threads, os.getpid()).submit(launch, *other) for other in others]
     launch(*mine)
     for other in launched:

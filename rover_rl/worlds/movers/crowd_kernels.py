@@ -79,7 +79,6 @@ def acceleration(crowd: Crowd, before: States, row: int, mover: int, way: wp.vec
     foresight = crowd.settings[row, mover, FORESIGHT]
     desired = crowd.settings[row, mover, SPEED] * way
     sum = (desired - before.velocity[row, mover]) / crowd.settings[row, mover, RELAXATION]
-    # A loop over movers and one over rovers are faster than one that chooses in each pass.
     for other in range(crowd.present.shape[1]):
         if crowd.present[row, other] and other != mover:
             excess = radius + crowd.radius[row, other] - 2.0 * PAPER_RADIUS
