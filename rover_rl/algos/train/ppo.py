@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import reduce
 from typing import NamedTuple
 
 import torch
@@ -173,8 +174,8 @@ class PPOLearner(Learner):
 
         tasks = [(network, *part) for network in (actor, critic) for part in parts]
         found = [*(map if self.config.on_gpu else pool.map)(run, tasks)]
-        losses, by_actor = sum(found[: len(parts)]).tensor_split([len(LOSSES)])
-        loss, by_critic = sum(found[len(parts) :]).tensor_split([1])
+        losses, by_actor = reduce(torch.add, found[: len(parts)]).tensor_split([len(LOSSES)])
+        loss, by_critic = reduce(torch.add, found[len(parts) :]).tensor_split([1])
         self._learn([*actor_weights, *self._critic_weights], torch.cat((by_actor, by_critic)))
         return torch.cat((losses[:1], loss, losses[1:]))
 
@@ -264,6 +265,6 @@ class MirrorMemory:
     def starts(self, features: Tensor, is_init: Tensor) -> Tensor:
         """Returns the states ``[N, s]`` before the next batch, whose mirror image has ``features [N, T, F]``."""
         start = features.new_zeros(len(features), self._memory.state_size) if self._last is None else self._last
-        rows = (part.transpose(0, 1).flatten(0, 1) for part in (features, is_init))
-        *_, self._last = self._memory.sequence(*rows, start)
+        features, is_init = (part.transpose(0, 1).flatten(0, 1) for part in (features, is_init))
+        *_, self._last = self._memory.sequence(features, is_init, start)
         return start
