@@ -3,7 +3,7 @@
 The loop is explicit instead of TorchRL 0.14's experimental ``PPOTrainer``, which ends without a checkpoint at Ctrl-C,
 saves no state of PyTorch's random generator, and with a fixed number of gradient steps skips every second epoch. Its
 formulas are those of TorchRL's ``GAE`` and ``ClipPPOLoss``, on plain tensors: observations are encoded once for all
-epochs, and threads share the decisions of a minibatch.
+epochs, the gradient of the loss is written out, and threads share the actor and the critic of a minibatch.
 """
 
 from __future__ import annotations

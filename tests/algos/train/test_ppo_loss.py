@@ -56,6 +56,25 @@ def test_losses_and_their_gradients_are_those_of_torchrl() -> None:
     torch.testing.assert_close([*gradients], theirs, rtol=1e-4, atol=1e-5)
 
 
+def test_imitation_and_entropy_have_the_gradients_of_the_distribution() -> None:
+    torch.manual_seed(0)
+    body, features, noise = nn.Sequential(nn.Linear(5, 4), NormalParameters(1.0)), torch.randn(ROWS, 5), torch.randn(2)
+    loc, scale = body(features)
+    action = LOW + (HIGH - LOW) * (0.01 + 0.98 * torch.rand(ROWS, 2))
+    rows = squashing(action, LOW, HIGH) | {"action_log_prob": torch.zeros(ROWS, 1), "advantage": torch.ones(ROWS, 1)}
+    distribution = BoundedTanhNormal(loc, scale, LOW, HIGH)
+    sample = distribution._t(loc + scale * noise)
+    log_probs = {"loss_imitation": distribution.log_prob(action), "entropy": distribution.log_prob(sample)}
+    for name, log_prob in log_probs.items():
+        losses, slopes = ppo_losses(loc, scale, rows, noise.expand(ROWS, 2), 0.2, {name: 0.5})
+        torch.testing.assert_close(losses[0 if name == "loss_imitation" else LOSSES.index(name)], -log_prob.mean())
+        found, expected = (
+            torch.autograd.grad(outputs, [*body.parameters()], by, retain_graph=True)
+            for outputs, by in (((loc, scale), slopes), (-0.5 * log_prob.mean(), None))
+        )
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_weights_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     size = {"num_envs": 128, "rollout_length": 16, "minibatch": 2048}
     config, learned = with_settings(PPO, world=FIELD, action_repeat=1, epochs=1, **size), []
