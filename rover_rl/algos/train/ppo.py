@@ -9,7 +9,7 @@ epochs, the gradient of the loss is written out, and threads share the actor and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from typing import NamedTuple
 
@@ -57,7 +57,11 @@ class PPOLearner(Learner):
             for images in frozen:
                 images.requires_grad_(False)
         self._loss = nn.ModuleDict({"actor": self.actor, "critic": self.critic})
-        self._actor_weights, self._critic_weights = map(_trained, (self.actor, self.critic))
+        self._actor_weights, self._critic_weights = (
+            [weight for weight in network.parameters() if weight.requires_grad] for network in self._loss.values()
+        )
+        # Threads that stay keep the memory that their operators work in.
+        self._threads = ThreadPoolExecutor(config.learner_threads)
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
         self._expert = _make_expert(config) if settings.imitation else None
         self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
@@ -84,10 +88,9 @@ class PPOLearner(Learner):
             terms = {"loss_imitation": 1.0, "loss_critic": 1.0}
         elif share < self._settings.critic_warmup:
             terms = {"loss_critic": 1.0}
-        with stopwatch("gradient steps"), ThreadPoolExecutor(self.config.learner_threads) as pool:
+        with stopwatch("gradient steps"):
             decisions = self._decisions(batch)
-            steps = [self._gradient_step(decisions, *part, terms, pool) for part in self._minibatches(decisions)]
-            return self._means(steps)
+            return self._means([self._gradient_step(decisions, *part, terms) for part in self._minibatches(decisions)])
 
     @torch.no_grad()
     def _decisions(self, batch: TensorDictBase) -> Decisions:
@@ -147,9 +150,7 @@ class PPOLearner(Learner):
             noise = torch.randn(*steps, count, *self._spec.shape, device=device)
             yield from zip(rows.split(size), noise.split(size, -2), strict=True)
 
-    def _gradient_step(
-        self, decisions: Decisions, rows: Tensor, noise: Tensor, terms: Mapping[str, float], pool: Executor
-    ) -> Tensor:
+    def _gradient_step(self, decisions: Decisions, rows: Tensor, noise: Tensor, terms: Mapping[str, float]) -> Tensor:
         """Takes a gradient step on the weighted sum of some terms of PPO's loss and returns the logged values.
 
         Threads share the work: parts of the minibatch, which do not depend on their number, of actor and critic each.
@@ -173,19 +174,16 @@ class PPOLearner(Learner):
             return network(decisions.rows(part), noise) * (len(part) / len(rows))
 
         tasks = [(network, *part) for network in (actor, critic) for part in parts]
-        found = [*(map if self.config.on_gpu else pool.map)(run, tasks)]
+        found = [*(map if self.config.on_gpu else self._threads.map)(run, tasks)]
         losses, by_actor = reduce(torch.add, found[: len(parts)]).tensor_split([len(LOSSES)])
         loss, by_critic = reduce(torch.add, found[len(parts) :]).tensor_split([1])
-        self._learn([*actor_weights, *self._critic_weights], torch.cat((by_actor, by_critic)))
-        return torch.cat((losses[:1], loss, losses[1:]))
-
-    def _learn(self, weights: list[nn.Parameter], gradient: Tensor) -> None:
-        """Takes a step with the gradient of weights, one after another in one vector."""
+        gradient, weights = torch.cat((by_actor, by_critic)), [*actor_weights, *self._critic_weights]
         gradient *= (self._settings.max_grad_norm / (gradient.norm() + 1e-6)).clamp(max=1.0)
         self._loss.zero_grad()
         for weight, grad in zip(weights, gradient.split([weight.numel() for weight in weights]), strict=True):
             weight.grad = grad.view_as(weight)
         self._optimizer.step()
+        return torch.cat((losses[:1], loss, losses[1:]))
 
     def _distribution(self, read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         if self._network:
@@ -219,10 +217,6 @@ class Decisions(NamedTuple):
         table = self.table.index_select(-2, index).flatten(0, -2)
         read = dict(zip(self.sizes, table.split([*self.sizes.values()], -1), strict=True))
         return read if self.state is None else read | {"state": self.state[index]}
-
-
-def _trained(network: nn.Module) -> list[nn.Parameter]:
-    return [weight for weight in network.parameters() if weight.requires_grad]
 
 
 def _with_gradient(
