@@ -112,8 +112,7 @@ class PlainRecurrent(nn.Module):
         if self._is_gru:
             gates, going_on = linear(embedded, weight, weights[1]), going_on.unflatten(0, (-1, len(state)))
             hidden = UnrolledGRU.apply(gates.unflatten(0, (-1, len(state))), going_on, state, weights[0], weights[2])
-            state = hidden[-1]
-            hidden = hidden.flatten(0, 1)
+            state, hidden = hidden[-1], hidden.flatten(0, 1)
         else:
             steps = []
             for step, kept in zip(embedded.split(len(state)), going_on.split(len(state)), strict=True):
@@ -163,9 +162,8 @@ class UnrolledGRU(Function):
             torch.add(grad, grad_step, out=total)
             torch.mul(total.unsqueeze(1), slope, out=found)
             grad = torch.addmm(total * passed, found.flatten(1), weight).mul_(kept)
-        by_recurrent = by_recurrent.flatten(2)
-        by_input = torch.cat((by_recurrent[..., : -new.shape[-1]], totals * by_new), -1)
-        flat = by_recurrent.flatten(0, 1)
+        by_input = torch.cat((by_recurrent[:, :, :2].flatten(2), totals * by_new), -1)
+        flat = by_recurrent.flatten(2).flatten(0, 1)
         return by_input, None, None, flat.t() @ before.flatten(0, 1), flat.sum(0)
 
 

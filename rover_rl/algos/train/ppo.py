@@ -34,8 +34,7 @@ from rover_rl.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner"]
 
-# Numbers of decisions of a minibatch that a thread takes at a time on the CPU, without and with a memory.
-_PART, _RECURRENT_PART = 1024, 512
+_PART, _RECURRENT_PART = 1024, 512  # decisions that a CPU thread takes of a minibatch, without and with a memory
 
 
 class PPOLearner(Learner):
@@ -106,8 +105,7 @@ class PPOLearner(Learner):
             every = torch.ones(batch.shape, dtype=torch.bool, device=batch["action"].device)
             read = torch.cat([read, networks.mirrored(read, every, self._mirrors)])
         rows = {"seen": self.critic.module.features(*(read[key] for key in self.critic.in_keys))}
-        rows |= squashing(read["action"], *self._bounds(read))
-        rows["action_log_prob"] = read["action_log_prob"].unsqueeze(-1)
+        rows |= squashing(read["action"], *self._bounds(read)) | {"action_log_prob": read["action_log_prob"][..., None]}
         rows |= {key: value for key in (networks.DRIVER, "is_init") if (value := read.get(key, None)) is not None}
         for key, value in self._advantages(batch, rows["seen"][:count]).items():
             rows[key] = torch.cat((value, value)) if images else value

@@ -27,7 +27,6 @@ def squashing(action: Tensor, low: Tensor, high: Tensor) -> dict[str, Tensor]:
 
 
 def _log_slope(value: Tensor) -> Tensor:
-    """Logarithm of the derivative of tanh."""
     return 2 * (math.log(2) + torch.sub(value, softplus(value, beta=2), alpha=2))
 
 
@@ -53,15 +52,12 @@ def ppo_losses(
     ratio = log_ratio.exp()
     gain, bound = ratio * rows["advantage"], ratio.clamp(1 - clip, 1 + clip) * rows["advantage"]
     sampled = torch.addcmul(loc, scale, noise)
-    entropy = torch.addcmul(log_scale + _log_slope(sampled), noise, noise, value=0.5)
-    entropy = entropy.sum(-1, keepdim=True) + rows["log_half"]
+    entropy = torch.addcmul(log_scale + _log_slope(sampled), noise, noise, value=0.5).sum(-1, keepdim=True)
     imitates, share = "loss_imitation" in terms, 1 / len(loc)
     objective = -log_prob if imitates else -torch.minimum(gain, bound)
-    found = torch.cat((objective, entropy, -log_ratio, gain != bound), -1)
-    if imitates:
-        by_log_prob = torch.full_like(gain, -share * terms["loss_imitation"])
-    else:
-        by_log_prob = torch.where(gain <= bound, gain, 0.0) * (-share * terms.get("loss_objective", 0.0))
+    found = torch.cat((objective, entropy + rows["log_half"], -log_ratio, gain != bound), -1)
+    pull = torch.ones_like(gain) if imitates else torch.where(gain <= bound, gain, 0.0)
+    by_log_prob = pull * (-share * terms.get("loss_imitation" if imitates else "loss_objective", 0.0))
     by_entropy, by_z = share * terms.get("entropy", 0.0), by_log_prob * z
     # The derivative of the logarithm of the derivative of tanh is -2 tanh.
     by_sampled = sampled.tanh() * (-2 * by_entropy)
