@@ -59,14 +59,12 @@ class GRU(GRUModule):
         if self.recurrent_mode:
             return super().forward(tensordict)
         value, state, is_init = (tensordict.get(key) for key in self.in_keys)
-        shape = value.shape[:-1]
-        size = (shape.numel(), 1, -1)
+        shape, count = value.shape[:-1], value.shape[:-1].numel()
         if state is None:
             state = value.new_zeros(*shape, 1, self.gru.hidden_size)
-        state = torch.where(is_init[..., None], 0, state).reshape(size).transpose(0, 1).contiguous()
-        out, state = self.gru(value.reshape(size), state)
-        tensordict.set(self.out_keys[0], out.reshape(*shape, -1))
-        return tensordict.set(self.out_keys[1], state.reshape(*shape, 1, -1))
+        state = torch.where(is_init[..., None], 0, state).reshape(count, -1)
+        out = torch.gru_cell(value.reshape(count, -1), state, *self.gru.all_weights[0]).reshape(*shape, -1)
+        return tensordict.set(self.out_keys[0], out).set(self.out_keys[1], out.unsqueeze(-2))
 
 
 class _Joined(nn.Module):
@@ -104,27 +102,28 @@ class PlainRecurrent(nn.Module):
         return self._head(embedded, hidden)[0], following
 
     def sequence(self, features: Tensor, is_init: Tensor, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns mean and standard deviation ``[N, T, n]`` of actions, and the state after a sequence.
+        """Returns mean and standard deviation ``[T N, n]`` of actions, and the state after a sequence.
 
-        ``features [N, T, F]`` are those of the observations. Where ``is_init [N, T, 1]``, the state counts as zeros.
+        ``features [T N, F]`` are those of the observations of ``N`` rovers, one step after another. Where
+        ``is_init [T N, 1]``, the state, ``[N, s]`` before the sequence, counts as zeros.
         """
-        embedded, going_on = self._embedding.body(features.transpose(0, 1)), (~is_init).transpose(0, 1).to(state.dtype)
+        embedded, going_on = self._embedding.body(features), 1 - is_init.to(state.dtype)
         weight, *weights = self._cell.all_weights[0]
         if self._is_gru:
-            hidden = UnrolledGRU.apply(linear(embedded, weight, weights[1]), going_on, state, weights[0], weights[2])
-            state = hidden[-1]
+            gates, going_on = linear(embedded, weight, weights[1]), going_on.unflatten(0, (-1, len(state)))
+            hidden = UnrolledGRU.apply(gates.unflatten(0, (-1, len(state))), going_on, state, weights[0], weights[2])
+            state, hidden = hidden[-1], hidden.flatten(0, 1)
         else:
             steps = []
-            for step, kept in zip(embedded, going_on, strict=True):
+            for step, kept in zip(embedded.split(len(state)), going_on.split(len(state)), strict=True):
                 steps.append(torch.lstm_cell(step, (kept * state).chunk(2, -1), weight, *weights))
                 state = torch.cat(steps[-1], -1)
-            hidden = torch.stack([step[0] for step in steps])
-        loc, scale = self._head(embedded, hidden)
-        return loc.transpose(0, 1), scale.transpose(0, 1), state
+            hidden = torch.cat([step[0] for step in steps])
+        return *self._head(embedded, hidden), state
 
 
 class UnrolledGRU(Function):
-    """Hidden states ``[T, N, H]`` of a GRU, with a backward pass that takes the gradient of the weights at once.
+    """Hidden states ``[T, N, H]`` of a GRU, with a backward pass whose steps are few operations.
 
     It reads the products of the inputs, ``gates [T, N, 3 H]``, ``going_on [T, N, 1]``, which is 0 where an episode
     begins and else 1, the state before, ``[N, H]``, and the weights of the state.
@@ -132,37 +131,40 @@ class UnrolledGRU(Function):
 
     @staticmethod
     def forward(ctx: Any, gates: Tensor, going_on: Tensor, state: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        size, steps, hidden = state.shape[-1], [], []
-        for gate, kept in zip(gates, going_on, strict=True):
-            before = state * kept
-            recurrent = torch.addmm(bias, before, weight.t())
-            reset_update = (gate[:, : 2 * size] + recurrent[:, : 2 * size]).sigmoid_()
-            reset, update = reset_update.chunk(2, -1)
-            recalled = recurrent[:, 2 * size :]
-            new = torch.addcmul(gate[:, 2 * size :], reset, recalled).tanh_()
-            state = torch.lerp(new, before, update)
-            hidden.append(state)
-            steps.append((before, reset_update, recalled, new))
-        ctx.steps, ctx.going_on, ctx.weight = steps, going_on, weight
-        return torch.stack(hidden)
+        size, transposed = state.shape[-1], weight.t()
+        recurrent, reset_update = torch.empty_like(gates), gates.new_empty(*gates.shape[:2], 2 * size)
+        before, new, hidden = gates.new_empty(3, *gates.shape[:2], size)
+        inner, inputs = (each.split([2 * size, size], -1) for each in (recurrent, gates))
+        reset, update = reset_update.chunk(2, -1)
+        steps = (going_on, recurrent, before, new, hidden, *inner, *inputs, reset_update, reset, update)
+        for kept, products, start, candidate, after, *parts in zip(*(each.unbind() for each in steps), strict=True):
+            by_state, recalled, by_input, seen, both, reset, update = parts
+            torch.mul(state, kept, out=start)
+            torch.addmm(bias, start, transposed, out=products)
+            torch.add(by_input, by_state, out=both).sigmoid_()
+            torch.addcmul(seen, reset, recalled, out=candidate).tanh_()
+            state = torch.lerp(candidate, start, update, out=after)
+        ctx.save_for_backward(going_on, weight, inner[1], before, reset_update, new)
+        return hidden
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grads: Tensor) -> tuple[Tensor | None, ...]:
-        grad_gates, grad_recurrent = [], []
-        grad = torch.zeros_like(grads[0])
-        for step, kept, grad_step in zip(ctx.steps[::-1], ctx.going_on.flip(0), grads.flip(0), strict=True):
-            before, reset_update, recalled, new = step
-            reset, update = reset_update.chunk(2, -1)
-            grad = grad + grad_step
-            by_new = grad * (1 - update) * (1 - new * new)
-            by_gates = torch.cat((by_new * recalled, grad * (before - new)), -1) * reset_update * (1 - reset_update)
-            grad_gates.append(torch.cat((by_gates, by_new), -1))
-            grad_recurrent.append(torch.cat((by_gates, by_new * reset), -1))
-            grad = torch.addmm(grad * update, grad_recurrent[-1], ctx.weight) * kept
-        by_recurrent, before = torch.cat(grad_recurrent), torch.cat([step[0] for step in ctx.steps[::-1]])
-        by_gates = torch.stack(grad_gates[::-1])
-        return by_gates, None, None, by_recurrent.t() @ before, by_recurrent.sum(0)
+        going_on, weight, recalled, before, reset_update, new = ctx.saved_tensors
+        reset, update = reset_update.chunk(2, -1)
+        # Derivatives of a hidden state by its gates, which all steps take at once.
+        by_new = (1 - update) * (1 - new.square())
+        by_gates = torch.cat((by_new * recalled, before - new), -1) * (reset_update * (1 - reset_update))
+        slopes = torch.cat((by_gates, by_new * reset), -1).unflatten(-1, (3, -1))
+        by_recurrent, totals, grad = torch.empty_like(slopes), torch.empty_like(grads), torch.zeros_like(grads[0])
+        steps = (each.unbind() for each in (grads, going_on, update, slopes, by_recurrent, totals))
+        for grad_step, kept, passed, slope, found, total in [*zip(*steps, strict=True)][::-1]:
+            torch.add(grad, grad_step, out=total)
+            torch.mul(total.unsqueeze(1), slope, out=found)
+            grad = torch.addmm(total * passed, found.flatten(1), weight).mul_(kept)
+        by_input = torch.cat((by_recurrent[:, :, :2].flatten(2), totals * by_new), -1)
+        flat = by_recurrent.flatten(2).flatten(0, 1)
+        return by_input, None, None, flat.t() @ before.flatten(0, 1), flat.sum(0)
 
 
 def memory_transforms(kind: str, size: int) -> list[Transform]:

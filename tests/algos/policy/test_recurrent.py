@@ -53,8 +53,9 @@ def test_sequences_and_their_gradients_are_those_of_torchrl(memory: str) -> None
     with set_recurrent_mode(True):
         expected = actor[0](sequence)
     encoder = ObservationEncoder()
-    features = encoder(*(sequence[key] for key in encoder.keys))
-    loc, scale, after = plain.sequence(features, sequence["is_init"], state)
+    rows = sequence.transpose(0, 1).reshape(-1)
+    *parameters, after = plain.sequence(encoder(*(rows[key] for key in encoder.keys)), rows["is_init"], state)
+    loc, scale = (part.unflatten(0, (steps, 3)).transpose(0, 1) for part in parameters)
     torch.testing.assert_close((loc, scale), (expected["loc"], expected["scale"]))
     last = torch.cat([expected["next", key][:, -1, 0] for key in MEMORY_KEYS[memory]], -1)
     torch.testing.assert_close(after, last)

@@ -71,8 +71,9 @@ def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start() -> 
         means.append(runner.distribution[0])
     for part, batch in enumerate(image.split(8, 1)):
         features = encoder(*(batch[key] for key in OBSERVATION))
-        loc, _, _ = memory.sequence(features, batch["is_init"], mirrors.starts(features, batch["is_init"]))
-        torch.testing.assert_close(loc, torch.stack(means[8 * part : 8 * part + 8], 1))
+        state, rows = mirrors.starts(features, batch["is_init"]), batch["is_init"].transpose(0, 1).flatten(0, 1)
+        loc, _, _ = memory.sequence(features.transpose(0, 1).flatten(0, 1), rows, state)
+        torch.testing.assert_close(loc, torch.cat(means[8 * part : 8 * part + 8]))
 
 
 def test_a_privileged_critic_learns(tmp_path: Path) -> None:

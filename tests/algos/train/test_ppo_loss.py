@@ -14,7 +14,7 @@ from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.policy.networks import BoundedTanhNormal, NormalParameters
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
-from rover_rl.algos.train.ppo_loss import ppo_losses, squashing
+from rover_rl.algos.train.ppo_loss import LOSSES, ppo_losses, squashing
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
 from tests.algos.train.runs import FIELD, PPO, equal
@@ -42,17 +42,37 @@ def test_losses_and_their_gradients_are_those_of_torchrl() -> None:
     expected = loss(TensorDict(rows, [ROWS]))
     torch.manual_seed(1)
     noise = torch.randn(1, ROWS, 2)[0]
-    plain = rows | squashing(rows["action"], LOW, HIGH) | {"advantage": rows["advantage"].squeeze(-1)}
-    found = ppo_losses(*body(rows["features"]), critic(rows["features"]), plain, noise, 0.2)
-    for name in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
-        torch.testing.assert_close(found[name], expected[name])
+    plain = rows | squashing(rows["action"], LOW, HIGH) | {"action_log_prob": rows["action_log_prob"][:, None]}
+    outputs = body(rows["features"])
+    terms = {"loss_objective": 1.0, "entropy": -0.01}
+    losses, slopes = ppo_losses(*outputs, plain, noise, 0.2, terms)
+    found = dict(zip(LOSSES, losses, strict=True))
+    for name, value in found.items():
+        torch.testing.assert_close(value, expected[name])
     assert 0 < found["clip_fraction"] < 1
-    total = found["loss_objective"] + found["loss_critic"] - 0.01 * found["entropy"]
-    weights = [*body.parameters(), *critic.parameters()]
-    gradients = torch.autograd.grad(total, weights)
+    gradients = torch.autograd.grad(outputs, [*body.parameters()], slopes)
     sum(value for name, value in expected.items() if name.startswith("loss_")).backward()
-    theirs = dict(loss.named_parameters())
-    torch.testing.assert_close([*gradients], [weight.grad for weight in theirs.values()], rtol=1e-4, atol=1e-5)
+    theirs = [weight.grad for weight in loss.actor_network_params.parameters()]
+    torch.testing.assert_close([*gradients], theirs, rtol=1e-4, atol=1e-5)
+
+
+def test_imitation_and_entropy_have_the_gradients_of_the_distribution() -> None:
+    torch.manual_seed(0)
+    body, features, noise = nn.Sequential(nn.Linear(5, 4), NormalParameters(1.0)), torch.randn(ROWS, 5), torch.randn(2)
+    loc, scale = body(features)
+    action = LOW + (HIGH - LOW) * (0.01 + 0.98 * torch.rand(ROWS, 2))
+    rows = squashing(action, LOW, HIGH) | {"action_log_prob": torch.zeros(ROWS, 1), "advantage": torch.ones(ROWS, 1)}
+    distribution = BoundedTanhNormal(loc, scale, LOW, HIGH)
+    sample = distribution._t(loc + scale * noise)
+    log_probs = {"loss_imitation": distribution.log_prob(action), "entropy": distribution.log_prob(sample)}
+    for name, log_prob in log_probs.items():
+        losses, slopes = ppo_losses(loc, scale, rows, noise.expand(ROWS, 2), 0.2, {name: 0.5})
+        torch.testing.assert_close(losses[0 if name == "loss_imitation" else LOSSES.index(name)], -log_prob.mean())
+        found, expected = (
+            torch.autograd.grad(outputs, [*body.parameters()], by, retain_graph=True)
+            for outputs, by in (((loc, scale), slopes), (-0.5 * log_prob.mean(), None))
+        )
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
 
 
 def test_weights_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
