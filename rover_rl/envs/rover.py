@@ -22,6 +22,9 @@ from rover_rl.envs.simulation import Simulation
 from rover_rl.sims.base import RoverState, View
 from rover_rl.worlds import World
 
+UNOBSERVED = "_unobserved"
+"""Entry of an input, of any value, whose step returns no observation: :meth:`RoverEnv.observe` makes it later."""
+
 
 class RoverEnv(EnvBase):
     """Batch of rovers that navigate to goals with lidar, IMU, wheel odometry and pose.
@@ -59,6 +62,7 @@ class RoverEnv(EnvBase):
         robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
+        is_memoryless: whether an observation tells of the state alone, and not of the observations before it.
         movers: movers of each row, where they are and where they go.
 
     Raises ``ValueError`` if a name is unknown, a number is out of range, the device is not available, or the backend
@@ -113,6 +117,8 @@ class RoverEnv(EnvBase):
             privileged.PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         )
         self._make_specs()
+        self.is_memoryless = config.agents == 1 and self.delays is None and self.simulator.live is None
+        self.is_memoryless &= all(each.is_memoryless for each in self.sensors.values())
         self.set_seed(seed)
 
     def _open(self) -> None:
@@ -192,12 +198,13 @@ class RoverEnv(EnvBase):
             stage.begin(mask, keys)
         self.controller.reset(mask)
         state.steps = state.steps.masked_fill(mask, 0)
+        state.move(mask)
         self._simulation.reset(state, chosen, start, last)
         self._sense(state)
         self._navigation.begin(state, chosen, goal)
         self._started = True
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
-        return self._pack(mask.squeeze(-1))
+        return self._pack()
 
     def _change_worlds(self, begins: chosen_rows.ChosenRows) -> None:
         """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
@@ -222,10 +229,11 @@ class RoverEnv(EnvBase):
         self._require_started("step")
         active = tensordict.get("_step", None)
         active = None if active is None else active.reshape(self.num_envs, 1)
+        observed = UNOBSERVED not in tensordict.keys()  # noqa: SIM118
         if (command := tensordict.get("command", None)) is not None:
             # Another action than the contract's has turned into it, or into steering: see rover_rl.envs.actions.
             command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
-            return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
+            return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
         action = tensordict.get("steering", None)
         action = tensordict.get("action") if action is None else action
         action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
@@ -233,7 +241,7 @@ class RoverEnv(EnvBase):
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
         command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
-        return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
+        return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
 
     @tensordicts.with_torch_defaults
     def step_commands(self, command: Tensor) -> TensorDictBase:
@@ -241,7 +249,7 @@ class RoverEnv(EnvBase):
         self._require_started("step_commands")
         return self._follow(command, ~self._every[:, None], None)
 
-    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None) -> TensorDictBase:
+    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None, observed: bool = True) -> TensorDictBase:
         """Takes a step with commands. ``invalid`` are rows whose action is not finite, bool ``[N, 1]``."""
         state = self._state
         state.active = active
@@ -249,11 +257,12 @@ class RoverEnv(EnvBase):
             command = stage.command(command, state)
         taken = 1 if active is None else active
         state.steps, state.total_steps = state.steps + taken, state.total_steps + taken
+        state.move(active)
         self._simulation.step(state, command, self._episodes)
         self._sense(state)
         self._navigation.advance(state, invalid)
         reward = (state.phase == task.StepEvent.GOAL).to(torch.float32)
-        return self._pack(self._every if active is None else active.squeeze(-1), reward=reward)
+        return self._pack(observed, reward=reward)
 
     def _sense(self, state: stages.StepState) -> None:
         scan_step, pooling = None if self.delays is None else self.delays.scan_step, self._simulation.pooling
@@ -263,8 +272,24 @@ class RoverEnv(EnvBase):
         for stage in self._simulation.stages:
             stage.read(state)
 
-    def _pack(self, new: Tensor, **entries: Tensor) -> TensorDict:
-        """Returns the result of a reset or step, in which the rows ``new`` (bool ``[N]``) have moved."""
+    def _pack(self, observed: bool = True, **entries: Tensor) -> TensorDict:
+        """Returns the result of a reset or step."""
+        state = self._state
+        done = {"terminated": state.terminated, "truncated": state.truncated}
+        done["done"] = state.terminated | state.truncated
+        observation = self._observation() if observed else {}
+        return self._result({**observation, "outcome": task.outcome(state), **entries, **done})
+
+    @tensordicts.with_torch_defaults
+    def observe(self) -> TensorDict:
+        """Returns the observation after the last step. Some rows may have moved in steps before, since the last one."""
+        return self._result(self._observation())
+
+    def _result(self, entries: dict[str, Any]) -> TensorDict:
+        result = tensordicts.unchecked_tensordict(entries, self._row_shape, self.device)
+        return result if self.batch_size else result[0]
+
+    def _observation(self) -> dict[str, Any]:
         state, known = self._state, self._state.known
         is_exact = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         target = state.target if is_exact else task.target_info(known.position[:, :2], known.yaw, state.goal)
@@ -279,7 +304,7 @@ class RoverEnv(EnvBase):
                 keys=state.keys,
                 surroundings=self._simulation.surroundings,
                 bounds=self.placement.bounds,
-                rows=new,
+                rows=self._every if state.moved is None else state.moved.squeeze(-1),
                 scan_pose=state.scan_pose,
                 predicted=state.predicted,
             ),
@@ -288,12 +313,8 @@ class RoverEnv(EnvBase):
         if self._privileged is not None:
             world, latency = self._row_worlds.index, self._simulation.command_delay.steps
             observation["privileged"] = self._privileged(state.truth, world, state.goal, self._dynamics, latency)
-        done = {"terminated": state.terminated, "truncated": state.truncated}
-        done["done"] = state.terminated | state.truncated
-        result = tensordicts.unchecked_tensordict(
-            {**observation, "outcome": task.outcome(state), **entries, **done}, self._row_shape, self.device
-        )
-        return result if self.batch_size else result[0]
+        state.is_observed = True
+        return observation
 
     @property
     def worlds(self) -> list[World]:

@@ -152,7 +152,7 @@ class Simulation:
         """Places the rovers of ``rows`` at ``poses`` ``[N, 3]``, and writes the true state that follows ``last``."""
         placed = rows.mask.squeeze(-1).to(self.simulator.device)
         rover = self.simulator.reset(placed, poses.to(placed.device))
-        self._perceive(state, rover, placed, rows.mask, rows, last)
+        self._perceive(state, rover, rows.mask, rows, last)
 
     def step(self, state: stages.StepState, command: Tensor, episodes: Episodes) -> None:
         """Advances the ``active`` rovers and the movers around them, and writes their true state."""
@@ -166,20 +166,20 @@ class Simulation:
         rows = None if active is None else active.squeeze(-1).to(device)
         with self._worlds.preparing():
             rover = self.simulator.step(command.to(device), rows)
-        self._perceive(state, rover, rows, active)
+        self._perceive(state, rover, active)
 
     def _perceive(
         self,
         state: stages.StepState,
         rover: RoverState,
-        rows: Tensor | None,
         moved: Tensor | None,
         placed: ChosenRows = EVERY_ROW,
         last: stages.Perception | None = None,
     ) -> None:
-        """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same.
+        """Writes the true state of the rovers, whose lidars scan when something reads the ranges.
 
-        After a reset, only the rows that are ``placed`` differ from the ``last`` readings.
+        Only the rows of ``moved`` (bool ``[N, 1]``; ``None``: all) differ from the state before. After a reset, these
+        are the rows that are ``placed``, and differ from the ``last`` readings.
         """
         if self._agents > 1:
             self.movers.follow(rover, moved, state.steps == 0)
@@ -188,14 +188,18 @@ class Simulation:
             due = self.delays.scans(state.keys, state.steps)
         elif self._period > 1:
             due = (state.steps % self._period == 0).squeeze(-1)
-        scanning = rows
-        if due is not None:
-            due = due.to(self.simulator.device)
-            scanning = due if rows is None else due & rows
-        ranges = self._lidar.scan(scanning)
+
+        def scan() -> Tensor:
+            scanning = due
+            if state.moved is not None:
+                moved = state.moved.squeeze(-1)
+                scanning = moved if due is None else due & moved
+            scanning = None if scanning is None else scanning.to(self.simulator.device)
+            return self._lidar.scan(scanning).to(self._device)
+
         if self.simulator.device != self._device:
-            rover, ranges = rover.to(self._device), ranges.to(self._device)
-        state.truth = truth = stages.Perception(rover, ranges, self.pooling, placed, last)
+            rover = rover.to(self._device)
+        state.truth = truth = stages.Perception(rover, scan, self.pooling, placed, last)
         if self.has_movers:
             distance, speed = self.movers.nearest(truth.position)
             touched = rover.mover_contact

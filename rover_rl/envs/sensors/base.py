@@ -258,6 +258,11 @@ class Sensor(ABC):
         return {}
 
     @property
+    def is_memoryless(self) -> bool:
+        """Whether a value depends on the present state alone, and not on the readings before."""
+        return self.period == 1 and type(self).reader is Sensor.reader
+
+    @property
     def image(self) -> tuple[int, int] | None:
         """Rows and columns if the encoded value is an image, or several, which networks read with convolutions."""
         return None
@@ -322,8 +327,9 @@ class Observer:
             sensed |= sensor.sense(self._noise, truth, keys, at)
         if not sensed:
             return truth
-        ranges = sensed.pop("ranges", truth.ranges)
-        return Perception(RoverState.pack(**(dict(truth.rover.items()) | sensed)), ranges, pooling)
+        ranges = sensed.pop("ranges", None)
+        rover = RoverState.pack(**(dict(truth.rover.items()) | sensed))
+        return Perception(rover, lambda: truth.ranges if ranges is None else ranges, pooling)
 
     def __call__(self, inputs: SensorInput, delays: SensorDelays | None = None) -> dict[str, Tensor]:
         """Returns the observation, each entry ``[N, k]``, as late as ``delays`` say.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
+from rover_rl.envs.rover import UNOBSERVED, RoverEnv
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.terminations import TOLD
 
@@ -26,6 +29,10 @@ class ActionRepeat(Transform):
     sum of ``progress``. Its other entries are those of the last step. The transform adds ``("outcome", "goals")``, the
     number of goals reached, int64 ``[N, 1]``. Append transforms that count actions or sum rewards after this one.
 
+    The observation is that after the last step. It is made in that step alone, which saves three of four scans, unless
+    something reads it in between: a sensor with a period or a memory, delays, or a transform before this one that does
+    not say ``reads_observation = False``, as a :class:`~rover_rl.envs.rewards.RewardComponent` may.
+
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))
         >>> env.rollout(3)["next", "outcome", "steps"][0].squeeze(-1)
@@ -37,6 +44,22 @@ class ActionRepeat(Transform):
         if repeat < 1:
             raise ValueError(f"repeat must be at least 1 step, got {repeat}")
         self.repeat = repeat
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        env, transforms = self._before()
+        is_read = any(getattr(transform, "reads_observation", True) for transform in transforms)
+        if isinstance(env, RoverEnv) and env.is_memoryless and not is_read:
+            tensordict.set(UNOBSERVED, torch.ones(tensordict.batch_size, dtype=torch.bool, device=tensordict.device))
+        return tensordict
+
+    def _before(self) -> tuple[EnvBase, list[Transform]]:
+        """Returns the environment without transforms, and its transforms before this one."""
+        env: Any = self.container
+        transforms: list[Transform] = []
+        while isinstance(env, TransformedEnv):
+            transforms = [*_leaves(env.transform), *transforms]
+            env = env.base_env
+        return env, transforms[: transforms.index(self)]
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         active = ones = torch.ones_like(next_tensordict.get("done"))
@@ -51,16 +74,34 @@ class ActionRepeat(Transform):
             rows = active.reshape(tensordict.batch_size)
             # A component may compare its entries of two steps.
             current = tensordict.copy().update(next_tensordict)
-            next_tensordict = _step_rows(self.parent, current.set("_step", rows))
+            next_tensordict = self._step_before(current.set("_step", rows))
             step = self._step_entries(next_tensordict, active)
             total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
             # A termination of one's own tells nothing of rows that it has ended before.
             ends = {key: ended | (next_tensordict.get(key) & active) for key, ended in ends.items()}
+        if UNOBSERVED in tensordict.keys():  # noqa: SIM118
+            next_tensordict.update(self._before()[0].observe())
         # A copy, because the environment keeps a reference to the outcome that it returns.
         next_tensordict.set("outcome", next_tensordict.get("outcome").copy())
         for key, value in (total | ends).items():
             next_tensordict.set(key, value)
         return next_tensordict
+
+    def _step_before(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Takes a step of the environment with the transforms before this one.
+
+        That of TransformedEnv would read whether it is for all rows, and make the host wait for the device.
+        """
+        env, transforms = self._before()
+        preset = tensordict.get("next", None)
+        for transform in reversed(transforms):
+            tensordict = transform._inv_call(tensordict)
+        following = env._step(tensordict)
+        if preset is not None:
+            following.update(preset.exclude(*following.keys(True, True)))
+        for transform in transforms:
+            following = transform._step(tensordict, following)
+        return following
 
     def _step_entries(self, step: TensorDictBase, active: Tensor) -> dict[NestedKey, Tensor]:
         """Returns the accumulated entries of a step. Rows that are not ``active`` (bool ``[N, 1]``) add nothing."""
@@ -91,17 +132,8 @@ def _ends(step: TensorDictBase) -> dict[NestedKey, Tensor]:
     return {key: step.get(key) for key in ("done", "terminated", "truncated", *((TOLD, name) for name in told.keys()))}  # noqa: SIM118
 
 
-def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
-    """Steps the rows of ``_step``. A transform may return anything for the others."""
-    if tensordict.get("_step").device.type == "cpu" or not isinstance(env, TransformedEnv):
-        return env._step(tensordict)
-    # TransformedEnv._step would read whether the step is for all rows, and make the host wait for the device.
-    preset = tensordict.get("next", None)
-    tensordict = env.transform.inv(tensordict)
-    following = _step_rows(env.base_env, tensordict)
-    if preset is not None:
-        following.update(preset.exclude(*following.keys(True, True)))
-    return env.transform._step(tensordict, following)
+def _leaves(transform: Transform) -> list[Transform]:
+    return [leaf for one in transform for leaf in _leaves(one)] if isinstance(transform, Compose) else [transform]
 
 
 _REDUCTIONS = {("outcome", "phase"): torch.minimum, **{("outcome", event): torch.logical_or for event in EVENTS}}
