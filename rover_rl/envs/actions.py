@@ -50,8 +50,6 @@ class Action(Transform):
     """Sensors that :meth:`command` reads. The environment has them."""
     steered: ClassVar[bool] = False
     """Whether :meth:`command` returns speed and heading offset, as the contract's action, in place of a command."""
-    reads_observation: ClassVar[bool] = True
-    """Whether :meth:`command` reads the observation."""
 
     def __init__(self, limits: ActionConfig, fleet: Fleet) -> None:
         super().__init__(in_keys_inv=["action"], out_keys_inv=["action"])
@@ -111,7 +109,7 @@ class Heading(Action):
     With ``max_sideways``, the speed to the left (m/s) follows. The environment computes its commands itself.
     """
 
-    steered, reads_observation = True, False
+    steered = True
 
     @staticmethod
     def bounds(limits: ActionConfig) -> Bounds:
@@ -132,8 +130,6 @@ class Twist(Action):
     With ``max_sideways``, the speed to the left (m/s) follows.
     """
 
-    reads_observation = False
-
     @staticmethod
     def bounds(limits: ActionConfig) -> Bounds:
         assert limits.max_yaw_rate is not None
@@ -151,8 +147,6 @@ class WheelSpeeds(Action):
     Raises:
         ValueError: if a robot has another drive.
     """
-
-    reads_observation = False
 
     def __init__(self, limits: ActionConfig, fleet: Fleet) -> None:
         super().__init__(limits, fleet)

@@ -18,6 +18,7 @@ from rover_rl.envs.rows import Episodes, RowRobots, RowWorlds
 from rover_rl.envs.sensors.base import Sensor, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, LivePooling
 from rover_rl.robots.fleet import Fleet
+from rover_rl.rotations import level_to_euler, quaternion_to_euler
 from rover_rl.sims import make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import MAX_AGE, Feature
@@ -70,6 +71,7 @@ class Simulation:
             raise
         self.scanner = lidar = make_scanner(simulator, worlds.table, robot, config.lidar.beams)
         self.pooling = pooling if live is None else LivePooling(live, pooling)
+        self._to_euler = level_to_euler if simulator.is_level else quaternion_to_euler
         others = OtherRovers(robot, config.agents, len(fleet), dt, self._device) if config.agents > 1 else None
         self.movers = MoverField(worlds.table, dt, robot.radius, live is not None, others)
         self._rover_radius = robot.radius
@@ -199,7 +201,7 @@ class Simulation:
 
         if self.simulator.device != self._device:
             rover = rover.to(self._device)
-        state.truth = truth = stages.Perception(rover, scan, self.pooling, placed, last)
+        state.truth = truth = stages.Perception(rover, scan, self.pooling, placed, last, self._to_euler)
         if self.has_movers:
             distance, speed = self.movers.nearest(truth.position)
             touched = rover.mover_contact

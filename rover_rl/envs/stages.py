@@ -46,14 +46,14 @@ class Perception:
         pooling: Callable[[Tensor], Tensor],
         rows: ChosenRows = EVERY_ROW,
         last: Perception | None = None,
+        to_euler: Callable[[Tensor], Tensor] = quaternion_to_euler,
     ) -> None:
         self.rover, self._scan, self._pooling, self._rows = rover, scan, pooling, rows
-        known = vars(last) if last is not None and rows.are_selected else {}
-        # Of a scan that nobody has read, nothing is known.
-        self._readings: Tensor | None = known.get("readings")
-        self.euler = quaternion_to_euler(rows.of(rover.orientation) if known else rover.orientation)
-        if known:
-            self.euler = rows.into(known["euler"], self.euler)
+        if last is None or not rows.are_selected:
+            self._rows, last = EVERY_ROW, None
+        # Nothing is known of a scan that nobody has read.
+        self._last = None if last is None else vars(last).get("readings")
+        self.euler = self._rows.into(last and last.euler, to_euler(self._rows.of(rover.orientation)))
         self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
 
     @cached_property
@@ -62,9 +62,8 @@ class Perception:
 
     @cached_property
     def readings(self) -> Tensor:
-        if self._readings is None:
-            return self._pooling(self.ranges)
-        return self._rows.into(self._readings, self._pooling(self._rows.of(self.ranges)))
+        rows = EVERY_ROW if self._last is None else self._rows
+        return rows.into(self._last, self._pooling(rows.of(self.ranges)))
 
 
 class SensedPose(NamedTuple):

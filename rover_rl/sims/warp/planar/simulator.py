@@ -31,6 +31,7 @@ class PlanarSimulator(WarpSimulator):
     """
 
     features: frozenset[Feature] = WarpSimulator.features - {"contact_force", "wheel_torque"}
+    is_level = True
     _step, _place, _scan = step_planar, place_planar, scan_planar
 
     def _make_tables(self) -> tuple[PlanarRobots, SceneTable]:
