@@ -46,7 +46,6 @@ class RewardComponent(Transform):
 
     name: str
     phases: tuple[StepEvent, ...] = ()
-    reads_observation: bool = True
 
     @abstractmethod
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:

@@ -117,8 +117,9 @@ class RoverEnv(EnvBase):
             privileged.PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         )
         self._make_specs()
-        self.is_memoryless = config.agents == 1 and self.delays is None and self.simulator.live is None
-        self.is_memoryless &= all(each.is_memoryless for each in self.sensors.values())
+        sensors = self.sensors.values()
+        remembers = any(each.period > 1 or type(each).reader is not base.Sensor.reader for each in sensors)
+        self.is_memoryless = not (remembers or config.agents > 1 or self.delays or self.simulator.live)
         self.set_seed(seed)
 
     def _open(self) -> None:
@@ -233,14 +234,14 @@ class RoverEnv(EnvBase):
         if (command := tensordict.get("command", None)) is not None:
             # Another action than the contract's has turned into it, or into steering: see rover_rl.envs.actions.
             command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
-            return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
-        action = tensordict.get("steering", None)
-        action = tensordict.get("action") if action is None else action
-        action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
-        # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
-        sensed = self._state.sensed
-        turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
-        command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
+        else:
+            action = tensordict.get("steering", None)
+            action = tensordict.get("action") if action is None else action
+            action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
+            # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
+            sensed = self._state.sensed
+            turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
+            command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
         return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
 
     @tensordicts.with_torch_defaults
@@ -278,14 +279,14 @@ class RoverEnv(EnvBase):
         done = {"terminated": state.terminated, "truncated": state.truncated}
         done["done"] = state.terminated | state.truncated
         observation = self._observation() if observed else {}
-        return self._result({**observation, "outcome": task.outcome(state), **entries, **done})
+        return self._result(**observation, outcome=task.outcome(state), **entries, **done)
 
     @tensordicts.with_torch_defaults
     def observe(self) -> TensorDict:
         """Returns the observation after the last step. Some rows may have moved in steps before, since the last one."""
-        return self._result(self._observation())
+        return self._result(**self._observation())
 
-    def _result(self, entries: dict[str, Any]) -> TensorDict:
+    def _result(self, **entries: Any) -> TensorDict:
         result = tensordicts.unchecked_tensordict(entries, self._row_shape, self.device)
         return result if self.batch_size else result[0]
 

@@ -178,10 +178,9 @@ class Simulation:
         placed: ChosenRows = EVERY_ROW,
         last: stages.Perception | None = None,
     ) -> None:
-        """Writes the true state of the rovers, whose lidars scan when something reads the ranges.
+        """Writes the true state, after a reset that of rows ``placed`` since the ``last``. Lidars scan when it is read.
 
-        Only the rows of ``moved`` (bool ``[N, 1]``; ``None``: all) differ from the state before. After a reset, these
-        are the rows that are ``placed``, and differ from the ``last`` readings.
+        Only the rows of ``moved`` (bool ``[N, 1]``; ``None``: all) differ from the state before.
         """
         if self._agents > 1:
             self.movers.follow(rover, moved, state.steps == 0)
@@ -192,12 +191,9 @@ class Simulation:
             due = (state.steps % self._period == 0).squeeze(-1)
 
         def scan() -> Tensor:
-            scanning = due
-            if state.moved is not None:
-                moved = state.moved.squeeze(-1)
-                scanning = moved if due is None else due & moved
-            scanning = None if scanning is None else scanning.to(self.simulator.device)
-            return self._lidar.scan(scanning).to(self._device)
+            rows = due if state.moved is None else state.moved.squeeze(-1)
+            rows = rows & due if rows is not None and due is not None else rows
+            return self._lidar.scan(None if rows is None else rows.to(self.simulator.device)).to(self._device)
 
         if self.simulator.device != self._device:
             rover = rover.to(self._device)

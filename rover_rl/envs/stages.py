@@ -48,12 +48,11 @@ class Perception:
         last: Perception | None = None,
         to_euler: Callable[[Tensor], Tensor] = quaternion_to_euler,
     ) -> None:
-        self.rover, self._scan, self._pooling, self._rows = rover, scan, pooling, rows
-        if last is None or not rows.are_selected:
-            self._rows, last = EVERY_ROW, None
-        # Nothing is known of a scan that nobody has read.
-        self._last = None if last is None else vars(last).get("readings")
-        self.euler = self._rows.into(last and last.euler, to_euler(self._rows.of(rover.orientation)))
+        self.rover, self._scan, self._pooling = rover, scan, pooling
+        # Without the readings of a scan that nobody has read.
+        known: Mapping[str, Tensor] = vars(last) if last is not None and rows.are_selected else {}
+        self._rows, self._last = rows if known else EVERY_ROW, known.get("readings")
+        self.euler: Tensor = self._rows.into(known.get("euler"), to_euler(self._rows.of(rover.orientation)))
         self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
 
     @cached_property
@@ -81,9 +80,7 @@ class StepState:
 
     keys: Tensor  #: Random keys of the episodes.
     active: Tensor | None = None  #: Rows that take the step. ``None``: all.
-    moved: Tensor | None = (
-        None  #: Rows that have moved, or begun an episode, since the last observation. ``None``: all.
-    )
+    moved: Tensor | None = None  #: Rows that have moved or begun since the last observation. ``None``: all.
     is_observed = True  #: Whether the observation has been made since the last step.
     truth: Perception  #: True state of the rovers.
     sensed: Perception  #: State by their sensors: that of ``truth`` if there is no sensor noise.
@@ -117,6 +114,11 @@ class StepState:
         self.progress = self.alignment = self.goal[:, :1]
         self.events = torch.zeros(num_envs, 7, dtype=torch.bool, device=device)
         self.terminated = self.truncated = self.events[:, :1]
+
+    def take(self, **values: Tensor) -> None:
+        """Sets values of the active rows, by name."""
+        for name, value in values.items():
+            setattr(self, name, value if self.active is None else torch.where(self.active, value, getattr(self, name)))
 
     def move(self, rows: Tensor | None) -> None:
         """Adds rows to those that have moved since the last observation."""

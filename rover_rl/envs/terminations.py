@@ -40,8 +40,6 @@ class Termination(Transform):
     """
 
     name: str
-    reads_observation: bool = True
-    """Whether :meth:`ends` reads the observation, and not only the outcome."""
 
     @abstractmethod
     def ends(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:

@@ -258,11 +258,6 @@ class Sensor(ABC):
         return {}
 
     @property
-    def is_memoryless(self) -> bool:
-        """Whether a value depends on the present state alone, and not on the readings before."""
-        return self.period == 1 and type(self).reader is Sensor.reader
-
-    @property
     def image(self) -> tuple[int, int] | None:
         """Rows and columns if the encoded value is an image, or several, which networks read with convolutions."""
         return None
