@@ -22,9 +22,6 @@ from rover_rl.envs.simulation import Simulation
 from rover_rl.sims.base import RoverState, View
 from rover_rl.worlds import World
 
-UNOBSERVED = "_unobserved"
-"""Entry of an input, of any value, whose step returns no observation: :meth:`RoverEnv.observe` makes it later."""
-
 
 class RoverEnv(EnvBase):
     """Batch of rovers that navigate to goals with lidar, IMU, wheel odometry and pose.
@@ -117,9 +114,6 @@ class RoverEnv(EnvBase):
             privileged.PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         )
         self._make_specs()
-        sensors = self.sensors.values()
-        remembers = any(each.period > 1 or type(each).reader is not base.Sensor.reader for each in sensors)
-        self.is_memoryless = not (remembers or config.agents > 1 or self.delays or self.simulator.live)
         self.set_seed(seed)
 
     def _open(self) -> None:
@@ -127,6 +121,7 @@ class RoverEnv(EnvBase):
         self._simulation = Simulation(self.config, self._row_worlds, self.robots, self.sensors, self.lidar)
         self.simulator, self.scanner = self._simulation.simulator, self._simulation.scanner
         self.movers, self.delays = self._simulation.movers, self._simulation.delays
+        self.is_memoryless = self._simulation.is_memoryless
         gains, fastest = self.config.heading_gains, max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = stages.HeadingController(self.num_envs, gains, self._tensor_device)
@@ -230,18 +225,17 @@ class RoverEnv(EnvBase):
         self._require_started("step")
         active = tensordict.get("_step", None)
         active = None if active is None else active.reshape(self.num_envs, 1)
-        observed = UNOBSERVED not in tensordict.keys()  # noqa: SIM118
         if (command := tensordict.get("command", None)) is not None:
             # Another action than the contract's has turned into it, or into steering: see rover_rl.envs.actions.
             command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
         else:
-            action = tensordict.get("steering", None)
-            action = tensordict.get("action") if action is None else action
+            action = tensordict.get("steering", tensordict.get("action"))
             action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
             # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
             sensed = self._state.sensed
             turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
             command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
+        observed = specs.UNOBSERVED not in tensordict.keys()  # noqa: SIM118
         return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
 
     @tensordicts.with_torch_defaults
@@ -262,8 +256,7 @@ class RoverEnv(EnvBase):
         self._simulation.step(state, command, self._episodes)
         self._sense(state)
         self._navigation.advance(state, invalid)
-        reward = (state.phase == task.StepEvent.GOAL).to(torch.float32)
-        return self._pack(observed, reward=reward)
+        return self._pack(observed, reward=(state.phase == task.StepEvent.GOAL).to(torch.float32))
 
     def _sense(self, state: stages.StepState) -> None:
         scan_step, pooling = None if self.delays is None else self.delays.scan_step, self._simulation.pooling
@@ -273,13 +266,12 @@ class RoverEnv(EnvBase):
         for stage in self._simulation.stages:
             stage.read(state)
 
-    def _pack(self, observed: bool = True, **entries: Tensor) -> TensorDict:
+    def _pack(self, observed: bool = True, **entries: Any) -> TensorDict:
         """Returns the result of a reset or step."""
-        state = self._state
-        done = {"terminated": state.terminated, "truncated": state.truncated}
-        done["done"] = state.terminated | state.truncated
-        observation = self._observation() if observed else {}
-        return self._result(**observation, outcome=task.outcome(state), **entries, **done)
+        state, observation = self._state, self._observation() if observed else {}
+        ends = {"terminated": state.terminated, "truncated": state.truncated}
+        ends["done"] = state.terminated | state.truncated
+        return self._result(**observation, outcome=task.outcome(state), **entries, **ends)
 
     @tensordicts.with_torch_defaults
     def observe(self) -> TensorDict:
@@ -294,23 +286,14 @@ class RoverEnv(EnvBase):
         state, known = self._state, self._state.known
         is_exact = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         target = state.target if is_exact else task.target_info(known.position[:, :2], known.yaw, state.goal)
-        observation: dict[str, Any] = self.observer(
-            base.SensorInput(
-                truth=state.truth,
-                sensed=state.sensed,
-                pose=state.pose,
-                target=target,
-                goal=state.goal,
-                steps=state.steps,
-                keys=state.keys,
-                surroundings=self._simulation.surroundings,
-                bounds=self.placement.bounds,
-                rows=self._every if state.moved is None else state.moved.squeeze(-1),
-                scan_pose=state.scan_pose,
-                predicted=state.predicted,
-            ),
-            self.delays,
+        inputs = base.SensorInput(
+            target=target,
+            surroundings=self._simulation.surroundings,
+            bounds=self.placement.bounds,
+            rows=self._every if state.moved is None else state.moved.squeeze(-1),
+            **{name: getattr(state, name) for name in base.STATE},
         )
+        observation: dict[str, Any] = self.observer(inputs, self.delays)
         if self._privileged is not None:
             world, latency = self._row_worlds.index, self._simulation.command_delay.steps
             observation["privileged"] = self._privileged(state.truth, world, state.goal, self._dynamics, latency)

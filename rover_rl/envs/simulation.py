@@ -93,6 +93,8 @@ class Simulation:
             worlds.open(prepare)
             simulator.enter_worlds()
         self._init_stages(config, robots)
+        remembers = any(each.period > 1 or type(each).reader is not Sensor.reader for each in sensors.values())
+        self.is_memoryless = not (remembers or config.agents > 1 or self.delays or live)
 
     def _init_stages(self, config: EnvConfig, robots: RowRobots) -> None:
         noise, period, fleet, live = config.randomization, config.lidar.period, robots.fleet, self.simulator.live

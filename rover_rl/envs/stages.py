@@ -51,8 +51,9 @@ class Perception:
         self.rover, self._scan, self._pooling = rover, scan, pooling
         # Without the readings of a scan that nobody has read.
         known: Mapping[str, Tensor] = vars(last) if last is not None and rows.are_selected else {}
-        self._rows, self._last = rows if known else EVERY_ROW, known.get("readings")
-        self.euler: Tensor = self._rows.into(known.get("euler"), to_euler(self._rows.of(rover.orientation)))
+        self._rows, self._last = rows, known.get("readings")
+        self.euler = to_euler(rows.of(rover.orientation) if known else rover.orientation)
+        self.euler = rows.into(known["euler"], self.euler) if known else self.euler
         self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
 
     @cached_property
@@ -61,8 +62,9 @@ class Perception:
 
     @cached_property
     def readings(self) -> Tensor:
-        rows = EVERY_ROW if self._last is None else self._rows
-        return rows.into(self._last, self._pooling(rows.of(self.ranges)))
+        if self._last is None:
+            return self._pooling(self.ranges)
+        return self._rows.into(self._last, self._pooling(self._rows.of(self.ranges)))
 
 
 class SensedPose(NamedTuple):

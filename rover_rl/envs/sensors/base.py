@@ -33,6 +33,8 @@ Directions: TypeAlias = Tensor | Sequence[Sequence[float]]
 Pooling: TypeAlias = Callable[[Tensor], Tensor]
 Delayed: TypeAlias = Literal["scan", "state"] | None
 """Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
+STATE = ("truth", "sensed", "pose", "goal", "steps", "keys", "scan_pose", "predicted")
+"""What sensors read from the state of a step: fields of :class:`SensorInput`."""
 
 
 class Surroundings:

@@ -12,7 +12,8 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
-from rover_rl.envs.rover import UNOBSERVED, RoverEnv
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.specs import UNOBSERVED
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.terminations import TOLD
 
