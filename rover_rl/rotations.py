@@ -37,6 +37,13 @@ def quaternion_to_euler(quaternion: Tensor) -> Tensor:
     return torch.stack((roll, pitch, yaw), -1)
 
 
+def level_to_euler(quaternion: Tensor) -> Tensor:
+    """Returns what :func:`quaternion_to_euler` does, to the last bit, of quaternions whose x and y are 0."""
+    z, w = quaternion[..., 2:].unbind(-1)
+    yaw = angle_of(torch.stack((w * w - z * z, 2 * (z * w)), -1))
+    return torch.nn.functional.pad(yaw[..., None], (2, 0))
+
+
 def rotation_forms() -> Tensor:
     """Coefficients of a rotation matrix's entries in the products of the quaternion's components: ``[3, 3, 16]``."""
     x, y, z, w = torch.eye(4)

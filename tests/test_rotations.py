@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rover_rl.rotations import matrix_to_quaternion, quaternion_to_euler, wrap_angle
+from rover_rl.rotations import level_to_euler, matrix_to_quaternion, quaternion_to_euler, wrap_angle
 
 
 def random_quaternions(count: int) -> torch.Tensor:
@@ -22,6 +22,12 @@ def test_euler_angles_use_static_xyz_axes():
     q = random_quaternions(500)
     expected = torch.from_numpy(Rotation.from_quat(q.numpy()).as_euler("xyz"))
     torch.testing.assert_close(quaternion_to_euler(q), expected, atol=1e-6, rtol=0)
+
+
+def test_level_quaternions_have_the_same_euler_angles_to_the_last_bit():
+    half = torch.linspace(-4, 4, 1001)[:, None]
+    q = torch.cat((torch.zeros(1001, 2), half.sin(), half.cos()), -1)
+    assert torch.equal(level_to_euler(q), quaternion_to_euler(q))
 
 
 def test_matrix_to_quaternion_inverts_scipys_matrix():

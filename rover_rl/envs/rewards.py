@@ -33,7 +33,8 @@ class RewardComponent(Transform):
     """Base class of reward components. The value is written to ``("reward_components", name)``.
 
     Subclasses define :meth:`value`, ``name``, and ``phases``, the events in which the component is active, if it is not
-    so in every step.
+    so in every step. One that computes its value from the ``outcome`` alone says ``reads_observation = False``: see
+    :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`.
 
     Example:
         >>> class TiltPenalty(RewardComponent):
@@ -161,6 +162,7 @@ class ConfiguredComponent(RewardComponent):
         self.config = config or RewardConfig()
         if name:
             self.name, (self.phases, self._value) = name, (CONTRACT | SHAPING)[name]
+            self.reads_observation = name == "clearance"
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
         return self._value(outcome, observation, self.config)
@@ -176,7 +178,7 @@ class ActionRatePenalty(ConfiguredComponent):
     :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` repeats changes once.
     """
 
-    name = "action_rate"
+    name, reads_observation = "action_rate", False
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         squared = self._change.square().sum(-1, keepdim=True)
@@ -210,7 +212,7 @@ class MoverContactPenalty(ConfiguredComponent):
     A rover whose wheels turned by less than 0.05 m/s before the step has been run into. Not a part of the contract.
     """
 
-    name = "mover_contact"
+    name, reads_observation = "mover_contact", False
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
         contact, config = outcome.get("mover_contact", None), self.config
@@ -227,6 +229,8 @@ class MoverContactPenalty(ConfiguredComponent):
 
 class TotalReward(Transform):
     """Writes the sum of all reward components to ``reward``. Append it after the components."""
+
+    reads_observation = False
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         # The environment already has ``reward``.

@@ -59,6 +59,7 @@ class RoverEnv(EnvBase):
         robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
+        is_memoryless: whether an observation tells of the state alone, and not of the observations before it.
         movers: movers of each row, where they are and where they go.
 
     Raises ``ValueError`` if a name is unknown, a number is out of range, the device is not available, or the backend
@@ -120,6 +121,7 @@ class RoverEnv(EnvBase):
         self._simulation = Simulation(self.config, self._row_worlds, self.robots, self.sensors, self.lidar)
         self.simulator, self.scanner = self._simulation.simulator, self._simulation.scanner
         self.movers, self.delays = self._simulation.movers, self._simulation.delays
+        self.is_memoryless = self._simulation.is_memoryless
         gains, fastest = self.config.heading_gains, max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = stages.HeadingController(self.num_envs, gains, self._tensor_device)
@@ -192,12 +194,13 @@ class RoverEnv(EnvBase):
             stage.begin(mask, keys)
         self.controller.reset(mask)
         state.steps = state.steps.masked_fill(mask, 0)
+        state.move(mask)
         self._simulation.reset(state, chosen, start, last)
         self._sense(state)
         self._navigation.begin(state, chosen, goal)
         self._started = True
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
-        return self._pack(mask.squeeze(-1))
+        return self._pack()
 
     def _change_worlds(self, begins: chosen_rows.ChosenRows) -> None:
         """Draws the worlds of new episodes. In a simulator that cannot change worlds, a seed has those of its first."""
@@ -225,15 +228,15 @@ class RoverEnv(EnvBase):
         if (command := tensordict.get("command", None)) is not None:
             # Another action than the contract's has turned into it, or into steering: see rover_rl.envs.actions.
             command, invalid = stages.checked_action(command, self.batch_size, self._command_clip)
-            return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
-        action = tensordict.get("steering", None)
-        action = tensordict.get("action") if action is None else action
-        action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
-        # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
-        sensed = self._state.sensed
-        turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
-        command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
-        return self._follow(command.masked_fill(invalid, 0.0), invalid, active)
+        else:
+            action = tensordict.get("steering", tensordict.get("action"))
+            action, invalid = stages.checked_action(action, self.batch_size, self._action_clip)
+            # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
+            sensed = self._state.sensed
+            turn = self.controller(sensed.yaw + action[:, 1:2], sensed.yaw, sensed.rover.dt, active)
+            command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
+        observed = specs.UNOBSERVED not in tensordict.keys()  # noqa: SIM118
+        return self._follow(command.masked_fill(invalid, 0.0), invalid, active, observed)
 
     @tensordicts.with_torch_defaults
     def step_commands(self, command: Tensor) -> TensorDictBase:
@@ -241,7 +244,7 @@ class RoverEnv(EnvBase):
         self._require_started("step_commands")
         return self._follow(command, ~self._every[:, None], None)
 
-    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None) -> TensorDictBase:
+    def _follow(self, command: Tensor, invalid: Tensor, active: Tensor | None, observed: bool = True) -> TensorDictBase:
         """Takes a step with commands. ``invalid`` are rows whose action is not finite, bool ``[N, 1]``."""
         state = self._state
         state.active = active
@@ -249,11 +252,11 @@ class RoverEnv(EnvBase):
             command = stage.command(command, state)
         taken = 1 if active is None else active
         state.steps, state.total_steps = state.steps + taken, state.total_steps + taken
+        state.move(active)
         self._simulation.step(state, command, self._episodes)
         self._sense(state)
         self._navigation.advance(state, invalid)
-        reward = (state.phase == task.StepEvent.GOAL).to(torch.float32)
-        return self._pack(self._every if active is None else active.squeeze(-1), reward=reward)
+        return self._pack(observed, reward=(state.phase == task.StepEvent.GOAL).to(torch.float32))
 
     def _sense(self, state: stages.StepState) -> None:
         scan_step, pooling = None if self.delays is None else self.delays.scan_step, self._simulation.pooling
@@ -263,37 +266,39 @@ class RoverEnv(EnvBase):
         for stage in self._simulation.stages:
             stage.read(state)
 
-    def _pack(self, new: Tensor, **entries: Tensor) -> TensorDict:
-        """Returns the result of a reset or step, in which the rows ``new`` (bool ``[N]``) have moved."""
+    def _pack(self, observed: bool = True, **entries: Any) -> TensorDict:
+        """Returns the result of a reset or step."""
+        state, observation = self._state, self._observation() if observed else {}
+        ends = {"terminated": state.terminated, "truncated": state.truncated}
+        ends["done"] = state.terminated | state.truncated
+        return self._result(**observation, outcome=task.outcome(state), **entries, **ends)
+
+    @tensordicts.with_torch_defaults
+    def observe(self) -> TensorDict:
+        """Returns the observation after the last step. Some rows may have moved in steps before, since the last one."""
+        return self._result(**self._observation())
+
+    def _result(self, **entries: Any) -> TensorDict:
+        result = tensordicts.unchecked_tensordict(entries, self._row_shape, self.device)
+        return result if self.batch_size else result[0]
+
+    def _observation(self) -> dict[str, Any]:
         state, known = self._state, self._state.known
         is_exact = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         target = state.target if is_exact else task.target_info(known.position[:, :2], known.yaw, state.goal)
-        observation: dict[str, Any] = self.observer(
-            base.SensorInput(
-                truth=state.truth,
-                sensed=state.sensed,
-                pose=state.pose,
-                target=target,
-                goal=state.goal,
-                steps=state.steps,
-                keys=state.keys,
-                surroundings=self._simulation.surroundings,
-                bounds=self.placement.bounds,
-                rows=new,
-                scan_pose=state.scan_pose,
-                predicted=state.predicted,
-            ),
-            self.delays,
+        inputs = base.SensorInput(
+            target=target,
+            surroundings=self._simulation.surroundings,
+            bounds=self.placement.bounds,
+            rows=self._every if state.moved is None else state.moved.squeeze(-1),
+            **{name: getattr(state, name) for name in base.STATE},
         )
+        observation: dict[str, Any] = self.observer(inputs, self.delays)
         if self._privileged is not None:
             world, latency = self._row_worlds.index, self._simulation.command_delay.steps
             observation["privileged"] = self._privileged(state.truth, world, state.goal, self._dynamics, latency)
-        done = {"terminated": state.terminated, "truncated": state.truncated}
-        done["done"] = state.terminated | state.truncated
-        result = tensordicts.unchecked_tensordict(
-            {**observation, "outcome": task.outcome(state), **entries, **done}, self._row_shape, self.device
-        )
-        return result if self.batch_size else result[0]
+        state.is_observed = True
+        return observation
 
     @property
     def worlds(self) -> list[World]:

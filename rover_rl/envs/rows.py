@@ -161,11 +161,9 @@ class RowWorlds:
 
     def set_weights(self, weights: Tensor) -> None:
         """Sets the weights of the worlds, ``[len(pool)]``, in later draws. The next episodes have theirs already."""
-        count, drawn_from = (
-            len(self.pool),
-            "a range of worlds, as in 'maze:*', or a WorldPool, from which episodes draw",
-        )
+        count = len(self.pool)
         if not self.is_drawn:
+            drawn_from = "a range of worlds, as in 'maze:*', or a WorldPool, from which episodes draw"
             raise ValueError(f"weights are for {drawn_from}")
         if weights.shape != (count,):
             raise ValueError(f"weights must have the shape {(count,)}, one for each world, got {(*weights.shape,)}")

@@ -18,6 +18,7 @@ from rover_rl.envs.rows import Episodes, RowRobots, RowWorlds
 from rover_rl.envs.sensors.base import Sensor, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, LivePooling
 from rover_rl.robots.fleet import Fleet
+from rover_rl.rotations import level_to_euler, quaternion_to_euler
 from rover_rl.sims import make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import MAX_AGE, Feature
@@ -70,6 +71,7 @@ class Simulation:
             raise
         self.scanner = lidar = make_scanner(simulator, worlds.table, robot, config.lidar.beams)
         self.pooling = pooling if live is None else LivePooling(live, pooling)
+        self._to_euler = level_to_euler if simulator.is_level else quaternion_to_euler
         others = OtherRovers(robot, config.agents, len(fleet), dt, self._device) if config.agents > 1 else None
         self.movers = MoverField(worlds.table, dt, robot.radius, live is not None, others)
         self._rover_radius = robot.radius
@@ -91,6 +93,8 @@ class Simulation:
             worlds.open(prepare)
             simulator.enter_worlds()
         self._init_stages(config, robots)
+        remembers = any(each.period > 1 or type(each).reader is not Sensor.reader for each in sensors.values())
+        self.is_memoryless = not (remembers or config.agents > 1 or self.delays or live)
 
     def _init_stages(self, config: EnvConfig, robots: RowRobots) -> None:
         noise, period, fleet, live = config.randomization, config.lidar.period, robots.fleet, self.simulator.live
@@ -152,7 +156,7 @@ class Simulation:
         """Places the rovers of ``rows`` at ``poses`` ``[N, 3]``, and writes the true state that follows ``last``."""
         placed = rows.mask.squeeze(-1).to(self.simulator.device)
         rover = self.simulator.reset(placed, poses.to(placed.device))
-        self._perceive(state, rover, placed, rows.mask, rows, last)
+        self._perceive(state, rover, rows.mask, rows, last)
 
     def step(self, state: stages.StepState, command: Tensor, episodes: Episodes) -> None:
         """Advances the ``active`` rovers and the movers around them, and writes their true state."""
@@ -166,20 +170,19 @@ class Simulation:
         rows = None if active is None else active.squeeze(-1).to(device)
         with self._worlds.preparing():
             rover = self.simulator.step(command.to(device), rows)
-        self._perceive(state, rover, rows, active)
+        self._perceive(state, rover, active)
 
     def _perceive(
         self,
         state: stages.StepState,
         rover: RoverState,
-        rows: Tensor | None,
         moved: Tensor | None,
         placed: ChosenRows = EVERY_ROW,
         last: stages.Perception | None = None,
     ) -> None:
-        """Scans. ``rows``, bool ``[N]`` on the simulator's device, and ``moved``, bool ``[N, 1]``, are the same.
+        """Writes the true state, after a reset that of rows ``placed`` since the ``last``. Lidars scan when it is read.
 
-        After a reset, only the rows that are ``placed`` differ from the ``last`` readings.
+        Only the rows of ``moved`` (bool ``[N, 1]``; ``None``: all) differ from the state before.
         """
         if self._agents > 1:
             self.movers.follow(rover, moved, state.steps == 0)
@@ -188,14 +191,15 @@ class Simulation:
             due = self.delays.scans(state.keys, state.steps)
         elif self._period > 1:
             due = (state.steps % self._period == 0).squeeze(-1)
-        scanning = rows
-        if due is not None:
-            due = due.to(self.simulator.device)
-            scanning = due if rows is None else due & rows
-        ranges = self._lidar.scan(scanning)
+
+        def scan() -> Tensor:
+            rows = due if state.moved is None else state.moved.squeeze(-1)
+            rows = rows & due if rows is not None and due is not None else rows
+            return self._lidar.scan(None if rows is None else rows.to(self.simulator.device)).to(self._device)
+
         if self.simulator.device != self._device:
-            rover, ranges = rover.to(self._device), ranges.to(self._device)
-        state.truth = truth = stages.Perception(rover, ranges, self.pooling, placed, last)
+            rover = rover.to(self._device)
+        state.truth = truth = stages.Perception(rover, scan, self.pooling, placed, last, self._to_euler)
         if self.has_movers:
             distance, speed = self.movers.nearest(truth.position)
             touched = rover.mover_contact

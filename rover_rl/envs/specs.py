@@ -13,6 +13,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from rover_rl.envs.task import EVENTS, StepEvent
 
 Device: TypeAlias = torch.device | str | None
+UNOBSERVED = "_unobserved"
+"""Entry of an input, of any value, whose step returns no observation: ``RoverEnv.observe`` makes it later."""
 
 
 @dataclass(frozen=True)

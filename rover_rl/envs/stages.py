@@ -8,6 +8,7 @@ rover stood, and a command is 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -34,25 +35,36 @@ class Perception:
     them follow ``readings``, the pooled scan, ``[N, lidar_points]``, m; from the state, ``euler``, roll, pitch and yaw,
     ``[N, 3]``, ``yaw``, ``[N, 1]`` (rad), and ``position``, x and y, ``[N, 2]``, m.
 
-    If only some ``rows`` differ from the ``last`` state and scan, what follows is computed for these alone.
+    ``scan`` is called when the ranges are first read, which must be before the next step. If only some ``rows`` differ
+    from the ``last`` state and scan, what follows is computed for these alone.
     """
 
     def __init__(
         self,
         rover: RoverState,
-        ranges: Tensor,
+        scan: Callable[[], Tensor],
         pooling: Callable[[Tensor], Tensor],
         rows: ChosenRows = EVERY_ROW,
         last: Perception | None = None,
+        to_euler: Callable[[Tensor], Tensor] = quaternion_to_euler,
     ) -> None:
-        self.rover, self.ranges = rover, ranges
-        position, orientation = rover.position, rover.orientation
-        if last is None or not rows.are_selected:
-            self.euler, self.readings = quaternion_to_euler(orientation), pooling(ranges)
-        else:
-            self.euler = rows.into(last.euler, quaternion_to_euler(rows.of(orientation)))
-            self.readings = rows.into(last.readings, pooling(rows.of(ranges)))
-        self.yaw, self.position = self.euler[:, 2:], position[:, :2]
+        self.rover, self._scan, self._pooling = rover, scan, pooling
+        # Without the readings of a scan that nobody has read.
+        known: Mapping[str, Tensor] = vars(last) if last is not None and rows.are_selected else {}
+        self._rows, self._last = rows, known.get("readings")
+        self.euler = to_euler(rows.of(rover.orientation) if known else rover.orientation)
+        self.euler = rows.into(known["euler"], self.euler) if known else self.euler
+        self.yaw, self.position = self.euler[:, 2:], rover.position[:, :2]
+
+    @cached_property
+    def ranges(self) -> Tensor:
+        return self._scan()
+
+    @cached_property
+    def readings(self) -> Tensor:
+        if self._last is None:
+            return self._pooling(self.ranges)
+        return self._rows.into(self._last, self._pooling(self._rows.of(self.ranges)))
 
 
 class SensedPose(NamedTuple):
@@ -70,6 +82,8 @@ class StepState:
 
     keys: Tensor  #: Random keys of the episodes.
     active: Tensor | None = None  #: Rows that take the step. ``None``: all.
+    moved: Tensor | None = None  #: Rows that have moved or begun since the last observation. ``None``: all.
+    is_observed = True  #: Whether the observation has been made since the last step.
     truth: Perception  #: True state of the rovers.
     sensed: Perception  #: State by their sensors: that of ``truth`` if there is no sensor noise.
     reference: Perception  #: The one of ``truth`` and ``sensed`` that events and rewards are computed from.
@@ -102,6 +116,17 @@ class StepState:
         self.progress = self.alignment = self.goal[:, :1]
         self.events = torch.zeros(num_envs, 7, dtype=torch.bool, device=device)
         self.terminated = self.truncated = self.events[:, :1]
+
+    def take(self, **values: Tensor) -> None:
+        """Sets values of the active rows, by name."""
+        for name, value in values.items():
+            setattr(self, name, value if self.active is None else torch.where(self.active, value, getattr(self, name)))
+
+    def move(self, rows: Tensor | None) -> None:
+        """Adds rows to those that have moved since the last observation."""
+        if not self.is_observed:
+            rows = None if rows is None or self.moved is None else rows | self.moved
+        self.moved, self.is_observed = rows, False
 
 
 class Stage:

@@ -60,14 +60,13 @@ class PositionHistory:
         # x + iy: a position is one element.
         self._positions = torch.zeros(num_envs, window, dtype=torch.complex64, device=device)
 
-    def displacement(self, position: Tensor, steps: Tensor, active: Tensor | None = None) -> Tensor:
-        """Stores positions ``[N, 2]`` of ``active`` rows, and returns their distance from the oldest ones, ``[N, 1]``.
+    def displacement(self, position: Tensor, steps: Tensor) -> Tensor:
+        """Stores positions ``[N, 2]``, and returns their distance from the oldest ones, ``[N, 1]``.
 
-        It is inf until the buffer is full. ``steps`` are those of the episode, including this one, int64 ``[N, 1]``.
+        It is inf until the buffer is full. ``steps`` are those of the episode, including this one, int64 ``[N, 1]``. A
+        row that takes no step stores its position again.
         """
         slot, point = (steps - 1) % self._window, torch.view_as_complex(position.contiguous())[:, None]
-        if active is not None:
-            point = torch.where(active, point, self._positions.gather(1, slot))
         oldest = self._positions.scatter_(1, slot, point).gather(1, (slot + 1) % self._window)
         displacement = torch.linalg.vector_norm(torch.view_as_real(point - oldest), dim=-1)
         return displacement.masked_fill(steps < self._window, math.inf)
@@ -165,30 +164,25 @@ class Navigation:
 
         ``invalid`` are rows whose action was not finite, bool ``[N, 1]``.
         """
-        active, reference, last = state.active, state.reference, state.target
+        reference = state.reference
         target = target_info(reference.position, reference.yaw, state.goal)
         collision_steps = (state.collision_steps + 1) * self._in_collision(reference)
         events, phase = compute_terminations(
             position=reference.position,
             tilt=reference.euler[:, :2],
             distance=target[:, :1],
-            displacement=self._history.displacement(reference.position, state.steps, active),
+            displacement=self._history.displacement(reference.position, state.steps),
             collision_steps=collision_steps,
             invalid=invalid,
             bounds=(self._placement.bounds_low, self._placement.bounds_high),
             config=self._task,
         )
-        progress, alignment = last[:, :1] - target[:, :1], heading_alignment(target[:, 1:])
-        if active is not None:
-            target = torch.where(active, target, last)
-            collision_steps = torch.where(active, collision_steps, state.collision_steps)
-            events, phase = torch.where(active, events, state.events), phase.masked_fill(~active, StepEvent.NONE)
-            progress = torch.where(active, progress, state.progress)
-            alignment = torch.where(active, alignment, state.alignment)
-        state.target, state.collision_steps, state.events, state.phase = target, collision_steps, events, phase
-        state.progress, state.alignment = progress, alignment
+        progress = state.target[:, :1] - target[:, :1]
+        state.take(target=target, events=events, collision_steps=collision_steps)
+        state.take(progress=progress, alignment=heading_alignment(target[:, 1:]))
+        state.phase = phase if state.active is None else phase.masked_fill(~state.active, StepEvent.NONE)
         if not self._end_on_goal:
-            self._set_next_goals(state, phase == StepEvent.GOAL)
+            self._set_next_goals(state, state.phase == StepEvent.GOAL)
         self._end(state)
 
     def _in_collision(self, reference: Perception) -> Tensor:
@@ -215,11 +209,7 @@ class Navigation:
         if self._end_on_goal:
             terminated = terminated | state.events[:, _GOAL_REACHED]
         steps = state.steps if state.world_steps is None else state.world_steps
-        truncated = (steps >= self.length) & ~terminated
-        if state.active is not None:
-            terminated = torch.where(state.active, terminated, state.terminated)
-            truncated = torch.where(state.active, truncated, state.truncated)
-        state.terminated, state.truncated = terminated, truncated
+        state.take(terminated=terminated, truncated=(steps >= self.length) & ~terminated)
 
 
 def outcome(state: StepState) -> TensorDict:

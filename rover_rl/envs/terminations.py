@@ -91,7 +91,7 @@ class NoProgress(Termination):
     a wall may lead away from the goal for as long.
     """
 
-    name = "no_progress"
+    name, reads_observation = "no_progress", False
 
     def __init__(self, seconds: float = 20.0, distance: float = 0.2) -> None:
         super().__init__()

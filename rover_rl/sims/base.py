@@ -104,6 +104,7 @@ class Simulator:
         control_dt: duration of a control step, s.
         device: device of the tensors.
         features: optional features.
+        is_level: whether rovers never pitch or roll.
         live: the real rover, around which nothing is known but the map. ``None`` in simulation.
         robot_connected: whether the rovers are connected. Always true in simulation.
     """
@@ -112,6 +113,7 @@ class Simulator:
     control_dt: float
     device: torch.device
     features: frozenset[Feature] = frozenset()
+    is_level: bool = False
 
     @property
     def live(self) -> LiveRover | None:

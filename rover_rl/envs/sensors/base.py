@@ -33,6 +33,8 @@ Directions: TypeAlias = Tensor | Sequence[Sequence[float]]
 Pooling: TypeAlias = Callable[[Tensor], Tensor]
 Delayed: TypeAlias = Literal["scan", "state"] | None
 """Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
+STATE = ("truth", "sensed", "pose", "goal", "steps", "keys", "scan_pose", "predicted")
+"""What sensors read from the state of a step: fields of :class:`SensorInput`."""
 
 
 class Surroundings:
@@ -322,8 +324,9 @@ class Observer:
             sensed |= sensor.sense(self._noise, truth, keys, at)
         if not sensed:
             return truth
-        ranges = sensed.pop("ranges", truth.ranges)
-        return Perception(RoverState.pack(**(dict(truth.rover.items()) | sensed)), ranges, pooling)
+        ranges = sensed.pop("ranges", None)
+        rover = RoverState.pack(**(dict(truth.rover.items()) | sensed))
+        return Perception(rover, lambda: truth.ranges if ranges is None else ranges, pooling)
 
     def __call__(self, inputs: SensorInput, delays: SensorDelays | None = None) -> dict[str, Tensor]:
         """Returns the observation, each entry ``[N, k]``, as late as ``delays`` say.

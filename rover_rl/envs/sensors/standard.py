@@ -57,12 +57,13 @@ class Lidar(Sensor):
 
     def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
         """Changes the ranges at random, loses some of them, and hides some beams. A scan keeps its noise."""
-        ranges = truth.ranges
-        if noise.range_noise or noise.dropout:
-            ranges = self._noisy(noise, ranges, keys, step)
+        is_noisy = noise.range_noise or noise.dropout
+        if not is_noisy and not noise.hides_beams:
+            return {}
+        ranges = self._noisy(noise, truth.ranges, keys, step) if is_noisy else truth.ranges
         if noise.hides_beams:
             ranges = ranges.masked_fill(hidden_beams(noise, keys, truth.ranges), math.inf)
-        return {} if ranges is truth.ranges else {"ranges": ranges}
+        return {"ranges": ranges}
 
     def _noisy(self, noise: Randomization, ranges: Tensor, keys: Tensor, step: Tensor) -> Tensor:
         severity = noise.severity_of(keys)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.specs import UNOBSERVED
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.terminations import TOLD
 
-_GOALS = ("outcome", "goals")
+_GOALS, _GOAL = ("outcome", "goals"), EVENTS.index("goal_reached")
 
 
 class ActionRepeat(Transform):
@@ -26,6 +31,9 @@ class ActionRepeat(Transform):
     sum of ``progress``. Its other entries are those of the last step. The transform adds ``("outcome", "goals")``, the
     number of goals reached, int64 ``[N, 1]``. Append transforms that count actions or sum rewards after this one.
 
+    The observation, with its scan, is made after the last step alone, unless something reads it in between: a sensor
+    with a period or a memory, delays, or a transform before this one that does not say ``reads_observation = False``.
+
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))
         >>> env.rollout(3)["next", "outcome", "steps"][0].squeeze(-1)
@@ -38,11 +46,27 @@ class ActionRepeat(Transform):
             raise ValueError(f"repeat must be at least 1 step, got {repeat}")
         self.repeat = repeat
 
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        env, transforms = self._before()
+        is_read = any(getattr(transform, "reads_observation", True) for transform in transforms)
+        if isinstance(env, RoverEnv) and env.is_memoryless and not is_read:
+            tensordict.set(UNOBSERVED, torch.ones(tensordict.batch_size, dtype=torch.bool, device=tensordict.device))
+        return tensordict
+
+    def _before(self) -> tuple[EnvBase, list[Transform]]:
+        """Returns the environment without transforms, and its transforms before this one."""
+        env: Any = self.container
+        transforms: list[Transform] = []
+        while isinstance(env, TransformedEnv):
+            env, transforms = env.base_env, [*_leaves(env.transform), *transforms]
+        return env, transforms[: transforms.index(self)]
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         active = ones = torch.ones_like(next_tensordict.get("done"))
         if (given := tensordict.get("_step", None)) is not None:
             active = given.reshape(ones.shape)
-        total, ends = self._step_entries(next_tensordict, active), _ends(next_tensordict)
+        keys: list[NestedKey] = [*self.parent.reward_keys, ("outcome", "progress")]
+        total, ends = _taken(next_tensordict, keys, active), _ends(next_tensordict)
         for _ in range(self.repeat - 1):
             active = active & ~next_tensordict.get("done")
             # On the CPU this check is cheap and may save steps. On an accelerator it would synchronize.
@@ -51,24 +75,31 @@ class ActionRepeat(Transform):
             rows = active.reshape(tensordict.batch_size)
             # A component may compare its entries of two steps.
             current = tensordict.copy().update(next_tensordict)
-            next_tensordict = _step_rows(self.parent, current.set("_step", rows))
-            step = self._step_entries(next_tensordict, active)
-            total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
+            next_tensordict = self._step_before(current.set("_step", rows))
+            step = _taken(next_tensordict, keys, active)
+            total = [add(*values) for add, *values in zip(_ADDITIONS, total, step, strict=True)]
             # A termination of one's own tells nothing of rows that it has ended before.
             ends = {key: ended | (next_tensordict.get(key) & active) for key, ended in ends.items()}
+        if UNOBSERVED in tensordict.keys():  # noqa: SIM118
+            next_tensordict.update(self._before()[0].observe())
         # A copy, because the environment keeps a reference to the outcome that it returns.
         next_tensordict.set("outcome", next_tensordict.get("outcome").copy())
-        for key, value in (total | ends).items():
+        sums, events, phase, goals = total
+        entries = dict(zip(keys, sums.split(1, -1), strict=True)) | ends | {("outcome", "phase"): phase, _GOALS: goals}
+        entries |= {("outcome", name): event for name, event in zip(EVENTS, events.split(1, -1), strict=True)}
+        for key, value in entries.items():
             next_tensordict.set(key, value)
         return next_tensordict
 
-    def _step_entries(self, step: TensorDictBase, active: Tensor) -> dict[NestedKey, Tensor]:
-        """Returns the accumulated entries of a step. Rows that are not ``active`` (bool ``[N, 1]``) add nothing."""
-        entries = {key: step.get(key) * active for key in (*self.parent.reward_keys, ("outcome", "progress"))}
-        entries |= {("outcome", event): step.get(("outcome", event)) & active for event in EVENTS}
-        entries["outcome", "phase"] = step.get(("outcome", "phase"))
-        entries[_GOALS] = entries["outcome", "goal_reached"].long()
-        return entries
+    def _step_before(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Takes a step. TransformedEnv would read whether it is for all rows, and wait for the device."""
+        env, transforms = self._before()
+        for transform in reversed(transforms):
+            tensordict = transform._inv_call(tensordict)
+        following = env._step(tensordict)
+        for transform in transforms:
+            following = transform._step(tensordict, following)
+        return following
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         outcome = tensordict_reset.get("outcome").copy()
@@ -80,29 +111,27 @@ class ActionRepeat(Transform):
         return observation_spec
 
 
+def _taken(step: TensorDictBase, keys: Sequence[NestedKey], active: Tensor) -> list[Tensor]:
+    """Returns what a step adds in its ``active`` rows: to the ``keys``, to events, phase and goals."""
+    sums = torch.cat([step.get(key) for key in keys], -1) * active
+    outcome = step.get("outcome")
+    events = torch.cat([outcome.get(event) for event in EVENTS], -1) & active
+    return [sums, events, outcome.get("phase"), events[..., _GOAL : _GOAL + 1].long()]
+
+
 def _ends(step: TensorDictBase) -> dict[NestedKey, Tensor]:
     """Returns the entries of a step that terminations of one's own have written.
 
     The environment itself keeps the ends of the contract's.
     """
-    told = step.get(TOLD, None)
-    if told is None:
-        return {}
-    return {key: step.get(key) for key in ("done", "terminated", "truncated", *((TOLD, name) for name in told.keys()))}  # noqa: SIM118
+    names = step.get(TOLD, {}).keys()
+    keys = ("done", "terminated", "truncated", *((TOLD, name) for name in names)) if names else ()
+    return {key: step.get(key) for key in keys}
 
 
-def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
-    """Steps the rows of ``_step``. A transform may return anything for the others."""
-    if tensordict.get("_step").device.type == "cpu" or not isinstance(env, TransformedEnv):
-        return env._step(tensordict)
-    # TransformedEnv._step would read whether the step is for all rows, and make the host wait for the device.
-    preset = tensordict.get("next", None)
-    tensordict = env.transform.inv(tensordict)
-    following = _step_rows(env.base_env, tensordict)
-    if preset is not None:
-        following.update(preset.exclude(*following.keys(True, True)))
-    return env.transform._step(tensordict, following)
+def _leaves(transform: Transform) -> list[Transform]:
+    return [leaf for one in transform for leaf in _leaves(one)] if isinstance(transform, Compose) else [transform]
 
 
-_REDUCTIONS = {("outcome", "phase"): torch.minimum, **{("outcome", event): torch.logical_or for event in EVENTS}}
-"""Reductions of the accumulated entries over the steps of a repeat. All other entries are summed."""
+_ADDITIONS: tuple[Callable[..., Tensor], ...] = (torch.add, torch.logical_or, torch.minimum, torch.add)
+"""How what two steps add is added, in the order of :func:`_taken`."""

@@ -146,12 +146,10 @@ def test_positions_of_the_window_less_than_0_001_m_apart_are_stuck_and_cost_25()
     assert rewards(results[:-1]) == [-0.045] * 59
 
 
-def test_the_position_history_of_rows_that_are_not_active_does_not_move():
+def test_the_position_history_of_rows_that_take_no_step_does_not_move():
     history = PositionHistory(2, 3, CPU)
-    active = torch.tensor([[True], [False]])
     for k in range(1, 4):
-        steps = torch.tensor([[k], [1]])
-        displacement = history.displacement(torch.full((2, 2), float(k)), steps, None if k == 1 else active)
+        displacement = history.displacement(torch.tensor([[k, k], [1.0, 1.0]]), torch.tensor([[k], [1]]))
     assert displacement[0].item() == pytest.approx(math.hypot(2, 2))
     assert displacement[1].item() == math.inf
 

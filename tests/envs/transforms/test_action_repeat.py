@@ -9,9 +9,12 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import TaskConfig, World, make_env
+from rover_rl.envs.config import Randomization
+from rover_rl.envs.rewards import RewardComponent
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.worlds import Terrain
+from tests.extras import needs_mujoco
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)), bounds=((-5.0, 5.0), (-5.0, 5.0)))
 START = torch.tensor([[0.0, 0.0, 0.0], [4.8, 2.0, 0.0], [0.0, -2.0, 0.0]])
@@ -108,6 +111,67 @@ def test_several_goals_in_one_decision_all_count() -> None:
     td = decide(env, env.reset(start=START, goal=GOAL))
     assert (td["outcome", "goals"] == 4).all()
     assert (td["reward_components", "goal"] == 400).all()
+
+
+CONTACTS = TaskConfig(collision_from="contact", collision_window=0)
+
+
+@pytest.mark.parametrize("rows", [1, 6])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"backend": "warp", "physics": "planar"},
+        {"backend": "warp", "world": "plaza:3"},
+        {"backend": "bullet"},
+        pytest.param({"backend": "mujoco"}, marks=needs_mujoco),
+    ],
+    ids=lambda settings: "-".join(settings.values()),
+)
+def test_a_decision_scans_once_and_observes_what_its_last_step_does(settings: dict[str, str], rows: int) -> None:
+    single, repeated = (
+        make_env(num_envs=rows, seed=3, length=41, task=CONTACTS, **{"world": "maze", **settings}) for _ in range(2)
+    )
+    scans, scan = [], repeated.scanner.scan
+    repeated.scanner.scan = lambda chosen: scans.append(chosen) or scan(chosen)
+    repeated.append_transform(ActionRepeat(4))
+    td, one, decided = repeated.reset(), single.reset(), 0
+    generator = torch.Generator().manual_seed(0)
+    while not td["done"].all():
+        action = torch.rand(rows, 2, generator=generator) + torch.tensor([0.2, -0.5])
+        active = ~td["done"].squeeze(-1)
+        td, decided = repeated.step(td.update({"action": action, "_step": active}))["next"], decided + 1
+        for _ in range(4):
+            one = single.step(one.update({"action": action, "_step": active}))["next"]
+            active = active & ~one["done"].squeeze(-1)
+        for key in ("lidar", "pose", "imu", "target", "velocities", ("outcome", "steps"), "done"):
+            assert torch.equal(td[key], one[key]), key
+    assert len(scans) == decided + 1, "one after the reset, and one for each decision"
+    assert (td["outcome", "steps"] % 4 != 0).any(), "some episodes end within a decision"
+
+
+class Clearance(RewardComponent):
+    name = "clearance"
+
+    def value(self, outcome: TensorDict, observation: TensorDict) -> torch.Tensor:
+        return observation["lidar"].amin(-1, keepdim=True)
+
+
+@pytest.mark.parametrize("settings", [{"reward": Clearance()}, {"randomization": Randomization(range_noise=0.1)}])
+def test_what_reads_each_scan_gets_it(settings: dict[str, object]) -> None:
+    for td, steps in decisions(4, 3, backend="warp", task=CONTACTS, **settings):
+        expected = sum(step["reward"] * active for step, active in zip(steps, taken(steps), strict=True))
+        torch.testing.assert_close(td["reward"], expected)
+        assert torch.equal(td["lidar"][2], steps[-1]["lidar"][2])
+
+
+def test_terminations_count_each_step() -> None:
+    settings = {"backend": "warp", "terminate": "no_progress(seconds=1.0)"}
+    still = torch.zeros(3, 2)
+    for env in (field(**settings), field(4, **settings)):
+        td = env.reset(start=START, goal=GOAL)
+        while not td["done"].any():
+            td = env.step(td.set("action", still))["next"]
+        assert (td["outcome", "steps"] == 21).all()
 
 
 def test_specs_hold() -> None:

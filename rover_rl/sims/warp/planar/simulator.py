@@ -32,6 +32,7 @@ class PlanarSimulator(WarpSimulator):
     """
 
     features: frozenset[Feature] = WarpSimulator.features - {"contact_force", "wheel_torque"}
+    is_level = True
     _step, _place, _scan = step_planar, place_planar, scan_planar
     _prepare, _compile = (*WarpSimulator._prepare, look), ((step_planar, scan_planar),)
 
