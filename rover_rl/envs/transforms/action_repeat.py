@@ -94,9 +94,13 @@ class ActionRepeat(Transform):
     def _step_before(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Takes a step. TransformedEnv would read whether it is for all rows, and wait for the device."""
         env, transforms = self._before()
+        preset = tensordict.get("next", None)
         for transform in reversed(transforms):
             tensordict = transform._inv_call(tensordict)
         following = env._step(tensordict)
+        if preset is not None:
+            # What a policy writes for the next step, such as its memory.
+            following.update(preset.exclude(*following.keys(True, True)))
         for transform in transforms:
             following = transform._step(tensordict, following)
         return following
