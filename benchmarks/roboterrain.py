@@ -24,12 +24,12 @@ from rover_rl.algos.evaluation.metrics import Estimate, ratio
 from rover_rl.algos.evaluation.report import Column, cell, print_tables
 from rover_rl.algos.evaluation.trajectory import count_runs
 from rover_rl.algos.policy.names import resolve_policies
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, sensors_for
 from rover_rl.checks import MAX_COUNT
 from rover_rl.cli.policies import EnvOptions
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.native.threads import single_threaded
 from rover_rl.worlds import World
 
 GOAL_RADIUS = 0.3  # distance from a goal at which it is reached, m

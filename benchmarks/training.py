@@ -39,11 +39,12 @@ from benchmarks.options import Options
 from benchmarks.ratios import told
 from rover_rl import GymWrapper
 from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, SACConfig, TrainingConfig, training_config, with_settings
-from rover_rl.algos.policy.networks import ObservationEncoder, single_threaded
+from rover_rl.algos.policy.networks import ObservationEncoder
 from rover_rl.algos.train import train
 from rover_rl.algos.train.env import make_training_env
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.envs.sb3 import SB3VecEnv
+from rover_rl.native.threads import single_threaded
 
 
 def train_ours(config: TrainingConfig) -> float:

@@ -286,13 +286,8 @@ class RoverEnv(EnvBase):
         state, known = self._state, self._state.known
         is_exact = state.sensed is state.reference and self.config.pose.source == "truth" and self.delays is None
         target = state.target if is_exact else task.target_info(known.position[:, :2], known.yaw, state.goal)
-        inputs = base.SensorInput(
-            target=target,
-            surroundings=self._simulation.surroundings,
-            bounds=self.placement.bounds,
-            rows=self._every if state.moved is None else state.moved.squeeze(-1),
-            **{name: getattr(state, name) for name in base.STATE},
-        )
+        moved = self._every if state.moved is None else state.moved.squeeze(-1)
+        inputs = base.SensorInput.of(state, target, self._simulation.surroundings, self.placement.bounds, moved)
         observation: dict[str, Any] = self.observer(inputs, self.delays)
         if self._privileged is not None:
             world, latency = self._row_worlds.index, self._simulation.command_delay.steps

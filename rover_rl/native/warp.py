@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from rover_rl.native.output import native_output_silenced
+from rover_rl.native.threads import kernel_threads
 
 try:
     import warp as wp
@@ -59,8 +60,8 @@ def launch_options(device: torch.device) -> dict[str, Any]:
 
 
 def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device) -> None:
-    """Launches a kernel, on the CPU in the threads of torch. Its last argument, after ``inputs``, is the first row."""
-    threads = max(1, min(torch.get_num_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
+    """Launches a kernel, on the CPU in several threads. Its last argument, after ``inputs``, is the first row."""
+    threads = max(1, min(kernel_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
     ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
     mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
     launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device))

@@ -24,12 +24,12 @@ from rover_rl.algos.config import RunConfig
 from rover_rl.algos.experiments.run_files import RunFiles
 from rover_rl.algos.policy.checkpoint import CHECKPOINT
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, RANDOM, make_baseline, resolve_policy
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.train.live import INTERVAL
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
+from rover_rl.native.threads import single_threaded
 from rover_rl.robots import ROBOTS
 from rover_rl.view.controls import Pilot, Recorder
 from rover_rl.view.page import HOST, PORT, Page, check_address

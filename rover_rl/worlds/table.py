@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rover_rl.native.threads import kernel_threads
 from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
@@ -19,10 +20,10 @@ GROWTH = 1.25
 
 
 def in_threads(function: Callable[[World], Any], worlds: Iterable[World]) -> list[Any]:
-    """Calls a function for worlds: the first alone, which loads kernels, the others on as many threads as torch has."""
+    """Calls a function for worlds: the first alone, which loads kernels, the others on all threads of kernels."""
     waiting = [*worlds]
     results = [function(world) for world in waiting[:1]]
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+    with ThreadPoolExecutor(kernel_threads()) as pool:
         return [*results, *pool.map(function, waiting[1:])]
 
 

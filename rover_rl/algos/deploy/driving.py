@@ -22,11 +22,11 @@ from tensordict import TensorDictBase
 
 from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR, Drive, ending_of
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.native.threads import single_threaded
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 

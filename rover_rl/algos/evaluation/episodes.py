@@ -23,12 +23,12 @@ import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs.config import EnvConfig, RobotLike, TaskConfig
 from rover_rl.envs.groups import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.names import Name
+from rover_rl.native.threads import single_threaded
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.robots.fleet import largest_of

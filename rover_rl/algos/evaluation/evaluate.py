@@ -25,13 +25,13 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.results import EPISODES_PER_PART, Evaluation
 from rover_rl.algos.evaluation.trajectory import Encounters, MoverTrack, Trajectory
 from rover_rl.algos.policy.baselines import RandomPolicy
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import Policy, default_action_repeat, sensors_for
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs.config import EnvConfig, RobotLike, require_match
 from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import first_of_group
+from rover_rl.native.threads import single_threaded
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import get_robots, names_several

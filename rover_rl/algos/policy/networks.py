@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -374,14 +373,3 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, mirrors: Mirrors = DEFAU
             if (value := part.get(key, None)) is not None:
                 part.set(key, torch.where(rows, mirror(value), value))
     return image
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -38,8 +38,8 @@ def train(
         FileExistsError: if a run of that name exists.
     """
     # These import PyTorch.
-    from rover_rl.algos.policy.networks import single_threaded
     from rover_rl.algos.train.run import TrainingRun
+    from rover_rl.native.threads import single_threaded
 
     with single_threaded():
         with ProgressDisplay("preparing"):
@@ -56,7 +56,7 @@ def train(
 def untrained(config: TrainingConfig) -> Checkpoint:
     """Returns the policy that :func:`train` begins with if the settings name a seed."""
     from rover_rl.algos.policy.checkpoint import Checkpoint
-    from rover_rl.algos.policy.networks import single_threaded
+    from rover_rl.native.threads import single_threaded
 
     # Initial weights depend on the number of threads in their last bits.
     with single_threaded():

@@ -20,12 +20,12 @@ from tensordict import TensorDictBase
 
 from rover_rl.algos.evaluation.episodes import choose_episodes
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.video.recording import Moment, Recording, record_endless, record_episodes
 from rover_rl.algos.video.views import ChaseView, TopView
 from rover_rl.checks import MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
 from rover_rl.envs.config import EnvConfig
 from rover_rl.files import written_whole
+from rover_rl.native.threads import single_threaded
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import View
 from rover_rl.sims.rendering.cache import MAX_SIDE

@@ -20,11 +20,11 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate, rows_of
 from rover_rl.algos.evaluation.results import StoredEvaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
-from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import sensors_for
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.native.threads import single_threaded
 from rover_rl.progress import ProgressDisplay
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion

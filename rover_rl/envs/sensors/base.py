@@ -16,7 +16,7 @@ from torch import Tensor
 from rover_rl import checks, rng
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.specs import Bounds
-from rover_rl.envs.stages import Perception, SensedPose, SensorDelays
+from rover_rl.envs.stages import Perception, SensedPose, SensorDelays, StepState
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import LiveRover
 from rover_rl.sims.movers.field import MoverField
@@ -33,8 +33,6 @@ Directions: TypeAlias = Tensor | Sequence[Sequence[float]]
 Pooling: TypeAlias = Callable[[Tensor], Tensor]
 Delayed: TypeAlias = Literal["scan", "state"] | None
 """Delay of a sensor: that of scans, that of pose and other sensors, or none for what other entries tell."""
-STATE = ("truth", "sensed", "pose", "goal", "steps", "keys", "scan_pose", "predicted")
-"""What sensors read from the state of a step: fields of :class:`SensorInput`."""
 
 
 class Surroundings:
@@ -154,6 +152,26 @@ class SensorInput:
     predicted: Mapping[str, Tensor] = field(default_factory=dict)
     ticks: tuple[Tensor, Tensor] | None = None
     observation: dict[str, Tensor] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, state: StepState, target: Tensor, surroundings: Surroundings, bounds: Tensor, rows: Tensor
+    ) -> SensorInput:
+        """Returns what sensors read after a step with this state."""
+        return cls(
+            truth=state.truth,
+            sensed=state.sensed,
+            pose=state.pose,
+            target=target,
+            goal=state.goal,
+            steps=state.steps,
+            keys=state.keys,
+            surroundings=surroundings,
+            bounds=bounds,
+            rows=rows,
+            scan_pose=state.scan_pose,
+            predicted=state.predicted,
+        )
 
     def due(self, period: int) -> Tensor:
         """Returns the rows in which a sensor with a period reads in this step, bool ``[N]``."""

@@ -57,8 +57,9 @@ class WarpSimulator(Simulator):
     _step, _place, _scan = step_dynamics, place, scan
     """Kernels that advance rovers by a control step, place them, and scan."""
     _prepare: tuple[wp.Kernel, ...] = (measure_clearance, find_headings)
+    """A kernel of each module that prepares worlds. These compile first."""
     _compile: tuple[tuple[wp.Kernel, ...], ...] = (step_dynamics,), (place, scan)
-    """Kernels that prepare worlds, one of each module, those that compile after them, and those of other threads."""
+    """A kernel of each module of a step: those that compile after the first, and those in a thread of their own."""
 
     def __init__(
         self,
