@@ -21,7 +21,7 @@ from tests.fork_server import fork_server
 from tests.pages import ROOT
 
 
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
+def until(condition: Callable[[], object], seconds: float = 120.0) -> None:
     """Waits until a condition holds, at most for the given time (s)."""
     end = time.monotonic() + seconds
     while not condition():

@@ -172,7 +172,7 @@ def test_the_transport_rclpy_drives_a_robot_until_another_node_does_which_is_nam
     teleop.publish("/cmd_vel", TWIST, {})  # a publisher that is silent does not matter
     robot.twists.clear()
     with closing(Peer(find_peer(), environment, "driver")) as program:
-        until(lambda: robot.is_told(0.3))
+        until(lambda: any(speed == pytest.approx(0.3) for speed, _ in robot.twists))
         teleop.publish("/cmd_vel", TWIST, {"linear": {"x": -0.1}}, 10.0)
         told = program.read()
     until(lambda: robot.is_told(-0.1))

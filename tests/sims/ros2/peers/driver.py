@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import threading
 
@@ -9,6 +10,7 @@ from rover_rl.sims.ros2.transport import make_transport
 from tests.sims.ros2.processes import drive_a_curve, until
 
 if __name__ == "__main__":
+    importlib.import_module("rover_rl.sims.ros2.simulator")  # takes a while, which the test allows until "up"
     print('"up"', flush=True)
     error = drive_a_curve("rclpy", reset="topic")
     threads = [thread.name for thread in threading.enumerate() if "spins rclpy" in thread.name]
