@@ -39,7 +39,7 @@ class NetworkConfig:
     hidden: tuple[int, ...] = (128, 128)
     """Number of units in each hidden layer of the actor and the critic."""
     max_std: float = 2.0
-    """Largest standard deviation of an action before it is squashed to its bounds.
+    """Largest standard deviation of an action before it is squashed to its bounds, in PPO at the start.
     Large values explore fast. Small ones (0.6) keep the policy from relying on chance to leave a corner."""
     memory: MemoryKind = "none"
     """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers. Give it a rollout_length of 16 or more.
@@ -77,7 +77,7 @@ class CollectionConfig:
     """Additional reward in training, per meter gained on the shortest free path to the goal, around walls."""
     route_reward: float = 0.0
     """Additional reward in training, per meter by which the route on what has been seen gets shorter.
-    Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
+    Needs "route" in observation. Unlike path_reward, it needs no map of the world."""
     curriculum: CurriculumKind = "none"
     """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
     none: evenly.
@@ -138,6 +138,9 @@ class PPOConfig(AlgorithmConfig):
     """Clipping range of the probability ratio."""
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
+    final_std: float | None = None
+    """Largest standard deviation of an action at the end, to which that of the network, max_std, decreases linearly.
+    With a small one (0.15), the policy drives without exploration as with it. Default: max_std."""
     imitation: float = 0.0
     """Fraction of training that imitates an expert (DAgger), from the start. 0 learns from the reward alone."""
     expert: ExpertKind = "map"
@@ -365,8 +368,8 @@ def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequ
 
 
 _POSITIVE = (
-    *("max_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
-    *("max_minutes", "curriculum_temperature", "prior_reach"),
+    *("max_std", "final_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha"),
+    *("checkpoint_minutes", "max_minutes", "curriculum_temperature", "prior_reach"),
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
 _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")

@@ -12,7 +12,7 @@ from torch import Tensor
 from rover_rl.envs.stages import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.robots import Robot
-from rover_rl.sims.free_space.paths import PathDistances
+from rover_rl.sims.free_space.goal_fields import GoalFields
 from rover_rl.sims.rover_state import Dynamics
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.worlds.world import World, Worlds
@@ -35,7 +35,8 @@ class PrivilegedObservation:
     - ``position`` (x, y, z, m), ``attitude`` (roll, pitch, yaw, rad), and ``velocities``: wheel odometry without noise,
       m/s and rad/s;
     - ``target``: distance (m) and relative angle (rad) of the goal;
-    - ``path_distance``: distance to the goal along the shortest free path, m;
+    - ``path_distance``: distance to the goal along the shortest free path, m, in which a meter right beside an obstacle
+      counts as five;
     - ``local_map``: how much shorter the shortest free path to the goal is from points around the rover, m: 16
       directions at each of two distances d, clipped to [-d, d], and -d where the rover cannot be;
     - ``friction``, ``chassis_mass``, ``motor_torque``: scale factors of the randomized dynamics;
@@ -45,7 +46,7 @@ class PrivilegedObservation:
     """
 
     def __init__(self, worlds: Worlds, robot: Robot | Callable[[World], Robot], device: torch.device) -> None:
-        self._distances = PathDistances(worlds, robot, device)
+        self._fields = GoalFields(worlds, robot)
         self._bearings = torch.arange(MAP_BEARINGS, device=device) * (2 * math.pi / MAP_BEARINGS)
         self._reach = torch.tensor(MAP_DISTANCES, device=device)
 
@@ -54,25 +55,25 @@ class PrivilegedObservation:
     ) -> TensorDict:
         """Indices of worlds are int64 ``[N, 1]``, goals ``[N, 2]``, and delays of commands ``[N, 1]``."""
         rover = truth.rover
-        fields = self._distances.fields(world.flatten(), goal)
-        path_distance = self._distances.along(fields, truth.position)[0][:, None]
+        self._fields.aim(world.flatten(), goal)
+        path_distance = self._fields.along(truth.position)[0][:, None]
         entries = {
             "position": rover.position,
             "attitude": truth.euler,
             "velocities": torch.cat((rover.linear_velocity, rover.angular_velocity), -1),
             "target": target_info(truth.position, truth.yaw, goal),
             "path_distance": path_distance,
-            "local_map": self._local_map(fields, path_distance, truth),
+            "local_map": self._local_map(path_distance, truth),
             **{name: getattr(dynamics, name)[:, None] for name in ("friction", "chassis_mass", "motor_torque")},
             "latency": latency.to(torch.float32),
         }
         return unchecked_tensordict(entries, goal.shape[:1], goal.device)
 
-    def _local_map(self, fields: Tensor, path_distance: Tensor, truth: Perception) -> Tensor:
+    def _local_map(self, path_distance: Tensor, truth: Perception) -> Tensor:
         bearing = truth.yaw + self._bearings
         offset = self._reach[:, None, None] * torch.stack((bearing.cos(), bearing.sin()), -1)[:, None]
         points = truth.position[:, None] + offset.flatten(1, 2)
-        distance, is_free = self._distances.along(fields, points)
+        distance, is_free = self._fields.along(points)
         reach = self._reach.repeat_interleave(MAP_BEARINGS)
         gain = torch.minimum((path_distance - distance).maximum(-reach), reach)
         return torch.where(is_free, gain, -reach)

@@ -59,9 +59,14 @@ def launch_options(device: torch.device) -> dict[str, Any]:
     return options if device.type != "cuda" else {**options, "stream": stream_of(device), "block_dim": BLOCK_SIZE}
 
 
-def launch_rows(kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device) -> None:
-    """Launches a kernel, on the CPU in several threads. Its last argument, after ``inputs``, is the first row."""
-    threads = max(1, min(kernel_threads(), shape[0] // MIN_ROWS)) if device.type == "cpu" else 1
+def launch_rows(
+    kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device, least: int = MIN_ROWS
+) -> None:
+    """Launches a kernel, on the CPU in several threads, for at least so many rows each.
+
+    The kernel's last argument, after ``inputs``, is the first row.
+    """
+    threads = max(1, min(kernel_threads(), shape[0] // least)) if device.type == "cpu" else 1
     ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
     mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
     launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device))

@@ -16,10 +16,10 @@ from rover_rl.algos.policy.grid_planner import AHEAD, SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
+from rover_rl.envs.transforms.path_reward import goal_of, world_of
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.free_space.paths import PathDistances
+from rover_rl.sims.free_space.paths import CAUTION, PathDistances
 from rover_rl.worlds.world import Worlds
 
 # Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them

@@ -224,10 +224,12 @@ class NormalParameters(nn.Module):
     """
 
     MIN_STD = 0.02  # smallest standard deviation
+    max_std: Tensor
 
     def __init__(self, max_std: float) -> None:
         super().__init__()
-        self.max_std = max_std
+        # A buffer, which collectors send to their workers with the weights, because training changes it.
+        self.register_buffer("max_std", torch.tensor(max_std), persistent=False)
 
     def forward(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         loc, scale = parameters.chunk(2, -1)

@@ -78,8 +78,16 @@ class PPOLearner(Learner):
             for new, trained in zip(_image_networks(self.critic), _image_networks(self.actor), strict=True):
                 new.load_state_dict(trained.state_dict())
 
+    def schedule(self, share: float) -> None:
+        """Also sets the largest standard deviation of actions, from ``max_std`` to ``final_std``."""
+        super().schedule(share)
+        first = self.config.network.max_std
+        last = first if self._settings.final_std is None else min(first, self._settings.final_std)
+        for module in self.actor.modules():
+            if isinstance(module, networks.NormalParameters):
+                module.max_std.fill_(first + share * (last - first))
+
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        self._set_learning_rate(share)
         terms = {"loss_objective": 1.0, "loss_critic": 1.0, "entropy": -self._settings.entropy_coef}
         if self._expert is not None and share < self._settings.imitation:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.

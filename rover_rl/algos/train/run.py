@@ -58,6 +58,12 @@ class Learner(ABC):
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Learns from a batch ``[N, T]`` of decisions, after a fraction ``share`` of training; returns what to log."""
 
+    def schedule(self, share: float) -> None:
+        """Sets what changes along training, for the next batch, after a fraction ``share`` of it."""
+        settings = self.config.algorithm
+        for group in self._optimizer.param_groups:
+            group["lr"] = settings.learning_rate * (1 - share if settings.anneal else 1.0)
+
     def start_from(self, actor: Mapping[str, Tensor]) -> None:
         self.actor.load_state_dict(actor)
 
@@ -70,11 +76,6 @@ class Learner(ABC):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])
-
-    def _set_learning_rate(self, share: float) -> None:
-        settings = self.config.algorithm
-        for group in self._optimizer.param_groups:
-            group["lr"] = settings.learning_rate * (1 - share if settings.anneal else 1.0)
 
     def _means(self, steps: list[Tensor]) -> dict[str, float]:
         means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(self.logged)
@@ -244,6 +245,7 @@ class TrainingRun:
         if self._reached_before:
             return
         estimates = self._curriculum.learnability.state_dict() if self._curriculum else None
+        self.learner.schedule(self.share)
         with collect(self.config, self.learner.actor, self._session, estimates, self.folder) as batches:
             repeat = self.config.collection.action_repeat
             while not self.updates or (self.share < 1 and not self._stopping):
@@ -255,6 +257,7 @@ class TrainingRun:
                 if self._curriculum:
                     self._batch_statistics |= self._curriculum(batch)
                 yield batch
+                self.learner.schedule(self.share)
 
     def record(self, learned: dict[str, float]) -> None:
         """Logs the current batch and saves snapshots and checkpoints that are due."""

@@ -63,7 +63,6 @@ class SACLearner(Learner):
         self._replay_buffer.extend(decisions)
         if len(self._replay_buffer) >= self._settings.learning_starts:
             self._gradient_steps_due += self._settings.gradient_steps * len(batch) / self.config.num_envs
-        self._set_learning_rate(share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):
             critic_alone = share < self._settings.critic_warmup

@@ -15,11 +15,8 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.suite import ROUTE
-from rover_rl.sims.free_space.paths import PathDistances
+from rover_rl.sims.free_space.goal_fields import GoalFields
 from rover_rl.tensordicts import in_rows
-
-CAUTION = 4.0
-"""Relative extra cost of a path right beside an obstacle: a meter there counts as five."""
 
 
 class PathReward(Transform):
@@ -28,12 +25,12 @@ class PathReward(Transform):
     The contract rewards progress in a straight line, which is zero in front of a wall, so that a rover learns to stop
     there. The reward uses the map of the world, the policy does not. The transform adds ``path_length``, the length of
     the remaining path for worlds and robot of ``env``, float32 ``[N, 1]``, m. In this length, a meter right beside an
-    obstacle counts as five.
+    obstacle counts as five. It is the ``path_distance`` of the privileged observation, where there is one.
     """
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
         super().__init__()
-        self._distances = PathDistances(env.pool, env.robot_in, env.device, CAUTION)
+        self._fields = GoalFields(env.pool, env.robot_in)
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -46,9 +43,11 @@ class PathReward(Transform):
         return tensordict_reset.set("path_length", self._path_length(tensordict_reset))
 
     def _path_length(self, observation: TensorDictBase) -> Tensor:
+        if (known := observation.get(("privileged", "path_distance"), None)) is not None:
+            return known
         rows = in_rows(observation)
-        length = self._distances(world_of(rows), rows["pose"][..., :2], goal_of(rows))
-        return length.reshape(*observation.batch_size, 1)
+        self._fields.aim(world_of(rows).flatten(), goal_of(rows))
+        return self._fields.along(rows["pose"][..., :2])[0].reshape(*observation.batch_size, 1)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         shape = (*observation_spec.shape, 1)
@@ -60,8 +59,7 @@ class RouteReward(Transform):
     """Adds ``weight`` per meter by which the route to the goal gets shorter to ``reward``.
 
     A rover that sees the end of a dead end loses at once what the way around costs. Unlike :class:`PathReward`, it
-    needs no map of the world and no shortest paths on it, which take longer to compute than the physics if episodes are
-    in many worlds. The environment needs the sensor ``route``. Steps without a route get no reward.
+    needs no map of the world. The environment needs the sensor ``route``. Steps without a route get no reward.
     """
 
     def __init__(self, weight: float) -> None:

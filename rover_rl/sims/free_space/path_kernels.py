@@ -34,19 +34,21 @@ def link(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int],
 
 @wp.kernel
 def spread_costs(
-    weights: wp.array[float],
-    steps: wp.array[wp.uint32],
-    is_open: wp.array[wp.bool],
-    offsets: wp.array[int],
+    all_weights: wp.array2d[float],
+    all_steps: wp.array2d[wp.uint32],
+    all_open: wp.array2d[wp.bool],
+    all_offsets: wp.array2d[int],
     lengths: wp.array[float],
+    grids: wp.array[int],
     sources: wp.array[int],
     costs: wp.array2d[float],
     heads: wp.array2d[int],
     following: wp.array2d[int],
     preceding: wp.array2d[int],
     arrivals: wp.array2d[int],
+    first_row: int,
 ):
-    """Costs of the shortest paths from all cells to one cell; thread ``t`` does so for the cell ``sources[t]``.
+    """Costs of the shortest paths from all cells of a grid to one: row ``t`` does so in ``grids[t]`` to ``sources[t]``.
 
     A step costs its length in cells times the mean weight of its two ends. Dijkstra's algorithm with a circular queue
     of buckets. A bucket holds the cells whose costs have the same whole part (E. V. Denardo and B. L. Fox,
@@ -56,13 +58,17 @@ def spread_costs(
     In open surroundings, a shortest path consists of steps in two neighboring directions, so that a path that arrives
     in an open cell by step k goes on by step k - 1, k or k + 1.
 
-    A cell has a weight of at least 1, or 0 if it is not passable, and free ``steps`` as bits in the order of their
-    directions. It ``is_open`` if all steps are free and all weights are 1 around. ``offsets`` are the differences of
-    the cell numbers at the ends of each step, ``lengths`` are in cells. ``costs [sources, cells]`` are filled with
+    A cell has a weight of at least 1, or 0 if it is not passable, and free steps as bits in the order of their
+    directions. It is open if all steps are free and all weights are 1 around. Offsets are the differences of the cell
+    numbers at the ends of each step, ``lengths`` are in cells. ``costs [sources, cells]`` are filled with
     infinity, ``heads [sources, BUCKETS]``, the first cell of each bucket, with -1. ``following``, ``preceding`` and
     ``arrivals``, the last step of the path to each cell, are working memory, ``[sources, cells]``.
     """
-    t = wp.tid()
+    t = first_row + wp.tid()
+    weights = all_weights[grids[t]]
+    steps = all_steps[grids[t]]
+    is_open = all_open[grids[t]]
+    offsets = all_offsets[grids[t]]
     first = heads[t]
     after = following[t]
     before = preceding[t]

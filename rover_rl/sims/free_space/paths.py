@@ -9,25 +9,28 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.native.warp import wp
+from rover_rl.native.warp import launch_rows, wp
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import LONGEST, ORIENTATIONS, STEPS, CellGrid, distance_to_cells, free_steps
 from rover_rl.sims.free_space.ground import slopes_on_grid
 from rover_rl.sims.free_space.path_kernels import BUCKETS, spread_costs
-from rover_rl.sims.free_space.space import free_space
+from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.table import SlotTable
 from rover_rl.worlds.terrain import MAX_SLOPE
 from rover_rl.worlds.world import World, Worlds
 
+CAUTION = 4.0
+"""Caution of experts, rewards and critics: a meter right beside an obstacle counts as five."""
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""
 CAUTION_SLOPE = math.radians(12)
@@ -82,17 +85,14 @@ class PathGrid:
         self.passable, self.roomy = space.passable, space.roomy
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
-        # A margin around the grid counts as an edge.
-        closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
-        edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
-        extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, _steepness(world) if caution else 0.0).clip(0, 1)
-        weights = np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32)
+        weights, edge = path_weights(world, space, caution)
         # All cells that a step leads to, within SPAN, are as free.
         is_open = (edge > SPAN) & (distance_to_cells(weights != 1, SPAN + 1)[0] > SPAN)
         self._offsets = np.array([y * self._shape[1] + x for x, y in STEPS])
         arrays = [(weights, float), (free_steps(space.orientations().numpy()), wp.uint32), (is_open, bool)]
         arrays += [(self._offsets, int), (np.array([math.hypot(*step) for step in STEPS]), float)]
-        self._grid = [wp.array(np.ravel(values), dtype=kind, device="cpu") for values, kind in arrays]
+        grid = [wp.array(np.ravel(values), dtype=kind, device="cpu") for values, kind in arrays]
+        self._grid = [*(part.reshape((1, -1)) for part in grid[:4]), grid[4]]
         reachable = np.isfinite(self.spread(self._number(space.goal_cells[:1]))[0]).reshape(self._shape)
         self.reachable = torch.from_numpy(reachable)
         self._nearest = distance_to_cells(reachable)[1].ravel()
@@ -115,13 +115,7 @@ class PathGrid:
 
         ``[G, cells]`` each. Steps lead from the source to the cell.
         """
-        count, cells = len(sources), math.prod(self._shape)
-        costs = wp.full((count, cells), math.inf, dtype=float, device="cpu")
-        heads = wp.full((count, BUCKETS), -1, dtype=int, device="cpu")
-        memory = [wp.empty((count, cells), dtype=int, device="cpu") for _ in range(3)]
-        inputs = [*self._grid, sources.astype(np.int32), costs, heads, *memory]
-        wp.launch(spread_costs, dim=count, inputs=inputs, device="cpu")
-        return costs.numpy(), memory[-1].numpy()
+        return spread(self._grid, np.zeros(len(sources)), sources)
 
     def way(self, arrivals: np.ndarray, cell: int, source: int) -> np.ndarray:
         """Numbers of the cells from one with a path back to the source, by the ``arrivals [cells]`` of that."""
@@ -135,6 +129,33 @@ class PathGrid:
         # Of two cells that are equally near, the first one.
         index = np.ceil((points.double().cpu().numpy() - self.origin) / self.cell - 0.5).astype(np.int64)
         return np.ravel_multi_index(tuple(index.T[::-1]), self._shape, mode="clip")
+
+
+def path_weights(world: World, space: FreeSpace, caution: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of each meter in a cell, 0 where no path runs, float32, and the distance of the cell from an edge, in cells.
+
+    An edge is one of the roomy cells. ``[rows, columns]`` each.
+    """
+    # A margin around the grid counts as an edge.
+    closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
+    edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
+    extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, _steepness(world) if caution else 0.0).clip(0, 1)
+    return np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32), edge
+
+
+def spread(grid: Sequence[Any], grids: np.ndarray, sources: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Costs from every cell to the cells with numbers ``sources [G]``, and the last step of the way, ``[G, cells]``.
+
+    ``grid`` is what :func:`~rover_rl.sims.free_space.path_kernels.spread_costs` reads of one or several grids, of which
+    each source has its number in ``grids [G]``.
+    """
+    shape = len(sources), grid[0].shape[1]
+    costs = wp.full(shape, math.inf, dtype=float, device="cpu")
+    heads = wp.full((len(sources), BUCKETS), -1, dtype=int, device="cpu")
+    memory = [wp.empty(shape, dtype=int, device="cpu") for _ in range(3)]
+    inputs = [*grid, *(numbers.astype(np.int32) for numbers in (grids, sources)), costs, heads, *memory]
+    launch_rows(spread_costs, shape[:1], inputs, torch.device("cpu"), least=1)
+    return costs.numpy(), memory[-1].numpy()
 
 
 def _steepness(world: World) -> np.ndarray | float:

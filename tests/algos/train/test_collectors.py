@@ -15,12 +15,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
 
-from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.env import make_training_env
+from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run import prepare
-from tests.algos.train.runs import GRU, LEARNABLE, LEARNERS, SAC, before_updates, progress_of, run, state_of
+from tests.algos.train.runs import FIELD, GRU, LEARNABLE, LEARNERS, PPO, SAC, before_updates, progress_of, run, state_of
 
 
 @pytest.fixture
@@ -52,6 +53,19 @@ def test_a_crashed_worker_ends_the_run_with_a_checkpoint_and_its_output(
     monkeypatch.undo()
     steps = Checkpoint.load(folder).steps + 32
     assert run(SAC, tmp_path, folder, workers=1, total_steps=steps, name="dying").steps == steps
+
+
+@pytest.mark.slow
+def test_workers_get_the_spread_of_actions_that_training_has_reached(workers: set[BaseProcess]) -> None:
+    config = prepare(with_settings(PPO, world=FIELD, workers=2, max_std=1.0, final_std=0.05))
+    learner = PPOLearner(config)
+    learner.schedule(0.0)
+    with collect(config, learner.actor) as batches:
+        assert 0.4 < next(batches)["scale"].max() < 1
+        learner.schedule(1.0)
+        assert next(batches)["scale"].max() <= 0.05
+        learner.schedule(0.5)
+        assert 0.2 < next(batches)["scale"].max() < 0.525
 
 
 # --- one process

@@ -33,8 +33,8 @@ def test_the_way_that_is_left_leads_around_walls(
     start: tuple[float, ...], goal: tuple[float, ...], expected: float
 ) -> None:
     td = make().reset(start=torch.tensor([start]), goal=torch.tensor([goal]))
-    # The goal is taken to be up to 0.36 m elsewhere, and the start in the middle of its cell.
-    assert td["path_length"].item() == pytest.approx(expected, abs=0.5)
+    # Steps in eight directions are up to 8 % longer than the way, and those beside the wall cost more.
+    assert td["path_length"].item() == pytest.approx(expected, rel=0.12)
 
 
 def test_metres_gained_are_paid_for_and_lost_ones_cost() -> None:
