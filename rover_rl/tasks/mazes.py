@@ -7,6 +7,17 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around walls, a critic that knows the way, no driving backward, and
+# actions that leave little to chance in the end.
+SETTINGS = {
+    "num_envs": 1024,
+    "gamma": 0.98,
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
+    "max_std": 1.0,
+    "final_std": 0.15,
+}
 MAZES = Task(
     name="mazes",
     reason="A dead end looks like a way until the rover is in it, so that what was seen before has to be remembered.",
@@ -57,8 +68,8 @@ MAZES = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"num_envs": 1024, "gamma": 0.98, "max_std": 1.0},
-        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru", "rollout_length": 16},
+        "ppo": SETTINGS,
+        "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "gamma": 0.98},
     },
 )
