@@ -9,10 +9,12 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from rover_rl.envs.sensors.movers import NEAREST, NUMBERS, in_order
 from rover_rl.envs.stages import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.goal_fields import GoalFields
+from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.rover_state import Dynamics
 from rover_rl.tensordicts import unchecked_tensordict
 from rover_rl.worlds.world import World, Worlds
@@ -24,6 +26,7 @@ MAP_BEARINGS = 16
 FEATURES = {
     **{"position": 3, "attitude": 3, "velocities": 2, "target": 2, "path_distance": 1},
     "local_map": len(MAP_DISTANCES) * MAP_BEARINGS,
+    "movers": NEAREST * NUMBERS,
     **dict.fromkeys(("friction", "chassis_mass", "motor_torque", "latency"), 1),
 }
 """Entries of the privileged observation and their numbers of features."""
@@ -39,6 +42,8 @@ class PrivilegedObservation:
       counts as five;
     - ``local_map``: how much shorter the shortest free path to the goal is from points around the rover, m: 16
       directions at each of two distances d, clipped to [-d, d], and -d where the rover cannot be;
+    - ``movers``: the six that come nearest in the next two seconds, with the numbers of the sensor
+      :class:`~rover_rl.envs.sensors.movers.Movers`, but true: x, y (m), velocity (m/s) in the base frame, radius (m);
     - ``friction``, ``chassis_mass``, ``motor_torque``: scale factors of the randomized dynamics;
     - ``latency``: delay of commands, control steps.
 
@@ -51,7 +56,7 @@ class PrivilegedObservation:
         self._reach = torch.tensor(MAP_DISTANCES, device=device)
 
     def __call__(
-        self, truth: Perception, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
+        self, truth: Perception, movers: MoverField, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
     ) -> TensorDict:
         """Indices of worlds are int64 ``[N, 1]``, goals ``[N, 2]``, and delays of commands ``[N, 1]``."""
         rover = truth.rover
@@ -64,6 +69,7 @@ class PrivilegedObservation:
             "target": target_info(truth.position, truth.yaw, goal),
             "path_distance": path_distance,
             "local_map": self._local_map(path_distance, truth),
+            "movers": _nearest_movers(truth, movers),
             **{name: getattr(dynamics, name)[:, None] for name in ("friction", "chassis_mass", "motor_torque")},
             "latency": latency.to(torch.float32),
         }
@@ -77,3 +83,17 @@ class PrivilegedObservation:
         reach = self._reach.repeat_interleave(MAP_BEARINGS)
         gain = torch.minimum((path_distance - distance).maximum(-reach), reach)
         return torch.where(is_free, gain, -reach)
+
+
+def _nearest_movers(truth: Perception, movers: MoverField) -> Tensor:
+    """The movers nearest to each rover, in its base frame, ``[N, NEAREST * NUMBERS]``."""
+    if not movers.radius.shape[1]:
+        return truth.yaw.new_zeros(len(truth.yaw), NEAREST * NUMBERS)
+    cos, sin = truth.yaw.cos(), truth.yaw.sin()
+
+    def turned(vectors: Tensor) -> Tensor:
+        x, y = vectors.unbind(-1)
+        return torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
+
+    position, velocity = turned(movers.state.position - truth.position[:, None]), turned(movers.state.velocity)
+    return in_order(position, velocity, movers.radius, movers.present, NEAREST).flatten(1)

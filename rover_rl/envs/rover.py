@@ -291,7 +291,9 @@ class RoverEnv(EnvBase):
         observation: dict[str, Any] = self.observer(inputs, self.delays)
         if self._privileged is not None:
             world, latency = self._row_worlds.index, self._simulation.command_delay.steps
-            observation["privileged"] = self._privileged(state.truth, world, state.goal, self._dynamics, latency)
+            observation["privileged"] = self._privileged(
+                state.truth, self.movers, world, state.goal, self._dynamics, latency
+            )
         state.is_observed = True
         return observation
 

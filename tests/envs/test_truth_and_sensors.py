@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardComponent, RoverEnv, make_env
 from rover_rl.envs.config import Randomization
+from rover_rl.rotations import quaternion_to_euler
 
 NOISY = Randomization(range_noise=0.3, dropout=0.2, odometry_noise=0.3, imu_noise=0.2)
 ROWS = 8
@@ -75,6 +77,27 @@ def test_the_privileged_observation_holds_the_truth():
         assert ((privileged[key] >= low) & (privileged[key] <= high)).all()
         assert privileged[key].std() > 0
     assert set(privileged["latency"].flatten().tolist()) == {1.0, 2.0, 3.0}
+
+
+def test_the_privileged_observation_tells_what_moves():
+    env = RoverEnv(world_n=["field:3@1", "maze"], num_envs=4, seed=0, backend="warp", privileged=True)
+    movers = env.reset()["privileged", "movers"].unflatten(-1, (-1, 5))
+    assert not movers[2:].any()
+    state, rover = env.movers.state, env.rover_state
+    for row in range(2):
+        yaw = quaternion_to_euler(rover.orientation)[row, 2]
+        for x, y, speed_x, speed_y, radius in movers[row].tolist():
+            turn = torch.stack((torch.stack((yaw.cos(), -yaw.sin())), torch.stack((yaw.sin(), yaw.cos()))))
+            place = turn @ torch.tensor([x, y]) + rover.position[row, :2]
+            nearest = (state.position[row] - place).norm(dim=-1).argmin()
+            torch.testing.assert_close(state.position[row, nearest], place, atol=1e-4, rtol=0)
+            expected = turn @ torch.tensor([speed_x, speed_y])
+            torch.testing.assert_close(state.velocity[row, nearest], expected, atol=1e-4, rtol=0)
+            assert radius == pytest.approx(env.movers.radius[row, nearest].item())
+    distance = movers[:2, :, :2].norm(dim=-1) - movers[:2, :, 4]
+    assert distance.amin(1).tolist() == pytest.approx(
+        env.movers.nearest(rover.position[:, :2])[0][:2, 0].tolist(), abs=0.3
+    )
 
 
 def test_there_is_no_privileged_observation_unless_asked_for():

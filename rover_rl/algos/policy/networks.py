@@ -25,6 +25,7 @@ from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.parts import HEADING
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.base import Sensor, mirrored_signs
+from rover_rl.envs.sensors.movers import NEAREST, NUMBERS, encoded
 from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.envs.specs import bounded_spec
@@ -121,7 +122,7 @@ class PrivilegedEncoder(nn.Module):
     """
 
     keys: tuple[NestedKey, ...] = tuple(("privileged", key) for key in FEATURES if key != "position")
-    features = 2 + 2 + 5 + 2 + len(MAP_DISTANCES) * MAP_BEARINGS + 4
+    features = 2 + 2 + 5 + 2 + len(MAP_DISTANCES) * MAP_BEARINGS + 7 * NEAREST + 4
     _reach: Tensor
 
     def __init__(self) -> None:
@@ -135,7 +136,9 @@ class PrivilegedEncoder(nn.Module):
         factors = [2 * (entry[key] - 1) for key in ("friction", "chassis_mass", "motor_torque")]
         parts = [3 * entry["attitude"][..., :2], WheelOdometry().encode(entry["velocities"])]
         parts += [Target().encode(entry["target"])]
-        parts += [path / 5 - 1, path.log1p() - 1, entry["local_map"] / self._reach, *factors, entry["latency"] / 3]
+        movers = encoded(entry["movers"].unflatten(-1, (NEAREST, NUMBERS))).flatten(-2)
+        parts += [path / 5 - 1, path.log1p() - 1, entry["local_map"] / self._reach, movers]
+        parts += [*factors, entry["latency"] / 3]
         return torch.cat(parts, -1)
 
 
@@ -349,6 +352,7 @@ _MIRROR: Mirrors = {
     ("privileged", "velocities"): WheelOdometry().mirror,
     ("privileged", "target"): Target().mirror,
     ("privileged", "local_map"): mirrored_map,
+    ("privileged", "movers"): partial(mirrored_signs, (1.0, -1.0, 1.0, -1.0, 1.0) * NEAREST),
 }
 """Mirror images of what is no entry of a policy's observation."""
 

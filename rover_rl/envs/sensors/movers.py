@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
@@ -54,10 +55,7 @@ class Movers(Sensor):
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes the logarithm of the ranges; of the first six movers whether there is one, and all its numbers."""
-        place, velocity, radius = movers_of(value)[..., :NEAREST, :].split((2, 2, 1), -1)
-        exists, distance = (radius > 0).to(value.dtype), place.norm(dim=-1, keepdim=True)
-        near = (1 - distance / 6).clamp(min=0)
-        nearest = torch.cat((exists, place / (1 + distance), exists * near, velocity / 2, 2 * radius), -1)
+        nearest = encoded(movers_of(value)[..., :NEAREST, :])
         return torch.cat((value[..., TRACKED:].log1p() / 1.3 - 1, nearest.flatten(-2)), -1)
 
     def mirror(self, value: Tensor) -> Tensor:
@@ -94,12 +92,29 @@ class _Reader:
 
 def _values(tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
     tracks = tracks.in_base_frame(observation)
-    ways = torch.stack([tracks.position + time * tracks.velocity for time in APPROACH])
-    gap = (ways.norm(dim=-1).amin(0) - tracks.radius).masked_fill(~tracks.moves, math.inf)
-    order = gap.sort(dim=-1, stable=True).indices[:, :COUNT]
-    every = torch.cat((tracks.position, tracks.velocity, tracks.radius[..., None]), -1) * tracks.moves[..., None]
-    movers = every.gather(1, order[..., None].expand(-1, -1, NUMBERS))
+    movers = in_order(tracks.position, tracks.velocity, tracks.radius, tracks.moves, COUNT)
     return torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
+
+
+def in_order(position: Tensor, velocity: Tensor, radius: Tensor, exists: Tensor, count: int) -> Tensor:
+    """Returns the movers that come nearest in the next two seconds, the nearest first, ``[N, count, NUMBERS]``.
+
+    Positions and velocities in the base frame are ``[N, M, 2]``, the others ``[N, M]``. Where there are fewer, all
+    numbers are 0.
+    """
+    ways = torch.stack([position + time * velocity for time in APPROACH])
+    gap = (ways.norm(dim=-1).amin(0) - radius).masked_fill(~exists, math.inf)
+    order = gap.sort(dim=-1, stable=True).indices[:, :count]
+    every = torch.cat((position, velocity, radius[..., None]), -1) * exists[..., None]
+    return pad(every.gather(1, order[..., None].expand(-1, -1, NUMBERS)), (0, 0, 0, count - order.shape[1]))
+
+
+def encoded(movers: Tensor) -> Tensor:
+    """Encodes movers ``[..., NUMBERS]`` as whether there is one, where, how near, how fast and how wide, about 1."""
+    place, velocity, radius = movers.split((2, 2, 1), -1)
+    exists, distance = (radius > 0).to(movers.dtype), place.norm(dim=-1, keepdim=True)
+    near = (1 - distance / 6).clamp(min=0)
+    return torch.cat((exists, place / (1 + distance), exists * near, velocity / 2, 2 * radius), -1)
 
 
 def movers_of(value: Tensor) -> Tensor:
