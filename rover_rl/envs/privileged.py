@@ -38,8 +38,7 @@ class PrivilegedObservation:
     - ``position`` (x, y, z, m), ``attitude`` (roll, pitch, yaw, rad), and ``velocities``: wheel odometry without noise,
       m/s and rad/s;
     - ``target``: distance (m) and relative angle (rad) of the goal;
-    - ``path_distance``: distance to the goal along the shortest free path, m, in which a meter right beside an obstacle
-      counts as five;
+    - ``path_distance``: distance to the goal along the shortest free path, m;
     - ``local_map``: how much shorter the shortest free path to the goal is from points around the rover, m: 16
       directions at each of two distances d, clipped to [-d, d], and -d where the rover cannot be;
     - ``movers``: the six that come nearest in the next two seconds, with the numbers of the sensor

@@ -19,7 +19,7 @@ from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.transforms.path_reward import goal_of, world_of
 from rover_rl.robots import Robot, get_robot
 from rover_rl.rotations import wrap_angle
-from rover_rl.sims.free_space.paths import CAUTION, PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from rover_rl.worlds.world import Worlds
 
 # Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them
@@ -27,6 +27,7 @@ from rover_rl.worlds.world import Worlds
 DIRECTIONS = 64
 # Distances at which each candidate heading is evaluated, anywhere and in narrow passages, m.
 LOOK_AHEAD, LOOK_AHEAD_NARROW = (0.2, 0.4), (0.15, 0.3)
+CAUTION = 4.0  # relative extra cost of a path right beside an obstacle: a meter there counts as five
 BLOCKED = 50.0  # penalty on the path length for a point that is not free, m
 CREEP = 0.4  # speed in narrow passages, m/s
 ALIGNED = 0.3  # angle to the direction of a narrow passage at which the expert stands still to turn, rad

@@ -24,8 +24,8 @@ class PathReward(Transform):
 
     The contract rewards progress in a straight line, which is zero in front of a wall, so that a rover learns to stop
     there. The reward uses the map of the world, the policy does not. The transform adds ``path_length``, the length of
-    the remaining path for worlds and robot of ``env``, float32 ``[N, 1]``, m. In this length, a meter right beside an
-    obstacle counts as five. It is the ``path_distance`` of the privileged observation, where there is one.
+    the remaining path for worlds and robot of ``env``, float32 ``[N, 1]``, m: the ``path_distance`` of the
+    privileged observation, where there is one.
     """
 
     def __init__(self, env: RoverEnv, weight: float) -> None:

@@ -15,7 +15,7 @@ from torch.nn.functional import pad
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import distance_to_cells
-from rover_rl.sims.free_space.paths import path_weights, spread
+from rover_rl.sims.free_space.paths import spread
 from rover_rl.sims.free_space.space import free_space
 from rover_rl.worlds.table import SlotTable, in_threads
 from rover_rl.worlds.world import World, Worlds
@@ -37,15 +37,13 @@ class GoalFields:
     """Distances from anywhere to the goal of each row of a batch, along the shortest free paths.
 
     Paths lead from cell to cell, which are 0.2 m wide, in eight directions, so that a length is up to 8 % too long.
-    Between the centers of cells, lengths are interpolated. A row's field of lengths is computed on the CPU, in some 0.3
-    ms in a world of 20 m, when the row gets another goal. :class:`~rover_rl.sims.free_space.paths.PathDistances` is ten
-    times as exact and as slow, and pays where rows share goals.
+    Between the centers of cells, lengths are interpolated. A row's field of lengths is computed on the CPU, in some 0.4
+    ms in a world of 20 m, when the row gets another goal. :class:`~rover_rl.sims.free_space.paths.PathDistances` takes
+    ten times as long, is more exact, and pays where rows share goals.
 
     Args:
         worlds: worlds, by index. Usually ``RoverEnv.pool``.
         robot: robot that determines the free space, or a function that returns that of a world.
-        caution: relative extra cost of a path right beside an obstacle, as in
-            :class:`~rover_rl.sims.free_space.paths.PathGrid`.
 
     Example:
         >>> fields = GoalFields([get_world("maze")], get_robot("rover_zero"))
@@ -55,8 +53,8 @@ class GoalFields:
         torch.Size([2])
     """
 
-    def __init__(self, worlds: Worlds, robot: Robot | Callable[[World], Robot], caution: float = 0.0) -> None:
-        self._worlds, self._robot, self._caution = worlds, robot, caution
+    def __init__(self, worlds: Worlds, robot: Robot | Callable[[World], Robot]) -> None:
+        self._worlds, self._robot = worlds, robot
         self._slots: OrderedDict[int, int] = OrderedDict()
         self._grids = [SlotTable((), kind, "cpu") for kind in _KINDS]
         # By row: the world and the goal that the field leads to, the field, and the frame of its cells.
@@ -129,7 +127,7 @@ class GoalFields:
         """Coarse cells of a world, which are numbered row by row, by ``_KINDS``."""
         robot = self._robot(world) if callable(self._robot) else self._robot
         space = free_space(world, robot)
-        weights, passable = _pooled(path_weights(world, space, self._caution)[0])
+        passable = _pooled(space.passable.numpy())
         rows, columns = passable.shape
         around = np.pad(passable, 1)
         free = [passable & around[1 + y : 1 + y + rows, 1 + x : 1 + x + columns] for x, y in NEIGHBORS]
@@ -141,7 +139,7 @@ class GoalFields:
         parts = label(passable, np.ones((3, 3)))[0]
         nearest = distance_to_cells(parts == parts[row, column])[1]
         offsets = np.array([y * columns + x for x, y in NEIGHBORS])
-        found = weights, steps, np.zeros(passable.shape), offsets, nearest, np.array((*corner, cell, rows, columns))
+        found = passable, steps, np.zeros(passable.shape), offsets, nearest, np.array((*corner, cell, rows, columns))
         return [np.ravel(values) for values in found]
 
 
@@ -153,11 +151,9 @@ _READ = (wp.float32, wp.uint32, wp.bool, wp.int32)
 _LENGTHS = wp.array([math.hypot(*step) for step in NEIGHBORS], dtype=float, device="cpu")
 
 
-def _pooled(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least weight of the passable cells in each coarse cell, and whether there are any. ``[rows, columns]``."""
-    rows, columns = (max(2, -(-count // POOL)) for count in weights.shape)
-    cells = np.full((rows * POOL, columns * POOL), math.inf, dtype=np.float32)
-    cells[: weights.shape[0], : weights.shape[1]] = np.where(weights > 0, weights, math.inf)
-    least = cells.reshape(rows, POOL, columns, POOL).min((1, 3))
-    passable = np.isfinite(least)
-    return np.where(passable, least, 0), passable
+def _pooled(passable: np.ndarray) -> np.ndarray:
+    """Which coarse cells have a passable cell, bool ``[rows, columns]``."""
+    rows, columns = (max(2, -(-count // POOL)) for count in passable.shape)
+    cells = np.zeros((rows * POOL, columns * POOL), dtype=bool)
+    cells[: passable.shape[0], : passable.shape[1]] = passable
+    return np.asarray(cells.reshape(rows, POOL, columns, POOL).any((1, 3)))

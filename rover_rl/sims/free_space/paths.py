@@ -23,14 +23,12 @@ from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import LONGEST, ORIENTATIONS, STEPS, CellGrid, distance_to_cells, free_steps
 from rover_rl.sims.free_space.ground import slopes_on_grid
 from rover_rl.sims.free_space.path_kernels import BUCKETS, spread_costs
-from rover_rl.sims.free_space.space import FreeSpace, free_space
+from rover_rl.sims.free_space.space import free_space
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.table import SlotTable
 from rover_rl.worlds.terrain import MAX_SLOPE
 from rover_rl.worlds.world import World, Worlds
 
-CAUTION = 4.0
-"""Caution of experts, rewards and critics: a meter right beside an obstacle counts as five."""
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""
 CAUTION_SLOPE = math.radians(12)
@@ -85,7 +83,11 @@ class PathGrid:
         self.passable, self.roomy = space.passable, space.roomy
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
-        weights, edge = path_weights(world, space, caution)
+        # A margin around the grid counts as an edge.
+        closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
+        edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
+        extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, _steepness(world) if caution else 0.0).clip(0, 1)
+        weights = np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32)
         # All cells that a step leads to, within SPAN, are as free.
         is_open = (edge > SPAN) & (distance_to_cells(weights != 1, SPAN + 1)[0] > SPAN)
         self._offsets = np.array([y * self._shape[1] + x for x, y in STEPS])
@@ -129,18 +131,6 @@ class PathGrid:
         # Of two cells that are equally near, the first one.
         index = np.ceil((points.double().cpu().numpy() - self.origin) / self.cell - 0.5).astype(np.int64)
         return np.ravel_multi_index(tuple(index.T[::-1]), self._shape, mode="clip")
-
-
-def path_weights(world: World, space: FreeSpace, caution: float) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of each meter in a cell, 0 where no path runs, float32, and the distance of the cell from an edge, in cells.
-
-    An edge is one of the roomy cells. ``[rows, columns]`` each.
-    """
-    # A margin around the grid counts as an edge.
-    closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
-    edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
-    extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, _steepness(world) if caution else 0.0).clip(0, 1)
-    return np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32), edge
 
 
 def spread(grid: Sequence[Any], grids: np.ndarray, sources: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from rover_rl import Terrain, World, box, make_env
-from rover_rl.algos.policy.expert import MapExpert, PrivilegedExpert
+from rover_rl.algos.policy.expert import CAUTION, MapExpert, PrivilegedExpert
 from rover_rl.robots import get_robot
-from rover_rl.sims.free_space.paths import CAUTION, PathDistances
+from rover_rl.sims.free_space.paths import PathDistances
 from tests.algos.policy.crossings import reached
 
 ROVER = get_robot("rover_zero")

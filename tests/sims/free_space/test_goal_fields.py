@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import pytest
 import torch
 from torch import Tensor
 
@@ -24,12 +23,11 @@ def some(cells: str, count: int) -> tuple[Tensor, Tensor]:
     return world, torch.stack([values[number] for values, number in zip(found, numbers, strict=True)]).float()
 
 
-@pytest.mark.parametrize("caution", [0.0, 4.0])
-def test_lengths_are_those_of_the_shortest_paths(caution: float) -> None:
+def test_lengths_are_those_of_the_shortest_paths() -> None:
     (world, goal), (_, position) = some("goal_cells", 60), some("spawn_cells", 60)
-    fields = GoalFields(WORLDS, ROVER, caution=caution)
+    fields = GoalFields(WORLDS, ROVER)
     fields.aim(world, goal)
-    exact = PathDistances(WORLDS, ROVER, caution=caution)(world[:, None], position, goal)[:, 0]
+    exact = PathDistances(WORLDS, ROVER)(world[:, None], position, goal)[:, 0]
     length, has_path = fields.along(position)
     error = length - exact
     assert has_path.all()
@@ -38,7 +36,7 @@ def test_lengths_are_those_of_the_shortest_paths(caution: float) -> None:
     # Several positions of a row at once are each of them.
     pair, _ = fields.along(torch.stack((position, goal), 1))
     assert torch.equal(pair[:, 0], length)
-    assert (pair[:, 1] < 0.3 * (1 + caution)).all()
+    assert (pair[:, 1] < 0.3).all()
 
 
 def test_the_field_stays_until_the_goal_is_another() -> None:
