@@ -25,7 +25,7 @@ MAX_BEAMS = 16_383  # largest number of rays that Bullet casts in one call
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, clock and images.
+    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, tf, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
     """
@@ -62,6 +62,11 @@ class RobotCommand:
     sensors: tuple[str, ...] = ()
     """Sensors whose readings are published, too: depth, colors, lidar3d (a point cloud), heights (an elevation map), or
     one of the same kind with settings. Those of --env are."""
+    map: bool = False
+    """Publish the obstacles of the world as a map, a nav_msgs/OccupancyGrid on /map."""
+    localize: bool = True
+    """Tell on /tf where odom is in the frame world, as a localizer does. With --no-localize, another node tells where
+    it is in the frame map, such as slam_toolbox or amcl."""
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
 
@@ -75,6 +80,7 @@ class RobotCommand:
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.envs.served_rover import ServedRover
         from rover_rl.robots import get_robot
+        from rover_rl.sims.ros2.frames import world_map
         from rover_rl.sims.ros2.robot import RobotNode
         from rover_rl.sims.ros2.transport import make_transport
         from rover_rl.worlds import get_world
@@ -91,7 +97,9 @@ class RobotCommand:
         lidar, kind = replace(described.lidar, beams=self.lidar_beams), replace(robot, lidar_view=view)
         rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
         try:
-            node = RobotNode(rover, transport, robot.lidar_range, self.settings, connection, (x, y, yaw), view)
+            told: dict[str, Any] = {"is_localized": self.localize, "world_map": world_map(world) if self.map else None}
+            start = (x, y, yaw)
+            node = RobotNode(rover, transport, robot.lidar_range, self.settings, connection, start, view, **told)
             place, topics = described.world_names[0], (connection.scan_topic, connection.cmd_vel_topic)
             print(f"Rover in {place} on ROS 2: publishes {topics[0]}, receives {topics[1]}", flush=True)
             node.run(self.rate, stop)

@@ -25,7 +25,7 @@ from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.movers.field import shown_parts
 from rover_rl.sims.movers.standing import check_standing
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.sensor_report import ElevationMap, SensorReport
+from rover_rl.sims.sensor_report import Device, DeviceKind, ElevationMap, SensorReport
 
 MAP_CELL = 0.1
 """Side of a cell of an elevation map, m."""
@@ -57,7 +57,9 @@ class ServedRover:
         self._rays = [torch.tensor(sensor.rays()[0]) for sensor in self._lidars]
         served: tuple[SensorLike, ...] = (SCAN_POSE, *self._depth, *self._colors, *self._lidars)
         self.env = RoverEnv(replace(config, **one, **plain, lidar=lidar, sensors=served))
-        self.control_dt = self.env.control_dt
+        self.control_dt, self.robot = self.env.control_dt, self.env.robot
+        kinds: dict[DeviceKind, list[Any]] = {"depth": self._depth, "colors": self._colors, "points": self._lidars}
+        self.devices = tuple(_device(kind, each) for kind, some in kinds.items() for each in some)
         self._scan_stamp = torch.zeros(1, 1, dtype=torch.float64)
         self._arrived = -1.0
 
@@ -126,6 +128,11 @@ class ServedRover:
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
         ranges = delays.late("told scan", env.state.sensed.ranges, steps, delays.scan)
         return SensorReport(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
+
+
+def _device(kind: DeviceKind, sensor: Any) -> Device:
+    pitch, focal = (sensor.pitch, sensor.focal_length) if kind != "points" else (0.0, 0.0)
+    return Device(kind, sensor.name, sensor.topic, sensor.mount, sensor.yaw, pitch, sensor.size, focal)
 
 
 def _points(lidar: Lidar3D, rays: torch.Tensor, ranges: torch.Tensor) -> torch.Tensor:

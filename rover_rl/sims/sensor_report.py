@@ -10,11 +10,32 @@ from typing import Literal, NamedTuple, Protocol, TypeAlias
 import torch
 from torch import Tensor
 
+from rover_rl.robots import Robot
 from rover_rl.sims.rover_state import RoverState
 
 ImageKind: TypeAlias = Literal["depth", "colors"]
 """What an image shows: distances along the optical axis, ``[rows, columns]``, m, or red, green and blue from 0 to 1,
 ``[3, rows, columns]``."""
+
+
+DeviceKind: TypeAlias = Literal["depth", "colors", "points"]
+
+
+class Device(NamedTuple):
+    """A camera or a 3D lidar of a simulated rover.
+
+    ``topic`` is ``None`` for that of the connection. ``mount`` is in the frame of the robot, m; it looks to the left by
+    ``yaw`` and down by ``pitch``, rad. ``size`` are rows and columns, and ``focal_length`` is in pixels.
+    """
+
+    kind: DeviceKind
+    name: str
+    topic: str | None
+    mount: tuple[float, float, float]
+    yaw: float
+    pitch: float
+    size: tuple[int, int]
+    focal_length: float
 
 
 class ElevationMap(NamedTuple):
@@ -77,6 +98,8 @@ class SimulatedRover(Protocol):
     """One simulated rover, whose steps last ``control_dt``, s. Poses are x, y (m) and yaw (rad)."""
 
     control_dt: float
+    robot: Robot
+    devices: tuple[Device, ...]
 
     def reset(self, pose: tuple[float, float, float]) -> None:
         """Moves the rover to a pose, at rest."""

@@ -68,7 +68,7 @@ class DdsTransport:
         self._gid, self._node, self._announcement = announcement_messages(distribution)
         self._nodes = Topic(self._participant, NODE_LIST, _sample_type(self._announcement))
         # Late subscribers receive the last announcement.
-        self._announcer = DataWriter(self._participant, self._nodes, _qos(True, 1, Policy.Durability.TransientLocal))
+        self._announcer = DataWriter(self._participant, self._nodes, _qos(True, 1, latched=True))
         self._announce()
         self._stop, self._wait_set = core.GuardCondition(self._participant), core.WaitSet(self._participant)
         self._wait_set.attach(self._stop)
@@ -76,23 +76,26 @@ class DdsTransport:
         self._thread = threading.Thread(target=self._read, name=f"{node} DDS reader", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
-        self._listen(topic, kind, reliable, lambda message, _: receive(message))
+    def subscribe(
+        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
+    ) -> None:
+        self._listen(topic, kind, _qos(reliable, HISTORY_DEPTH, latched), lambda message, _: receive(message))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
         own = _writers_of_node[self.node]
-        self._listen(topic, kind, False, lambda message, sender: sender in own or receive(message, sender))
+        qos = _qos(False, HISTORY_DEPTH)
+        self._listen(topic, kind, qos, lambda message, sender: sender in own or receive(message, sender))
 
-    def _listen(self, topic: str, kind: Any, reliable: bool, receive: Callable[[Any, str], object]) -> None:
+    def _listen(self, topic: str, kind: Any, qos: Qos, receive: Callable[[Any, str], object]) -> None:
         # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
-        reader = _Reader(topic, DataReader(*self._on(topic, kind), _qos(reliable, HISTORY_DEPTH)), receive)
+        reader = _Reader(topic, DataReader(*self._on(topic, kind), qos), receive)
         with self._lock:
             self._readers.append(reader)
             self._wait_set.attach(reader.condition)
         self._announce()
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        writer = DataWriter(*self._on(topic, kind), _qos(reliable, 1 if reliable else HISTORY_DEPTH))
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
+        writer = DataWriter(*self._on(topic, kind), _qos(reliable, 1 if reliable else HISTORY_DEPTH, latched))
         self._writers[topic] = writer
         _writers_of_node[self.node].add(writer.guid.hex)
         self._announce()
@@ -121,7 +124,7 @@ class DdsTransport:
         return {name.replace("::dds_::", "::").replace("::", "/").removesuffix("_") for name in names}
 
     def name_of(self, sender: str, topic: str) -> str:
-        qos = _qos(True, 1, Policy.Durability.TransientLocal) + Qos(Policy.History.KeepAll)
+        qos = _qos(True, 1, latched=True) + Qos(Policy.History.KeepAll)
         reader: DataReader[Any] = DataReader(self._require_open(), self._nodes, qos)
         deadline = time.monotonic() + NAMING_TIME
         while sender and time.monotonic() < deadline:
@@ -308,10 +311,10 @@ def _discovery(environment: Mapping[str, str]) -> str:
     )
 
 
-def _qos(reliable: bool, depth: int, durability: Any = Policy.Durability.Volatile) -> Qos:
+def _qos(reliable: bool, depth: int, latched: bool = False) -> Qos:
     return Qos(
         Policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else Policy.Reliability.BestEffort,
-        durability,
+        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
         Policy.History.KeepLast(depth),
         Policy.WriterDataLifecycle(autodispose=False),
         Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
@@ -352,7 +355,8 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
 _SEQUENCE: Any = idl.types.sequence
 _ARRAY: Any = idl.types.array
 _BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": idl.types.uint8} | {
-    name: getattr(idl.types, name) for name in ("int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
+    name: getattr(idl.types, name)
+    for name in ("int8", "int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
 }
 
 

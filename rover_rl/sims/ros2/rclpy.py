@@ -54,14 +54,16 @@ class RclpyTransport:
         self._closed = False
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
+    ) -> None:
         streams = self._streams[topic]
 
         def take(message: Any, number: int | None) -> None:
             if receive(message) is not False:
                 streams.heard(number)
 
-        self._subscribe(topic, kind, take, reliable)
+        self._subscribe(topic, kind, take, _qos_profile(reliable, latched))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
         # rclpy does not tell the publisher of a message, but its sequence number.
@@ -71,17 +73,17 @@ class RclpyTransport:
             if not any(number in (None, own) and message == content for own, content in [*sent]):
                 receive(message, "")
 
-        self._subscribe(topic, kind, take, False)
+        self._subscribe(topic, kind, take, _qos_profile(reliable=False))
 
-    def _subscribe(self, topic: str, kind: Any, take: Callable[[Any, Any], object], reliable: bool) -> None:
+    def _subscribe(self, topic: str, kind: Any, take: Callable[[Any, Any], object], qos: QoSProfile) -> None:
         def collect(message: Any, info: Any) -> None:
             self._arrived.append((info["source_timestamp"], take, message, info["publication_sequence_number"]))
 
         self._subscriptions[topic] += 1
-        self._node.create_subscription(_ros_class(kind), topic, collect, _qos_profile(reliable))
+        self._node.create_subscription(_ros_class(kind), topic, collect, qos)
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable))
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
+        publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable, latched))
         self._publishers[topic] = publisher
         sent, numbers = _sent[self._name, topic], count(1)
 
@@ -149,10 +151,10 @@ class _Streams(ActiveSenders):
         super().heard(key)
 
 
-def _qos_profile(reliable: bool) -> QoSProfile:
+def _qos_profile(reliable: bool, latched: bool = False) -> QoSProfile:
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         history=HistoryPolicy.KEEP_LAST,
         depth=1 if reliable else HISTORY_DEPTH,
     )

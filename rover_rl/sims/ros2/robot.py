@@ -17,6 +17,7 @@ import numpy as np
 from torch import Tensor
 
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.frames import BASE, IMU, LIDAR, ODOM, WORLD, RobotFrames, info_topic
 from rover_rl.sims.ros2.ground import elevation_map_message, point_cloud_message
 from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.poses import heading, read_finite, read_pose, yaw_of
@@ -26,7 +27,6 @@ from rover_rl.sims.rover_state import RoverState
 from rover_rl.sims.sensor_report import SensorReport, SimulatedRover
 from rover_rl.sims.settings import Connection
 
-FRAME = "world"  # frame of the poses
 TYPES_PERIOD = 1.0  # time between two looks at the types of the messages that others send, s
 COMMAND_LIFETIME = 0.5  # simulation time without a command after which the rover stops, as real rovers do, s
 RANGE_MIN = 0.15  # minimum range of the original's lidar, m
@@ -36,13 +36,15 @@ _log = logging.getLogger(__name__)
 
 
 class RobotNode:
-    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, clock and images; receives commands.
+    """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, tf, clock and images; receives commands.
 
     Args:
         lidar_range: maximum range of the lidar, m.
         settings, connection: topics, and the direction of the lidar.
         start: initial pose: x, y (m) and yaw (rad).
         view: angle that the scans cover, half of it to either side of straight ahead, rad.
+        is_localized: whether tf tells where ``odom`` is in the world.
+        world_map: map of the world to publish, a ``nav_msgs/OccupancyGrid``. ``None``: no map.
     """
 
     def __init__(
@@ -54,6 +56,8 @@ class RobotNode:
         connection: Connection = Connection(),  # noqa: B008
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
+        is_localized: bool = True,
+        world_map: Any = None,
     ) -> None:
         self._rover, self._transport, self._settings, self._connection = rover, transport, settings, connection
         self._lidar_range, self._view = lidar_range, view
@@ -61,6 +65,7 @@ class RobotNode:
         self._command: list[Any] = [(0.0, 0.0), 0.0]
         self._reset_poses: deque[tuple[float, float, float]] = deque(maxlen=1)
         self._yaw = start[2]
+        self._frames = RobotFrames(rover.robot, rover.devices, settings.lidar_yaw, is_localized)
         self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
         self._publishers: dict[str, Callable[[Any], None]] = {}
         self._types_checked = -math.inf
@@ -71,6 +76,10 @@ class RobotNode:
         transport.subscribe(connection.cmd_vel_topic, command, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
+        self._publish("/tf_static", self._frames.fixed(), latched=True)
+        self._publish("/robot_description", self._frames.description(), latched=True)
+        if world_map is not None:
+            self._publish("/map", world_map, latched=True)
 
     def run(self, rate: float, stop: threading.Event) -> None:
         """Steps the rover until ``stop`` is set, at ``rate`` times real time."""
@@ -103,8 +112,8 @@ class RobotNode:
 
     def _receive_reset_pose(self, msg: Any) -> None:
         try:
-            if (frame := msg.header.frame_id) not in ("", FRAME):
-                raise ValueError(f"its frame_id must be {FRAME!r}, the frame of the world, or empty, got {frame!r}")
+            if (frame := msg.header.frame_id) not in ("", WORLD):
+                raise ValueError(f"its frame_id must be {WORLD!r}, the frame of the world, or empty, got {frame!r}")
             position, orientation, _ = read_pose(msg.pose)
         except ValueError as error:
             self._refuse(error)
@@ -136,29 +145,34 @@ class RobotNode:
                 self._log.warning(topic, text, topic, others, short(kind.ros_type), hint)
 
     def _publish_report(self, report: SensorReport) -> None:
-        state, settings, connection = report.state, self._settings, self._connection
+        state, settings, connection, frames = report.state, self._settings, self._connection, self._frames
         stamp, scan_time = (ros.Time.from_seconds(time) for time in (state.stamp.item(), report.scan_stamp))
         orientation = ros.Quaternion(*state.orientation[0].tolist())
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
         for kind, images in report.images.items():
-            for topic, image in images.items():
-                topic = topic or connection.image_topics[kind]
-                self._publish(topic, image_format(kind, topic).write(image, scan_time, "camera_link"))
-        for topic, points in report.points.items():
-            self._publish(topic or connection.points_topic, point_cloud_message(points, scan_time, "lidar3d_link"))
-        for topic, ground in report.ground.items():
-            self._publish(topic or connection.elevation_topic, elevation_map_message(ground, stamp, FRAME))
+            for own, image in images.items():
+                topic, frame = own or connection.image_topics[kind], frames.frame_of(kind, own)
+                self._publish(topic, image_format(kind, topic).write(image, scan_time, frame))
+                self._publish(info_topic(topic), frames.camera_info(kind, own, scan_time))
+        for own, points in report.points.items():
+            cloud = point_cloud_message(points, scan_time, frames.frame_of("points", own))
+            self._publish(own or connection.points_topic, cloud)
+        for own, ground in report.ground.items():
+            self._publish(own or connection.elevation_topic, elevation_map_message(ground, stamp, WORLD))
         self._publish("/clock", ros.Clock(ros.Time.from_seconds(report.time)))
-        self._publish(settings.pose_topic, ros.PoseArray(ros.Header(stamp, FRAME), [pose]))
+        self._publish(settings.pose_topic, ros.PoseArray(ros.Header(stamp, WORLD), [pose]))
         self._publish(connection.imu_topic, self._imu(state, stamp, orientation))
-        self._publish(settings.odometry_topic, self._wheel_odometry(state, stamp))
+        odometry = self._wheel_odometry(state, stamp)
+        self._publish(settings.odometry_topic, odometry)
+        if (moving := frames.moving(stamp, pose, odometry.pose.pose)) is not None:
+            self._publish("/tf", moving)
         if report.ranges is not None:  # last, as subscribers wait for it
             self._publish(connection.scan_topic, self._scan(report.ranges, scan_time))
 
-    def _publish(self, topic: str, message: Any) -> None:
+    def _publish(self, topic: str, message: Any, latched: bool = False) -> None:
         if topic not in self._publishers:
             # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
-            self._publishers[topic] = self._transport.publisher(topic, type(message), reliable=True)
+            self._publishers[topic] = self._transport.publisher(topic, type(message), reliable=True, latched=latched)
         self._publishers[topic](message)
 
     def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
@@ -169,13 +183,13 @@ class RobotNode:
         self._odometry = (x, y, yaw)
         pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), ros.Quaternion(*heading(yaw))))
         twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
-        return ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist)
+        return ros.Odometry(ros.Header(stamp, ODOM), BASE, pose, twist)
 
     def _imu(self, state: RoverState, stamp: Any, orientation: Any) -> Any:
         # The body turns more slowly than wheel odometry reports.
         yaw = yaw_of(state.orientation[0])
         yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / state.dt.item(), yaw
-        imu = ros.Imu(ros.Header(stamp, "imu_link"), orientation, angular_velocity=ros.Vector3(z=yaw_rate))
+        imu = ros.Imu(ros.Header(stamp, IMU), orientation, angular_velocity=ros.Vector3(z=yaw_rate))
         imu.linear_acceleration_covariance[0] = NOT_MEASURED
         return imu
 
@@ -194,7 +208,7 @@ class RobotNode:
         readings[readings < RANGE_MIN] = -np.inf
         angle_min = first * increment - self._settings.lidar_yaw
         return ros.LaserScan(
-            ros.Header(stamp, "lidar_link"),
+            ros.Header(stamp, LIDAR),
             angle_min=angle_min,
             angle_max=angle_min + (count - 1) * increment,
             angle_increment=increment,

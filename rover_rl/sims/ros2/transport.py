@@ -23,10 +23,13 @@ class Transport(Protocol):
 
     Messages are those of :mod:`rover_rl.sims.ros2.messages`, or objects with the same attributes; a ``kind`` is a class
     of them. Quality of service is best effort with a history of five messages, as for sensor data, which matches every
-    publisher; if ``reliable``, it is reliable with a history of one.
+    publisher; if ``reliable``, it is reliable with a history of one. A subscriber that is ``latched``, too, also gets
+    the last message from before it came, if the publisher is.
     """
 
-    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
+    ) -> None:
         """Calls ``receive`` with each message, from the transport's thread, in the order of sending on any topic.
 
         A message that cannot be decoded is ignored with a warning. ``receive`` returns False for an unusable message,
@@ -39,7 +42,7 @@ class Transport(Protocol):
         ``receive`` is called with each message and an identifier of its publisher for :meth:`name_of`.
         """
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher: ...
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher: ...
 
     def name_of(self, sender: str, topic: str) -> str:
         """Name of the node of a publisher that was overheard."""

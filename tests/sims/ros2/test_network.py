@@ -21,7 +21,7 @@ from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.commands import Watchdog
 from rover_rl.sims.ros2.dds import DdsTransport
-from rover_rl.sims.ros2.messages import LaserScan, Twist, Vector3
+from rover_rl.sims.ros2.messages import LaserScan, TFMessage, Twist, Vector3
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 from rover_rl.sims.ros2.transport import make_transport
 from rover_rl.sims.settings import Connection
@@ -139,6 +139,22 @@ def test_a_node_of_rclpy_hears_all_topics_of_a_robot_and_drives_it(robot, teleop
     teleop.publish("/cmd_vel", TWIST, {"linear": {"x": -0.5}}, 20.0)
     until(lambda: robot.rover.env.rover_state.linear_velocity < -0.4)
     teleop.publish("/cmd_vel", TWIST, {})
+
+
+def test_late_subscribers_get_what_a_robot_has_told_once(robot, teleop, domain):
+    teleop.subscribe("/robot_description", "std_msgs/msg/String", True, True)
+    received: list[dict] = []
+    until(lambda: received.extend(teleop.received("/robot_description")) or received)
+    (told,) = received
+    assert told["data"].startswith('<robot name="rover_zero">')
+    frames: list[TFMessage] = []
+    moving: list[TFMessage] = []
+    with closing(DdsTransport("late", domain)) as transport:
+        transport.subscribe("/tf_static", TFMessage, frames.append, reliable=True, latched=True)
+        transport.subscribe("/tf", TFMessage, moving.append)
+        until(lambda: frames and len(moving) > 3)
+    assert {each.child_frame_id for each in frames[0].transforms} == {"lidar_link", "imu_link", "world"}
+    assert [each.child_frame_id for each in moving[-1].transforms] == ["base_link", "odom"]
 
 
 def test_messages_are_exchanged_unchanged_with_a_node_of_rclpy(teleop, domain):

@@ -54,11 +54,13 @@ class Wire:
     def sleep(self, seconds: float) -> None:
         self.now += seconds
 
-    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: Any, receive: Callable[[Any], None], *, reliable: bool = False, latched: bool = False
+    ) -> None:
         self.receivers[topic].append(receive)
         self.received[topic].add(kind.ros_type)
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False):
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False):
         self.kinds[topic].add(kind.ros_type)
 
         def publish(message: Any) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 
 class Node:
@@ -27,12 +27,12 @@ class Node:
         self._timers: dict[str, Any] = {}
         threading.Thread(target=self._spin, daemon=True).start()
 
-    def subscribe(self, topic: str, kind: str, reliable: bool = True) -> None:
+    def subscribe(self, topic: str, kind: str, reliable: bool = True, latched: bool = False) -> None:
         received = self._received.setdefault(topic, [])
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        self._node.create_subscription(
-            _class(kind), topic, received.append, QoSProfile(depth=10, reliability=reliability)
-        )
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(depth=10, reliability=reliability, durability=durability)
+        self._node.create_subscription(_class(kind), topic, received.append, profile)
 
     def received(self, topic: str) -> list[Any]:
         """Messages on a topic since the last call."""
