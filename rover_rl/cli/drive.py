@@ -8,6 +8,8 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -27,8 +29,12 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
+    from rover_rl.algos.deploy.drive_log import DriveLog
     from rover_rl.algos.deploy.driving import Moment
+    from rover_rl.algos.deploy.goals import Goal
     from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.algos.policy.runner import PolicyRunner
+    from rover_rl.envs.rover import RoverEnv
 
 GOAL_NOT_REACHED = 1  # exit code
 SENSOR_TIMEOUT = 0.5  # time without a sensor message after which a drive ends, s; without a scan, it stops before
@@ -56,6 +62,9 @@ class Drive:
     """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None
     """CSV file of goals, one per line: x, y (m)."""
+    goal_topic: str | None = None
+    """Topic of goals, such as RViz's /goal_pose: drive to each geometry_msgs/PoseStamped on it, until Ctrl-C. A new one
+    replaces the last; a std_msgs/Empty on TOPIC/cancel gives it up, and TOPIC/status tells what is done."""
     random: int = 0
     """Number of random goals, drawn as in training."""
     world: str | None = None
@@ -98,12 +107,9 @@ class Drive:
 
     def __call__(self) -> int:
         self._check()
-        endings: list[str] = []
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.drive_log import DriveLog, check_log
-            from rover_rl.algos.deploy.driving import drive_to
-            from rover_rl.algos.driving import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs.config import name_of_part
             from rover_rl.envs.rover import RoverEnv
@@ -129,31 +135,72 @@ class Drive:
             robot = name_of_part(described.robot)
             log = stack.enter_context(DriveLog(self.log, world, policy.name, self.seconds, robot))
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
-            limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "patience", "allow_unseen")}
 
-            def on_step(moment: Moment | None) -> None:
+            def go_on() -> None:
                 raise_if_interrupted()
                 if page is not None:
                     page.check()
-                if moment is not None:
-                    show_status(f"goal {len(endings) + 1} of {len(goals)}", moment)
-                    if page is not None:
-                        page.show(env, moment)
 
-            for number, goal in enumerate(goals, 1):
-                on_step(None)
-                endings.append(drive_to(env, runner, goal, **limits, watch=on_step, log=log))
-                print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {endings[-1]}", flush=True)
-                if endings[-1] == RESTARTED:
-                    break  # the pose of a restarted robot is unknown
+            def show(label: str, moment: Moment) -> None:
+                show_status(label, moment)
+                if page is not None:
+                    page.show(env, moment)
+
+            endings = self._drive(env, runner, goals, world, log, go_on, show)
         print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
+
+    def _drive(
+        self,
+        env: RoverEnv,
+        runner: PolicyRunner,
+        goals: list[Goal],
+        world: str,
+        log: DriveLog,
+        go_on: Callable[[], None],
+        show: Callable[[str, Moment], None],
+    ) -> list[str]:
+        """Drives to the goals, and then to those of the topic, and returns the endings."""
+        from rover_rl.algos.deploy.driving import drive_to
+        from rover_rl.algos.deploy.goals import GoalGivenUp, GoalTopic
+        from rover_rl.algos.driving import RESTARTED
+        from rover_rl.sims.ros2.simulator import Ros2Simulator
+
+        limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "patience", "allow_unseen")}
+        rover, topic, endings = env.simulator, None, list[str]()
+        assert isinstance(rover, Ros2Simulator)
+        if self.goal_topic is not None:
+            inside = partial(_require_inside, world)
+            topic = GoalTopic(rover.transport, self.goal_topic, inside, lambda: rover.pose_frame)
+            print(f"Waits for goals on {self.goal_topic}", flush=True)
+
+        def watch(moment: Moment) -> None:
+            go_on()
+            if topic is not None:
+                topic.check()
+            show(f"goal {len(endings) + 1}" + (f" of {len(goals)}" if topic is None else ""), moment)
+
+        for goal in goals if topic is None else chain(goals, topic.goals(go_on)):
+            go_on()
+            try:
+                ending = drive_to(env, runner, goal, **limits, watch=watch, log=log)
+            except GoalGivenUp as reason:
+                ending = str(reason)
+            endings.append(ending)
+            print(f"goal {len(endings)}, {goal[0]:.2f} {goal[1]:.2f}: {ending}", flush=True)
+            if topic is not None:
+                topic.tell(ending)
+            if ending == RESTARTED:
+                break  # the pose of a restarted robot is unknown
+        return endings
 
     def _check(self) -> None:
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
-        if not (self.goal or self.goals or self.random):
-            raise ValueError("say where to drive: --goal X Y, --goals FILE or --random COUNT")
+        if not (self.goal or self.goals or self.random or self.goal_topic):
+            raise ValueError("say where to drive: --goal X Y, --goals FILE, --random COUNT or --goal-topic TOPIC")
+        if self.goal_topic is not None:
+            checks.check_topics(goal_topic=self.goal_topic)
         checks.check_positive(checks.MAX_SECONDS, seconds=self.seconds)
         checks.check_at_least(0, checks.MAX_SECONDS, timeout=self.connection.timeout)
         checks.check_at_least(0, checks.MAX_NUMBER, clearance=self.clearance, patience=self.patience)
@@ -216,7 +263,6 @@ class Drive:
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         from rover_rl.algos.evaluation.episodes import draw_episodes
-        from rover_rl.worlds import get_world
 
         goals = list(self.goal)
         if self.goals is not None:
@@ -228,16 +274,22 @@ class Drive:
                 raise ValueError(f"{self.goals} must have two numbers a line: x, y") from error
         if self.random:
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
-        if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
+        if self.goals is not None and (not goals or not all(math.isfinite(part) for goal in goals for part in goal)):
             raise ValueError(f"{self.goals} must have at least one goal, with finite coordinates")
-        (left, right), (bottom, top) = get_world(world).bounds
-        for x, y in goals:
-            if not (left <= x <= right and bottom <= y <= top):
-                raise ValueError(
-                    f"the goal {x:g} {y:g} is outside of the bounds of {world}: x from {left:g} to {right:g} m, "
-                    f"y from {bottom:g} to {top:g} m; name the --world that the rover is in"
-                )
+        for goal in goals:
+            _require_inside(world, goal)
         return goals
+
+
+def _require_inside(world: str, goal: Goal) -> None:
+    from rover_rl.worlds import get_world
+
+    (x, y), ((left, right), (bottom, top)) = goal, get_world(world).bounds
+    if not (left <= x <= right and bottom <= y <= top):
+        raise ValueError(
+            f"the goal {x:g} {y:g} is outside of the bounds of {world}: x from {left:g} to {right:g} m, "
+            f"y from {bottom:g} to {top:g} m; name the --world that the rover is in"
+        )
 
 
 @contextmanager

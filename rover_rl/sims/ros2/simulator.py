@@ -86,13 +86,13 @@ class Ros2Simulator(Simulator):
         self._set_beams(GUARD_BEAMS)
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency, self.held = 0.0, False
-        self._transport = make_transport(settings.transport, settings.node)
-        self._commands = Commands(self._transport, connection.cmd_vel_topic, settings)
+        self.transport = make_transport(settings.transport, settings.node)
+        self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
-        self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self._transport)
-        self._placer = Placer(settings, self._world.name, self._transport)
+        self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self.transport)
+        self._placer = Placer(settings, self._world.name, self.transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
-        self._sensors = Sensors(self._transport, settings, connection, PoseEstimator(settings.pose))
+        self._sensors = Sensors(self.transport, settings, connection, PoseEstimator(settings.pose))
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
         self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
@@ -105,6 +105,11 @@ class Ros2Simulator(Simulator):
     @property
     def last_command(self) -> tuple[float, float]:
         return self._commands.last
+
+    @property
+    def pose_frame(self) -> str:
+        """Name of the frame of the pose; empty before the first one, and with ``pose="wheels"``."""
+        return self._sensors.pose_frame
 
     @property
     def field_of_view(self) -> float:
@@ -250,7 +255,7 @@ class Ros2Simulator(Simulator):
         return position[None], orientation[None]
 
     def follow_clock(self) -> None:
-        self._transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
+        self.transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
 
     def state_age(self) -> Tensor:
         """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""
@@ -309,7 +314,7 @@ class Ros2Simulator(Simulator):
         self._commands.require_receiver()
         sources = self._sensors.sources
         for topic in (sources["scan"].topic, sources.get("pose", sources["odometry"]).topic):
-            if (count := self._transport.publishers(topic)) > 1:
+            if (count := self.transport.publishers(topic)) > 1:
                 self.stop()
                 text = "there may be several robots in this ROS_DOMAIN_ID; a stop command was sent"
                 raise RobotLostError(f"{count} publishers send on {topic}: {text}")

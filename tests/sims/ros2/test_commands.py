@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
@@ -12,6 +13,7 @@ import pytest
 from rover_rl.algos.deploy.drive_log import read_drives
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.cli import main
+from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.messages import CompressedImage, Image, LaserScan, Twist
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import SimulatedRobot
@@ -78,6 +80,57 @@ def test_a_dry_run_sends_nothing(robot, wire, log, capsys):
     assert output.count("m/s") == 2 * 10
     assert "goal 1, 9.00 9.00: time limit" in output
     assert not wire.sent["/cmd_vel"]
+
+
+class Rviz:
+    """Sends goals to a drive by its status, and at last Ctrl-C. It stands for the module ``time`` of the goals."""
+
+    def __init__(self, wire, robot) -> None:
+        self._wire, self._robot = wire, robot
+        self.refused = [(40.0, 0.0, "world"), (9.0, 9.0, "odom"), (math.nan, 0.0, "")]
+        self.at_cancel: list[Twist] = []
+        wire.rovers.append(self._while_driving)
+
+    @property
+    def told(self) -> list[str]:
+        return [message.data for message in self._wire.sent["/goal_pose/status"]]
+
+    def send(self, x: float, y: float, frame: str = "") -> None:
+        pose = ros.Pose(ros.Point(x, y))
+        self._wire.say("/goal_pose", ros.PoseStamped(ros.Header(frame_id=frame), pose), "rviz")
+
+    def sleep(self, _: float) -> None:
+        if self.told[-1] == "waiting" or self.told[-1].startswith("refused"):
+            self.send(*(self.refused.pop(0) if self.refused else (9.0, 9.0, "map")))
+        else:
+            self.at_cancel = self._wire.sent["/cmd_vel"][-2:]
+            signal.raise_signal(signal.SIGINT)
+
+    def _while_driving(self) -> None:
+        if drives(self._robot):
+            if self.told[-1] == "driving to 9.00 9.00":
+                self.send(9.0, 8.0)
+            elif self.told[-1] == "driving to 9.00 8.00":
+                self._wire.say("/goal_pose/cancel", ros.Empty(), "rviz")
+
+
+def test_goals_come_one_by_one_from_a_topic_and_are_refused_replaced_and_canceled(
+    robot, wire, log, capsys, monkeypatch
+):
+    rviz = Rviz(wire, robot)
+    monkeypatch.setattr("rover_rl.algos.deploy.goals.time", rviz)
+    assert main(["drive", "scripted", "--world", "maze", "--goal-topic", "/goal_pose", *log]) == 130
+    told = rviz.told
+    assert told[0] == "waiting"
+    assert told[1].startswith("refused 40.00 0.00: the goal 40 0 is outside of the bounds of maze")
+    assert told[2] == "refused 9.00 9.00: its frame_id must be 'world', the frame of the rover's pose, got 'odom'"
+    assert told[3] == "refused nan 0.00: it is not finite"
+    assert told[4:] == ["driving to 9.00 9.00", "replaced", "driving to 9.00 8.00", "canceled"]
+    assert rviz.at_cancel == [Twist(), Twist()]
+    output = capsys.readouterr().out
+    assert "goal 1, 9.00 9.00: replaced" in output
+    assert "goal 2, 9.00 8.00: canceled" in output
+    assert read_drives(Path(log[1]))[0].endings == ["stopped", "stopped"]
 
 
 def test_drive_without_a_robot_reports_an_error(wire, log, capsys):

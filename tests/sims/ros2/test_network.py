@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -155,6 +156,36 @@ def test_late_subscribers_get_what_a_robot_has_told_once(robot, teleop, domain):
         until(lambda: frames and len(moving) > 3)
     assert {each.child_frame_id for each in frames[0].transforms} == {"lidar_link", "imu_link", "world"}
     assert [each.child_frame_id for each in moving[-1].transforms] == ["base_link", "odom"]
+
+
+def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, tmp_path, monkeypatch):
+    monkeypatch.setattr("rover_rl.cli.drive.SENSOR_TIMEOUT", 60.0)  # on a busy machine
+    pose, told, stopped = "geometry_msgs/msg/PoseStamped", [], []
+    teleop.subscribe("/goal_pose/status", "std_msgs/msg/String", True, True)
+
+    def wait_for(status: str) -> None:
+        until(lambda: told.extend(one["data"] for one in teleop.received("/goal_pose/status")) or status in told)
+
+    def send_goals() -> None:
+        try:
+            wait_for("waiting")
+            for x, status in ((9.0, "driving to 9.00 0.00"), (-9.0, "driving to -9.00 0.00")):
+                teleop.publish("/goal_pose", pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}}})
+                wait_for(status)
+            until(lambda: robot.twists[-1] != (0.0, 0.0))
+            teleop.publish("/goal_pose/cancel", "std_msgs/msg/Empty", {})
+            wait_for("canceled")
+            until(lambda: robot.twists[-1] == (0.0, 0.0))
+            stopped.append(True)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    sender = threading.Thread(target=send_goals)
+    sender.start()
+    options = ["--goal-topic", "/goal_pose", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
+    assert main(["drive", "scripted", "--world", "maze", *options]) == 130
+    sender.join()
+    assert stopped
 
 
 def test_messages_are_exchanged_unchanged_with_a_node_of_rclpy(teleop, domain):

@@ -1,0 +1,86 @@
+"""Goals that a ROS 2 node sends one at a time, such as RViz with its button *2D Goal Pose*."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, TypeAlias
+
+from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.frames import MAP, WORLD
+from rover_rl.sims.ros2.transport import Transport
+
+Goal: TypeAlias = tuple[float, float]
+POLL = 0.05  # time between two looks for a goal, s
+
+
+class GoalGivenUp(Exception):
+    """Ends the drive to a goal that was canceled or replaced by another one. Its text says which."""
+
+
+class GoalTopic:
+    """The newest goal on a topic, a ``geometry_msgs/PoseStamped`` whose heading does not count.
+
+    A goal replaces the one that is driven to, and a ``std_msgs/Empty`` on ``TOPIC/cancel`` gives it up. A
+    ``std_msgs/String`` on ``TOPIC/status``, which late subscribers get, too, tells what is done: ``waiting``,
+    ``driving to X Y``, the ending of the last drive, or why a goal is refused.
+
+    Args:
+        require: raises ``ValueError`` for a goal that is not driven to.
+        pose_frame: returns the frame of the rover's pose, which a goal must be in; ``map`` and ``world`` are the same.
+    """
+
+    def __init__(
+        self, transport: Transport, topic: str, require: Callable[[Goal], None], pose_frame: Callable[[], str]
+    ) -> None:
+        self._require, self._pose_frame = require, pose_frame
+        self._newest: deque[Goal] = deque(maxlen=1)
+        self._is_canceled = False
+        self._publish = transport.publisher(f"{topic}/status", ros.String, reliable=True, latched=True)
+        transport.subscribe(topic, ros.PoseStamped, self._receive, reliable=True)
+        transport.subscribe(f"{topic}/cancel", ros.Empty, self._cancel, reliable=True)
+        self.tell("waiting")
+
+    def goals(self, idle: Callable[[], object]) -> Iterator[Goal]:
+        """Yields goals as they come, without an end. Calls ``idle`` while it waits."""
+        while True:
+            idle()
+            if not self._newest:
+                time.sleep(POLL)
+                continue
+            goal, self._is_canceled = self._newest.popleft(), False
+            self.tell(f"driving to {goal[0]:.2f} {goal[1]:.2f}")
+            yield goal
+
+    def check(self) -> None:
+        """Raises :class:`GoalGivenUp` if the goal that is driven to was canceled or replaced."""
+        if self._is_canceled:
+            raise GoalGivenUp("canceled")
+        if self._newest:
+            raise GoalGivenUp("replaced")
+
+    def tell(self, status: str) -> None:
+        self._publish(ros.String(status))
+
+    def _cancel(self, _: Any) -> None:
+        self._newest.clear()
+        self._is_canceled = True
+
+    def _receive(self, msg: Any) -> None:
+        goal, frame, own = (
+            (msg.pose.position.x, msg.pose.position.y),
+            msg.header.frame_id.strip("/"),
+            self._pose_frame(),
+        )
+        try:
+            if not all(map(math.isfinite, goal)):
+                raise ValueError("it is not finite")
+            if frame not in ("", own) and not {frame, own} <= {MAP, WORLD}:
+                raise ValueError(f"its frame_id must be {own!r}, the frame of the rover's pose, got {frame!r}")
+            self._require(goal)
+        except ValueError as error:
+            self.tell(f"refused {goal[0]:.2f} {goal[1]:.2f}: {error}")
+            return
+        self._newest.append(goal)
