@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from rover_rl.robots import Robot
 from rover_rl.robots.shapes import Frame, Shape
 from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.tf import Transform
 from rover_rl.sims.sensor_report import Device, DeviceKind
 from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.world import World
@@ -33,20 +34,6 @@ OCCUPIED = 100
 OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of an image in those of its camera: to the right, down and ahead (REP 103)."""
 GRAY = (0.5, 0.5, 0.5)
-
-
-class Transform(NamedTuple):
-    """Pose of the frame ``child`` in ``parent``: position ``[3]``, m."""
-
-    parent: str
-    child: str
-    position: np.ndarray
-    rotation: Rotation
-
-    def message(self, stamp: Any) -> Any:
-        x, y, z, w = self.rotation.as_quat().tolist()
-        place = ros.Transform(ros.Vector3(*self.position.tolist()), ros.Quaternion(x, y, z, w))
-        return ros.TransformStamped(ros.Header(stamp, self.parent), self.child, place)
 
 
 class RobotFrames:

@@ -92,6 +92,7 @@ POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
     "pose_stamped": (ros.PoseStamped, lambda msg: read_pose(msg.pose)),
     "odometry": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
     "pose_with_covariance": (ros.PoseWithCovarianceStamped, lambda msg: read_pose(msg.pose.pose)),
+    "tf": (ros.TFMessage, lambda msg: read_pose(msg.pose)),  # of the pose that RobotPose makes of it
     "wheels": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
 }
 """Type of the pose message of each source, and the function that reads it."""

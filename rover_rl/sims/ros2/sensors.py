@@ -20,6 +20,7 @@ from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, seconds_of
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.tf import TF_TOPIC, RobotPose
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.sensor_report import ImageKind
 from rover_rl.sims.settings import Connection
@@ -120,8 +121,13 @@ class Sensors:
         }
         if settings.pose == "wheels":
             self.sources["odometry"].readers.update(self.sources.pop("pose").readers)
+        if settings.pose == "tf":
+            self.sources["pose"] = Source(TF_TOPIC, pose_type, {"pose": read_pose})
+            self._tf = RobotPose(settings.map_frame.strip("/"), settings.frame_id.strip("/"))
+            transport.subscribe(f"{TF_TOPIC}_static", pose_type, self._receive_tf, reliable=True, latched=True)
         for kind, source in self.sources.items():
-            transport.subscribe(source.topic, source.message, partial(self.receive, kind))
+            receive = self._receive_tf if source.topic == TF_TOPIC else partial(self.receive, kind)
+            transport.subscribe(source.topic, source.message, receive)
 
     @property
     def pose(self) -> poses.MeasuredPose:
@@ -188,6 +194,16 @@ class Sensors:
         if "pose" in values or "imu" in values:
             self._poses.append((stamp, *self.world_pose))
         return True
+
+    def _receive_tf(self, msg: Any) -> bool:
+        """Reads the pose after transforms. Returns whether they move the robot: other nodes move other frames."""
+        try:
+            pose = self._tf.after(msg)
+        except ValueError as error:
+            self._rejections["pose"] = str(error)
+            self._throttled_log.warning("pose", "%s: ignored a message: %s", TF_TOPIC, error)
+            return False
+        return pose is not None and self.receive("pose", pose)
 
     def wait_for_company(self, scan: ReceivedMessage) -> None:
         """Waits shortly for the messages that were measured with a scan, and arrive after it."""

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias, get_args
 from rover_rl.checks import check_topics
 from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL
 
-PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "wheels"]
+PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "tf", "wheels"]
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
 Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
@@ -35,14 +35,17 @@ class Ros2Settings:
     pose: PoseSource = "pose_array"
     """Source of the pose: pose_array, the first pose of a geometry_msgs/PoseArray with the heading of the IMU, as in
     the original; pose_stamped, odometry or pose_with_covariance, pose and heading of a localizer's
-    geometry_msgs/PoseStamped, nav_msgs/Odometry or geometry_msgs/PoseWithCovarianceStamped; wheels, wheel odometry,
-    aligned with the start pose of the episode at each reset (docs/ros2.md)."""
+    geometry_msgs/PoseStamped, nav_msgs/Odometry or geometry_msgs/PoseWithCovarianceStamped; tf, the transforms from
+    map_frame to frame_id on /tf and /tf_static; wheels, wheel odometry, aligned with the start pose of the episode at
+    each reset (docs/ros2.md)."""
     pose_topic: str = "/rover/pose_array"
-    """Topic of the pose; unused with pose="wheels"."""
+    """Topic of the pose; unused with pose="wheels" and pose="tf"."""
+    map_frame: str = "map"
+    """Frame of tf that is that of the world, with pose="tf"."""
     command: Command = "twist"
     """Message type of the commands: twist or twist_stamped; none sends nothing (dry run)."""
     frame_id: str = "base_link"
-    """Frame of stamped commands, and of elevation maps and points that are in that of the robot."""
+    """Frame of the robot: of stamped commands, in tf, and of elevation maps and points that are in it."""
     give_way: bool = False
     """While another node sends commands, such as that of a joystick, send none, and drive on 0.5 s after its last one.
     Default: stop, and name the node."""

@@ -182,7 +182,7 @@ def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, 
 
     sender = threading.Thread(target=send_goals)
     sender.start()
-    options = ["--goal-topic", "/goal_pose", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
+    options = ["--goal-topic", "/goal_pose", "--pose", "tf", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
     assert main(["drive", "scripted", "--world", "maze", *options]) == 130
     sender.join()
     assert stopped

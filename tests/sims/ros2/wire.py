@@ -44,6 +44,7 @@ class Wire:
         self.sent, self.kinds, self.received = defaultdict(list), defaultdict(set), defaultdict(set)
         self.tamper: dict[str, Callable[[Any], Any]] = {}
         self.rovers: list[Callable[[], object]] = []
+        self.latched: set[str] = set()
         self.robots, self.closed, self.now = 1, False, 1000.0
 
     def monotonic(self) -> float:
@@ -58,10 +59,13 @@ class Wire:
         self, topic: str, kind: Any, receive: Callable[[Any], None], *, reliable: bool = False, latched: bool = False
     ) -> None:
         self.receivers[topic].append(receive)
+        for message in self.sent[topic][-1:] if latched and topic in self.latched else ():
+            receive(message)
         self.received[topic].add(kind.ros_type)
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False):
         self.kinds[topic].add(kind.ros_type)
+        self.latched |= {topic} if latched else set()
 
         def publish(message: Any) -> None:
             assert isinstance(message, kind)
