@@ -31,7 +31,6 @@ from rover_rl.sims.settings import Connection
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.drive_log import DriveLog
     from rover_rl.algos.deploy.driving import Moment
-    from rover_rl.algos.deploy.goals import Goal
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.algos.policy.runner import PolicyRunner
     from rover_rl.envs.rover import RoverEnv
@@ -154,7 +153,7 @@ class Drive:
         self,
         env: RoverEnv,
         runner: PolicyRunner,
-        goals: list[Goal],
+        goals: list[tuple[float, float]],
         world: str,
         log: DriveLog,
         go_on: Callable[[], None],
@@ -281,7 +280,7 @@ class Drive:
         return goals
 
 
-def _require_inside(world: str, goal: Goal) -> None:
+def _require_inside(world: str, goal: tuple[float, float]) -> None:
     from rover_rl.worlds import get_world
 
     (x, y), ((left, right), (bottom, top)) = goal, get_world(world).bounds

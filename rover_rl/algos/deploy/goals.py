@@ -6,13 +6,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.frames import MAP, WORLD
 from rover_rl.sims.ros2.transport import Transport
 
-Goal: TypeAlias = tuple[float, float]
 POLL = 0.05  # time between two looks for a goal, s
 
 
@@ -25,7 +24,7 @@ class GoalTopic:
 
     A goal replaces the one that is driven to, and a ``std_msgs/Empty`` on ``TOPIC/cancel`` gives it up. A
     ``std_msgs/String`` on ``TOPIC/status``, which late subscribers get, too, tells what is done: ``waiting``,
-    ``driving to X Y``, the ending of the last drive, or why a goal is refused.
+    ``driving to X Y``, the ending of the last drive, or why a goal is refused. Goals are x and y, m.
 
     Args:
         require: raises ``ValueError`` for a goal that is not driven to.
@@ -33,17 +32,21 @@ class GoalTopic:
     """
 
     def __init__(
-        self, transport: Transport, topic: str, require: Callable[[Goal], None], pose_frame: Callable[[], str]
+        self,
+        transport: Transport,
+        topic: str,
+        require: Callable[[tuple[float, float]], None],
+        pose_frame: Callable[[], str],
     ) -> None:
         self._require, self._pose_frame = require, pose_frame
-        self._newest: deque[Goal] = deque(maxlen=1)
+        self._newest: deque[tuple[float, float]] = deque(maxlen=1)
         self._is_canceled = False
         self._publish = transport.publisher(f"{topic}/status", ros.String, reliable=True, latched=True)
         transport.subscribe(topic, ros.PoseStamped, self._receive, reliable=True)
         transport.subscribe(f"{topic}/cancel", ros.Empty, self._cancel, reliable=True)
         self.tell("waiting")
 
-    def goals(self, idle: Callable[[], object]) -> Iterator[Goal]:
+    def goals(self, idle: Callable[[], object]) -> Iterator[tuple[float, float]]:
         """Yields goals as they come, without an end. Calls ``idle`` while it waits."""
         while True:
             idle()
