@@ -10,6 +10,7 @@ from rover_rl.tasks.task import Task
 # Settings of learners: a reward for progress around walls, a critic that knows the way, no driving backward, and
 # actions that leave little to chance in the end.
 SETTINGS = {
+    "total_steps": 4_500_000,
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
@@ -68,8 +69,8 @@ MAZES = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": SETTINGS,
         "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
+        "ppo": SETTINGS,
         "sac": {"algo": "sac", "gamma": 0.98},
     },
 )
