@@ -161,30 +161,43 @@ def test_late_subscribers_get_what_a_robot_has_told_once(robot, teleop, domain):
 def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, tmp_path, monkeypatch):
     monkeypatch.setattr("rover_rl.cli.drive.SENSOR_TIMEOUT", 60.0)  # on a busy machine
     pose, told, stopped = "geometry_msgs/msg/PoseStamped", [], []
+    ended = threading.Event()
     teleop.subscribe("/goal_pose/status", "std_msgs/msg/String", True, True)
 
-    def wait_for(status: str) -> None:
-        until(lambda: told.extend(one["data"] for one in teleop.received("/goal_pose/status")) or status in told)
+    def is_told(status: str) -> bool:
+        told.extend(one["data"] for one in teleop.received("/goal_pose/status"))
+        return status in told
+
+    def send(topic: str, kind: str, fields: dict, status: str) -> None:
+        """Sends a message, again each second, as the first ones of a new publisher may be lost."""
+        for _ in range(120):
+            teleop.publish(topic, kind, fields)
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end:
+                if is_told(status):
+                    return
+                time.sleep(0.02)
 
     def send_goals() -> None:
         try:
-            wait_for("waiting")
+            until(lambda: is_told("waiting"))
             for x, status in ((9.0, "driving to 9.00 0.00"), (-9.0, "driving to -9.00 0.00")):
-                teleop.publish("/goal_pose", pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}}})
-                wait_for(status)
+                send("/goal_pose", pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}}}, status)
             until(lambda: robot.twists[-1] != (0.0, 0.0))
-            teleop.publish("/goal_pose/cancel", "std_msgs/msg/Empty", {})
-            wait_for("canceled")
+            send("/goal_pose/cancel", "std_msgs/msg/Empty", {}, "canceled")
             until(lambda: robot.twists[-1] == (0.0, 0.0))
             stopped.append(True)
         finally:
-            os.kill(os.getpid(), signal.SIGINT)
+            if not ended.is_set():
+                os.kill(os.getpid(), signal.SIGINT)
 
     sender = threading.Thread(target=send_goals)
     sender.start()
-    options = ["--goal-topic", "/goal_pose", "--pose", "tf", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
-    assert main(["drive", "scripted", "--world", "maze", *options]) == 130
+    options = ["--goal-topic", "/goal_pose", "--pose", "tf", "--seconds", "600", "--timeout", "60"]
+    code = main(["drive", "scripted", "--world", "maze", *options, "--log", str(tmp_path / "drive.jsonl")])
+    ended.set()
     sender.join()
+    assert code == 130
     assert stopped
 
 
