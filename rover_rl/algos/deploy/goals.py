@@ -72,11 +72,8 @@ class GoalTopic:
         self._is_canceled = True
 
     def _receive(self, msg: Any) -> None:
-        goal, frame, own = (
-            (msg.pose.position.x, msg.pose.position.y),
-            msg.header.frame_id.strip("/"),
-            self._pose_frame(),
-        )
+        goal = msg.pose.position.x, msg.pose.position.y
+        frame, own = msg.header.frame_id.strip("/"), self._pose_frame()
         try:
             if not all(map(math.isfinite, goal)):
                 raise ValueError("it is not finite")

@@ -148,7 +148,7 @@ _KINDS = (torch.float32, torch.int32, torch.bool, torch.int32, torch.int32, torc
 :func:`~rover_rl.sims.free_space.path_kernels.spread_costs` reads them; the number of the nearest cell from which paths
 lead to the goals; the frame: x and y of the first cell, side length of a cell, numbers of rows and columns."""
 _READ = (wp.float32, wp.uint32, wp.bool, wp.int32)
-_LENGTHS = wp.array([math.hypot(*step) for step in NEIGHBORS], dtype=float, device="cpu")
+_LENGTHS = np.array([math.hypot(*step) for step in NEIGHBORS], dtype=np.float32)
 
 
 def _pooled(passable: np.ndarray) -> np.ndarray:
