@@ -10,11 +10,14 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
+from tensordict import TensorDict
 
 from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
+from rover_rl.algos.config import training_config
 from rover_rl.algos.policy.networks import (
     UNITS,
     ImageFeatures,
+    actor_of,
     make_action_critic,
     make_actor,
     make_critic,
@@ -108,6 +111,20 @@ def test_networks_read_an_image_for_each_kind():
     assert sensor.mirror(value).tolist() == [[2, 1, 0, 1, 4, 3]]
     features = ImageFeatures(ObservationEncoder(("target", "segmentation"), sensors=[sensor]))
     assert features(torch.zeros(1, 5 + 30)).shape == (1, 5 + UNITS)
+
+
+def test_without_convolutions_networks_read_pixels_as_numbers():
+    size, observation = (8, 12), ("target", "depth")
+    reading, plain = (
+        actor_of(training_config("ppo", sensors=[replace(LEVEL, size=size)], observation=observation, convolutions=on))
+        for on in (True, False)
+    )
+    seen = {"target": torch.zeros(1, 2), "depth": torch.ones(1, 96)}
+    actions = [actor(TensorDict(seen, [1]))["action"].shape for actor in (reading, plain)]
+    assert actions == [(1, 2), (1, 2)]
+    convolutions = [sum(isinstance(layer, torch.nn.Conv2d) for layer in actor.modules()) for actor in (reading, plain)]
+    assert convolutions == [3, 0]
+    assert any(weight.shape == (128, 5 + 96) for weight in plain.parameters()), "features of target and pixels"
 
 
 def test_pixels_kinds_and_heights_are_lost_too_close_and_noisy():

@@ -144,7 +144,8 @@ class PrivilegedEncoder(nn.Module):
 
 def encoder_of(config: TrainingConfig) -> ObservationEncoder:
     network, env = config.network, config.env
-    return ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
+    reading = network.observation, env.lidar.points, network.north_up, env.own_sensors
+    return ObservationEncoder(*reading, convolutions=network.convolutions)
 
 
 def actor_of(
@@ -293,11 +294,9 @@ class ImageFeatures(nn.Module):
 
     def __init__(self, encoder: ObservationEncoder) -> None:
         super().__init__()
-        sensors = {key: encoder.sensors[key] for key in encoder.keys}
-        self._sizes = {key: sensor.features for key, sensor in sensors.items()}
-        shapes = {key: sensor.image for key, sensor in sensors.items() if sensor.image}
-        self.networks = nn.ModuleDict({key: _convolutions(self._sizes[key], shape) for key, shape in shapes.items()})
-        self.added = sum(UNITS - self._sizes[key] for key in shapes)
+        self._sizes, images = {key: encoder.sensors[key].features for key in encoder.keys}, encoder.images
+        self.networks = nn.ModuleDict({key: _convolutions(self._sizes[key], shape) for key, shape in images.items()})
+        self.added = sum(UNITS - self._sizes[key] for key in images)
 
     def forward(self, features: Tensor) -> Tensor:
         sizes = [*self._sizes.values()]
@@ -322,7 +321,7 @@ def _convolutions(features: int, shape: tuple[int, int]) -> nn.Module:
 
 def _body(encoder: ObservationEncoder, features: int, hidden: Sequence[int], outputs: int, gain: float) -> nn.Module:
     # The features of the encoder may be followed by others.
-    if not any(encoder.sensors[key].image for key in encoder.keys):
+    if not encoder.images:
         return _mlp(features, hidden, outputs, gain)
     images = ImageFeatures(encoder)
     return nn.Sequential(images, _mlp(features + images.added, hidden, outputs, gain))
