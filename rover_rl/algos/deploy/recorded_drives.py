@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import math
 import re
-import struct
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -18,11 +17,11 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import torch
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from torch import Tensor
 
 from rover_rl.algos.deploy.bags import ABOUT, ENDING, GOAL, STEP
@@ -144,7 +143,7 @@ def read_drives(
     Raises:
         ValueError: if it is no bag, has no drives, or not the topics, its time goes back, or several robots sent.
     """
-    bag, topics = _Bag(path), topics or BagTopics()
+    bag, topics = Bag(path), topics or BagTopics()
     found, least = (_own(bag), 1) if STEP in bag.types else (_Foreign(bag, topics).read(), 2)
     drives, about = [drive for drive in found if len(drive.samples) >= least], bag.about
     if not drives:
@@ -228,7 +227,7 @@ def _place(world: str | None, drives: Sequence[RecordedDrive]) -> World:
     return World(NO_WORLD, Terrain.flat((side, side)))
 
 
-def _own(bag: _Bag) -> list[RecordedDrive]:
+def _own(bag: Bag) -> list[RecordedDrive]:
     """Drives of a bag of ``rover-rl drive``."""
     drives: list[RecordedDrive] = []
     for topic, _, message in bag.messages({GOAL: ros.PoseStamped, STEP: ros.DriveStep, ENDING: ros.String}):
@@ -248,7 +247,7 @@ def _own(bag: _Bag) -> list[RecordedDrive]:
 class _Foreign:
     """Reader of the drives of a bag that others have recorded: see :class:`BagTopics`."""
 
-    def __init__(self, bag: _Bag, topics: BagTopics) -> None:
+    def __init__(self, bag: Bag, topics: BagTopics) -> None:
         bag.require("goal", topics.goal, ros.PoseStamped.ros_type)
         kind, self._read_pose = _READERS[bag.require("pose", topics.pose, *_READERS)]
         self._bag, self._topics, self._kinds = bag, topics, {topics.pose: kind, topics.goal: ros.PoseStamped}
@@ -320,13 +319,12 @@ class _Foreign:
                 raise ValueError(f"the goals in {path} are in the frame {frame!r}, and the poses in {frames}")
 
 
-class _Bag:
+class Bag:
     """Messages of a bag. ``types`` are those on each topic, and ``about`` is what ``rover-rl drive`` adds."""
 
     def __init__(self, path: Path) -> None:
         path.stat()  # says that there is none
         self.path, self.about = path, dict[str, str]()
-        self._records = self._of_rosbag2 if path.is_dir() or path.suffix != BAG else self._of_mcap
         self.types: defaultdict[str, set[str]] = defaultdict(set)
         for topic, ros_type, _, _ in self._records():
             self.types[topic].add(ros_type)
@@ -355,15 +353,23 @@ class _Bag:
                 with suppress(ValueError):
                     yield topic, 1e-9 * nanoseconds, ros.decode(kinds[topic], data)
 
+    def _records(self) -> Iterator[tuple[str, str, int, bytes]]:
+        """Yields topic, type, time (ns) and content of each message. Raises ``ValueError`` for a damaged file."""
+        try:
+            yield from self._of_rosbag2() if self.path.is_dir() or self.path.suffix != BAG else self._of_mcap()
+        except Exception as error:
+            # Libraries of databases and compressions have errors of their own.
+            raise ValueError(f"{self.path} cannot be read: {str(error) or type(error).__name__}") from error
+
     def _of_mcap(self) -> Iterator[tuple[str, str, int, bytes]]:
         channels: dict[int, Channel] = {}
         schemas: dict[int, str] = {}
         with self.path.open("rb") as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise ValueError(f"{self.path} is no MCAP file")
+                raise ValueError("it is no MCAP file")
             whole: Any = _WholeReads(file)
             records = StreamReader(whole, skip_magic=True, record_size_limit=self.path.stat().st_size).records
-            with suppress(McapError, struct.error, UnicodeDecodeError):  # the file was cut off here
+            with suppress(EndOfFile):  # the file was cut off here
                 for record in records:
                     if isinstance(record, Schema):
                         schemas[record.id] = record.name
@@ -378,12 +384,9 @@ class _Bag:
                         yield channel.topic, name, record.log_time, record.data
 
     def _of_rosbag2(self) -> Iterator[tuple[str, str, int, bytes]]:
-        try:
-            with AnyReader([self.path], default_typestore=ros.TYPES) as reader:
-                for connection, at, data in reader.messages():
-                    yield connection.topic, connection.msgtype, at, bytes(data)
-        except AnyReaderError as error:
-            raise ValueError(f"{self.path} cannot be read: {error}") from error
+        with AnyReader([self.path], default_typestore=ros.TYPES) as reader:
+            for connection, at, data in reader.messages():
+                yield connection.topic, connection.msgtype, at, bytes(data)
 
 
 class _WholeReads:

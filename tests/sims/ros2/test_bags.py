@@ -361,13 +361,17 @@ def test_other_files_and_names_of_code_are_refused_in_one_sentence(env, tmp_path
     Path("text.db3").write_text("position: 1\n")
     Path("old.jsonl").write_text('{"format": "rover_rl drive, version 1"}\n')
     write_mcap(Path("json.mcap"), course(), encoding="json")
+    damaged = bytearray(write_mcap(Path("damaged.mcap"), course()).read_bytes())
+    damaged[300:400] = bytes(100)
+    Path("damaged.mcap").write_bytes(damaged)
     env.reset()
     with DriveBag(Path("code.mcap"), "os:abort", "scripted", 60.0) as bag:
         bag.begin(env.rover_state, env.scan, GOAL)
     for word, told in {
-        "text.mcap": "text.mcap is no MCAP file",
+        "text.mcap": "text.mcap cannot be read: it is no MCAP file",
         "text.db3": "text.db3 cannot be read: ",
         "old.jsonl": "old.jsonl is a log of an older version, which is no longer read: drives are in .mcap files now",
+        "damaged.mcap": "damaged.mcap cannot be read: ",
         "json.mcap": "/goal_pose in json.mcap has geometry_msgs/PoseStamped in json, and a goal is",
         "code.mcap": "code.mcap names code as its world: if you trust it, add --world os:abort",
         "none.mcap": "none.mcap: No such file or directory",
