@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -26,7 +27,13 @@ from rosbags.rosbag2 import Writer as BagWriter
 from rover_rl import RoverEnv
 from rover_rl.algos.deploy.bags import DriveBag
 from rover_rl.algos.deploy.driving import Moment, drive_to
-from rover_rl.algos.deploy.recorded_drives import evaluate_drives, read_drives, recording_of_drive
+from rover_rl.algos.deploy.recorded_drives import (
+    RecordedDrive,
+    Sample,
+    evaluate_drives,
+    read_drives,
+    recording_of_drive,
+)
 from rover_rl.algos.driving import STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
@@ -193,6 +200,15 @@ def test_a_disk_that_hangs_does_not_delay_a_drive(env, tmp_path, monkeypatch, ca
         assert drive_to(env, straight(0.3), (6.0, 0.0), seconds=1.0, bag=bag) == TIME_LIMIT
     goes_on.set()
     assert caplog.text.count("lacks messages: the disk is too slow") == 1
+
+
+def test_times_are_the_rovers():
+    """With a lidar at 10 Hz, each step lasts two control steps of the evaluation."""
+    samples = [Sample(0.1, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0), torch.ones(1), collision=k == 5) for k in range(11)]
+    trajectory = RecordedDrive((2.0, 0.0), samples, "stuck").trajectory()
+    assert (trajectory.seconds, trajectory.length) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert trajectory.collision.nonzero().flatten().tolist() == [9]
+    assert math.isnan(trajectory.reversals)
 
 
 def stamped(x: float, y: float, frame: str = "map", yaw: float = 0.0) -> Any:
