@@ -15,6 +15,17 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around walls, a critic that knows the way and the grip, and actions
+# that leave little to chance in the end.
+SETTINGS = {
+    "num_envs": 1024,
+    "gamma": 0.98,
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "image_network": "patches",
+    "max_std": 1.0,
+    "final_std": 0.15,
+}
 HILLS = Task(
     name="hills",
     reason="How steep is too steep depends on the grip, which no sensor tells: it shows in how the wheels slip.",
@@ -68,8 +79,8 @@ HILLS = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"gamma": 0.98, "max_std": 1.0},
-        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru", "rollout_length": 16},
+        "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
+        "ppo": SETTINGS,
         "sac": {"algo": "sac", "gamma": 0.98},
     },
 )

@@ -17,6 +17,17 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around walls, a critic that knows the way and the delays, no driving
+# backward, and actions that leave little to chance in the end.
+SETTINGS = {
+    "num_envs": 1024,
+    "gamma": 0.98,
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
+    "max_std": 1.0,
+    "final_std": 0.15,
+}
 LATE = Task(
     name="late",
     reason="What the sensors tell is old and wrong by an unknown amount: how far to trust it shows only in driving.",
@@ -89,8 +100,8 @@ LATE = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"gamma": 0.98, "max_std": 1.0},
-        "ppo-gru": {"gamma": 0.98, "max_std": 1.0, "memory": "gru", "rollout_length": 16},
+        "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
+        "ppo": SETTINGS,
         "sac": {"algo": "sac", "gamma": 0.98},
     },
 )

@@ -7,6 +7,18 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around walls, a critic that knows the way, no driving backward, and
+# actions that leave little to chance in the end.
+SETTINGS = {
+    "num_envs": 1024,
+    "length": 600,
+    "gamma": 0.98,
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
+    "max_std": 1.0,
+    "final_std": 0.15,
+}
 MAZE = Task(
     name="maze",
     reason="The way leads around walls and away from the goal, which a reward for progress straight to it punishes.",
@@ -60,15 +72,8 @@ MAZE = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),
     learners={
-        "ppo": {"num_envs": 512, "length": 600, "gamma": 0.97, "path_reward": 10.0},
-        "ppo-gru": {
-            "num_envs": 512,
-            "length": 600,
-            "gamma": 0.97,
-            "path_reward": 10.0,
-            "memory": "gru",
-            "rollout_length": 16,
-        },
+        "ppo": SETTINGS,
+        "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "num_envs": 64, "length": 600, "path_reward": 10.0},
     },
 )

@@ -5,6 +5,21 @@ from __future__ import annotations
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, Randomization, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around obstacles, a critic that knows the way and the grip, and actions
+# that leave little to chance in the end.
+SETTINGS = {
+    "num_envs": 1024,
+    "minibatch": 2048,
+    "epochs": 4,
+    "rollout_length": 16,
+    "gamma": 0.97,
+    "action_repeat": 2,
+    "hidden": (256, 128),
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "max_std": 1.0,
+    "final_std": 0.15,
+}
 RACE = Task(
     name="race",
     reason="At the limit of grip, where a turn ends depends on speed and slip: how fast is too fast has to be felt.",
@@ -57,24 +72,8 @@ RACE = Task(
     seconds=15.0,
     references=(),  # planners are for one robot
     learners={
-        "ppo": {
-            "num_envs": 1024,
-            "minibatch": 2048,
-            "epochs": 4,
-            "rollout_length": 16,
-            "gamma": 0.97,
-            "action_repeat": 2,
-            "hidden": (256, 128),
-        },
-        "ppo-gru": {
-            "num_envs": 1024,
-            "minibatch": 2048,
-            "epochs": 4,
-            "rollout_length": 16,
-            "gamma": 0.97,
-            "action_repeat": 2,
-            "memory": "gru",
-        },
+        "ppo-gru": SETTINGS | {"memory": "gru"},
+        "ppo": SETTINGS,
         "sac": {"algo": "sac", "num_envs": 64, "gamma": 0.97, "action_repeat": 2},
     },
 )

@@ -205,7 +205,7 @@ def test_the_command_lists_draws_and_describes(
         ),
         *("general_penalty=-100", "collision_window=0", "friction=(0.5, 1)", "length 1,200 steps of 50 ms"),
         *("hills:50000-50063@0.5-1, 4 episodes in each", "the goal within 60 s", "rover_rl/Hills-v0"),
-        *("rover-rl train hills --learner ppo-gru (gamma=0.98, max_std=1", "evaluate hills scripted gridplanner dwa"),
+        *("rover-rl train hills --learner sac (algo=sac, gamma=0.98)", "evaluate hills scripted gridplanner dwa"),
     ):
         assert part in text
     assert "collision_penalty" not in text
