@@ -1,0 +1,203 @@
+"""Reads a recording of a drive: an MCAP file or a folder of rosbag2. Needs the package rosbags (extra ``ros2``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.highlevel import AnyReader, AnyReaderError
+
+from rover_rl.sims.ros2.messages import TYPES, seconds_of
+
+LEAST = 20.0  # shortest drive that is fitted, s
+SYNCHRONIZED = 1.0  # largest age of a message whose stamp is of the clock of the recording, s
+BACKWARD = 0.1  # time by which stamps may be out of order, s
+
+
+class Stream(NamedTuple):
+    """Messages of one topic in the order of their stamps. Times are in seconds since the recording began.
+
+    ``stamp`` is the arrival where messages have none, or one of another clock. ``age`` is the arrival minus the stamp,
+    or ``None`` there. ``values`` are ``[M, k]``.
+    """
+
+    topic: str
+    arrival: np.ndarray
+    stamp: np.ndarray
+    age: np.ndarray | None
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics to read. An empty name leaves a sensor out; commands and odometry are needed."""
+
+    commands: str = "/cmd_vel"
+    odometry: str = "/odometry/wheels"
+    imu: str = "/imu/data"
+    pose: str = "/rover/pose_array"
+    scan: str = "/scan"
+
+
+class Recording(NamedTuple):
+    """Commands and readings of a drive.
+
+    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s) and yaw (rad, unwrapped); ``pose`` x, y
+    (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not finite without a return), whose beams are
+    ``increment`` apart, rad. Sensors that were not recorded are ``None``.
+    """
+
+    commands: Stream
+    odometry: Stream
+    imu: Stream | None
+    pose: Stream | None
+    scan: Stream | None
+    increment: float
+
+
+def read_recording(path: Path, topics: Topics) -> Recording:
+    """Reads the topics of a drive.
+
+    Raises:
+        FileNotFoundError: if there is no such file or folder.
+        ValueError: if it is no recording, has no commands or no odometry, a topic is of another type or of two robots,
+            time goes backward, or the drive is too short.
+    """
+    try:
+        with AnyReader([path], default_typestore=TYPES) as reader:
+            return _read(reader, path, topics)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"no recording at {path}") from error
+    except (AnyReaderError, OSError, AssertionError) as error:
+        raise ValueError(f"{path} is no MCAP file and no folder of rosbag2 that can be read: {error}") from error
+
+
+def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
+    named = {topic: role for role, topic in vars(topics).items() if topic}
+    there = {each.topic: each.msgtype.replace("/msg/", "/") for each in reader.connections if each.msgcount}
+    _check_topics(there, named, path)
+    links = [each for each in reader.connections if each.topic in named or each.topic == "/clock"]
+    rows: dict[str, list[Any]] = {role: [] for role in (*named.values(), "clock")}
+    frames: dict[str, set[str]] = {topic: set() for topic in named}
+    increment = 0.0
+    for link, nanoseconds, data in reader.messages(links):
+        message: Any = reader.deserialize(data, link.msgtype)
+        arrival = 1e-9 * (nanoseconds - reader.start_time)
+        if link.topic == "/clock":
+            rows["clock"].append((arrival, seconds_of(message.clock)))
+            continue
+        role, header = named[link.topic], getattr(message, "header", None)
+        if header is not None:
+            frames[link.topic].add(" ".join((header.frame_id, getattr(message, "child_frame_id", ""))).strip())
+        increment = message.angle_increment if role == "scan" else increment
+        if (values := ROLES[role].read(message)) is not None:
+            stamp = math.nan if header is None or role == "commands" else seconds_of(header.stamp)
+            rows[role].append((arrival, stamp, values))
+    for topic, names in frames.items():
+        if len(names) > 1:
+            listed = ", ".join(map(repr, sorted(names)))
+            raise ValueError(f"{topic} has messages of several robots or sensors, by their frames: {listed}; record one")
+    start = 1e-9 * reader.start_time
+    streams = {role: _stream(topic, role, rows[role], rows["clock"], start) for topic, role in named.items()}
+    read = {role: streams.get(role) for role in vars(topics)}
+    for role in ("commands", "odometry"):
+        if read[role] is None:
+            raise ValueError(f"{vars(topics)[role]} in {path} has no finite {role}")
+    recording = Recording(**read, increment=increment)  # type: ignore[arg-type]
+    _check_length(recording)
+    return recording
+
+
+def _check_topics(there: dict[str, str], named: dict[str, str], path: Path) -> None:
+    found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())) or "no messages"
+    for topic, role in named.items():
+        if topic not in there:
+            if role in ("commands", "odometry"):
+                raise ValueError(f"{path} has no {role} on {topic}: name their topic with --topics.{role}; it has {found}")
+        elif there[topic] not in ROLES[role].types:
+            wanted = " or ".join(ROLES[role].types)
+            raise ValueError(f"{topic} has messages of {there[topic]}, and --topics.{role} takes {wanted}; it has {found}")
+
+
+def _check_length(recording: Recording) -> None:
+    commands, odometry = recording.commands.arrival, recording.odometry.stamp
+    shared = min(commands[-1], odometry[-1]) - max(commands[0], odometry[0])
+    if shared < LEAST:
+        raise ValueError(f"commands and odometry overlap for {max(shared, 0):.1f} s, and {LEAST:g} s are the least")
+
+
+def _stream(topic: str, role: str, rows: list[Any], clock: list[tuple[float, float]], start: float) -> Stream | None:
+    size = max((len(values) for *_, values in rows), default=0)
+    rows = [row for row in rows if len(row[2]) == size]
+    if not rows:
+        return None
+    arrival, stamp = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    if clock:
+        # Stamps of simulated time: the arrival in the same clock.
+        ticks = np.array(clock)
+        arrival, start = np.interp(arrival, *ticks.T) - ticks[0, 1], ticks[0, 1]
+    stamp = stamp - start
+    age: np.ndarray | None = arrival - stamp
+    if not abs(np.median(arrival - stamp)) <= SYNCHRONIZED:  # NaN, too
+        stamp, age = arrival, None
+    back = np.diff(stamp)
+    if back.size and back.min() < -BACKWARD:
+        place = f"by {-back.min():.2f} s, {arrival[back.argmin()]:.1f} s after the start"
+        raise ValueError(f"time goes backward on {topic} {place}: the robot restarted, or two robots publish on it")
+    keep = np.concatenate(([True], stamp[1:] > np.maximum.accumulate(stamp)[:-1]))
+    stamp, values = stamp[keep], np.array([row[2] for row in rows])[keep]
+    if role in ("imu", "pose"):
+        values[:, -1] = np.unwrap(values[:, -1])
+    if role == "imu" and np.isnan(values[:, -1]).any():
+        # An IMU without orientation: its yaw rate adds up.
+        values[1:, -1] = np.cumsum(values[:-1, 0] * np.diff(stamp))
+        values[0, -1] = 0.0
+    return Stream(topic, arrival[keep], stamp, None if age is None else age[keep], values)
+
+
+def _twist(message: Any) -> tuple[float, ...] | None:
+    twist = getattr(message, "twist", message)
+    return _finite(twist.linear.x, twist.angular.z)
+
+
+def _finite(*values: float) -> tuple[float, ...] | None:
+    return values if all(map(math.isfinite, values)) else None
+
+
+def _yaw(q: Any) -> float:
+    """Returns the yaw of a quaternion, rad; NaN if it is none."""
+    norm = q.x**2 + q.y**2 + q.z**2 + q.w**2
+    return math.atan2(2 * (q.w * q.z + q.x * q.y), norm - 2 * (q.y**2 + q.z**2)) if norm > 0 else math.nan
+
+
+def _imu(message: Any) -> tuple[float, ...] | None:
+    rate, unknown = message.angular_velocity.z, message.orientation_covariance[0] == -1
+    return (rate, math.nan if unknown else _yaw(message.orientation)) if math.isfinite(rate) else None
+
+
+def _pose(message: Any) -> tuple[float, ...] | None:
+    pose = message.poses[0] if hasattr(message, "poses") and len(message.poses) else getattr(message, "pose", None)
+    pose = getattr(pose, "pose", pose)
+    place = None if pose is None else _finite(pose.position.x, pose.position.y)
+    return None if place is None else (*place, _yaw(pose.orientation))
+
+
+class Role(NamedTuple):
+    """Types of the messages of a topic, and the function that reads them; it returns ``None`` for those without."""
+
+    types: tuple[str, ...]
+    read: Callable[[Any], Any]
+
+
+_POSES = ("PoseStamped", "PoseWithCovarianceStamped", "PoseArray")
+ROLES = {
+    "commands": Role(("geometry_msgs/Twist", "geometry_msgs/TwistStamped"), _twist),
+    "odometry": Role(("nav_msgs/Odometry",), lambda message: _twist(message.twist)),
+    "imu": Role(("sensor_msgs/Imu",), _imu),
+    "pose": Role((*(f"geometry_msgs/{each}" for each in _POSES), "nav_msgs/Odometry"), _pose),
+    "scan": Role(("sensor_msgs/LaserScan",), lambda message: np.asarray(message.ranges, dtype=np.float32)),
+}
