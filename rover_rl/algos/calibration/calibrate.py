@@ -59,7 +59,10 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     dynamics = fit_dynamics(windows)
     numbers = _ages(recording) | _of_dynamics(dynamics) | _of_bodies(recording, robot) | _of_noise(recording)
     candidates = torch.stack((nominal(robot), dynamics.values))
-    told = [predict(each[None], windows, first)[0] for each, first in zip(candidates, (False, dynamics.lag_first), strict=True)]
+    told = [
+        predict(each[None], windows, first)[0]
+        for each, first in zip(candidates, (False, dynamics.lag_first), strict=True)
+    ]
     kept = windows.weight.bool()
     scale, ratio = (numbers[name].estimate for name in ("wheel_scale", "yaw_ratio"))
     body = torch.tensor([1 / scale.value if scale else 1.0, ratio.value if ratio else 1.0])
@@ -69,8 +72,8 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
         _errors(simulate(each[None], windows, first)[0] * part, windows, place)
         for each, first, part in zip(candidates, (False, dynamics.lag_first), (torch.ones(2), body), strict=True)
     ]
-    tables = (each[kept].numpy() for each in (windows.at, windows.measured, *told))
-    return Calibration(numbers, *tables, np.array(errors))
+    time, measured, before, after = (each[kept].numpy() for each in (windows.at, windows.measured, *told))
+    return Calibration(numbers, time, measured, before, after, np.array(errors))
 
 
 def nominal(robot: Robot) -> Tensor:
@@ -103,7 +106,13 @@ def _of_dynamics(dynamics: Dynamics) -> dict[str, Number]:
         wide = TIME_ERROR if unit == "s" else RELATIVE_ERROR * value
         estimate = Estimate(value, max(min(low, value - wide), 0.0), max(high, value + wide))
         label = "delay of commands" if name == "delay" else labels.get(kind, f"{kind} of the {{}}").format(what)
-        advice = f"command a larger {what} than the robot can drive" if kind == "top" else STEPS if channel != "turn" else TURNS
+        advice = (
+            f"command a larger {what} than the robot can drive"
+            if kind == "top"
+            else STEPS
+            if channel != "turn"
+            else TURNS
+        )
         key = "command_delay" if name == "delay" else f"{channel}_{kind}"
         numbers[key] = Number(label, unit, estimate if dynamics.told[index] else None, advice)
     return numbers
@@ -113,36 +122,39 @@ def _of_bodies(recording: Recording, robot: Robot) -> dict[str, Number]:
     """What the other sensors tell of the wheels: scale, ratio of yaw rates, track, slip, and shifts of stamps."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, odometry.values[:, index]) for index in (0, 1))
-    still = sensors.in_place(odometry)
+    still, nothing = sensors.in_place(odometry), (None, None)
     way = None if pose is None else sensors.way_of(pose, imu)
-    by_pose = None if way is None else sensors.align(wheels, way)
-    scale = None if by_pose is None else Estimate(1.0, 1.0, 1.0).per(by_pose[1])
-    yaw = None if pose is None or np.isnan(pose.values[:, 2]).any() else Curve(pose.stamp, pose.values[:, 2])
-    turns = [None if each is None else sensors.align(turned, each) for each in (yaw, imu and Curve(imu.stamp, imu.values[:, 1]))]
-    by_scan = None if scan is None else sensors.align(turned, sensors.scan_turn(scan, recording.increment, still), still)
-    best = Curve(imu.stamp, imu.values[:, 1]) if imu is not None else yaw
-    there = None if best is None else sensors.align(turned, best, still)
-    ratio = next((each[1] for each in (turns[1], turns[0]) if each is not None), None)
-    slip = None if there is None or scale is None else Estimate(1.0, 1.0, 1.0).per(there[1]).per(scale)
-    track = None
-    if slip is not None and isinstance(robot.drive, SkidSteer):
-        track = Estimate(*(robot.drive.track(robot.wheels) * each for each in slip))
-    late = [None if each is None else each[0] for each in (turns[0] or by_pose, turns[1], by_scan)]
-    slid = None if way is None or scale is None else sensors.friction(odometry, way, late[0].value, scale.value)
-    yawed, names = "yaw rate of the body for each of odometry", ("pose", "imu", "scan")
-    shifts = {
-        f"{name}_late": Number(f"stamps of {name} later than those of odometry", "s", _widened(each, TIME_ERROR), TURNS)
-        for name, each in zip(names, late, strict=True)
-    }
-    advice = TURNS if imu is not None or yaw is not None else "record an IMU or a pose"
-    with_scale = advice if scale is not None else WITH_POSE
+    yaws = [None if each is None or np.isnan(each.values[:, -1]).any() else each for each in (pose, imu)]
+    by_pose, by_imu = (None if each is None else Curve(each.stamp, each.values[:, -1]) for each in yaws)
+    seen = None if scan is None else sensors.scan_turn(scan, recording.increment, still)
+    way_late, speed_ratio = sensors.align(wheels, way) or nothing
+    (pose_late, pose_ratio), (imu_late, imu_ratio) = (
+        sensors.align(turned, each) or nothing for each in (by_pose, by_imu)
+    )
+    scan_late, _ = sensors.align(turned, seen, still) or nothing
+    _, turn_ratio = sensors.align(turned, by_imu or by_pose, still) or nothing
+    one, pose_late = Estimate(1.0, 1.0, 1.0), pose_late or way_late
+    scale = None if speed_ratio is None else one.per(speed_ratio)
+    # Odometry overstates both velocities by its scale.
+    slip = None if turn_ratio is None or scale is None else one.per(turn_ratio).per(scale)
+    width = robot.drive.track(robot.wheels) if isinstance(robot.drive, SkidSteer) else None
+    track = None if slip is None or width is None else Estimate(*(width * each for each in slip))
+    has = way is not None and pose_late is not None and scale is not None
+    slid = sensors.friction(odometry, way, pose_late.value, scale.value) if has else None  # type: ignore[union-attr,arg-type]
+    turning = TURNS if by_imu or by_pose else "record an IMU or a pose"
+    with_scale = turning if scale is not None else WITH_POSE
+    slipping = f"{WITH_POSE}, and accelerate and brake until the wheels slip"
     return {
         "wheel_scale": Number("odometry for each meter", "", _widened(scale), f"{WITH_POSE}, and drive straight"),
-        "yaw_ratio": Number(yawed, "", _widened(ratio), advice),
+        "yaw_ratio": Number("yaw rate for each of odometry", "", _widened(imu_ratio or pose_ratio), turning),
         "slip": Number("effective track for each of the drive", "", _widened(slip), with_scale),
         "track": Number("effective track", "m", _widened(track), with_scale),
-        "friction": Number("friction", "", slid, f"{WITH_POSE}, and accelerate and brake until the wheels slip"),
-    } | shifts
+        "friction": Number("friction", "", slid, slipping),
+        **{
+            f"{name}_late": Number(f"stamps of {name} after those of odometry", "s", _widened(late, TIME_ERROR), TURNS)
+            for name, late in (("pose", pose_late), ("imu", imu_late), ("scan", scan_late))
+        },
+    }
 
 
 def _widened(estimate: Estimate | None, least: float | None = None) -> Estimate | None:

@@ -17,11 +17,13 @@ LOWEST = torch.tensor([0.0, *[0.2, 0.0, 0.02, 0.02, 0.02] * 2], dtype=torch.floa
 HIGHEST = torch.tensor([1.0, *[5.0, 1.0, FREE, FREE, FREE] * 2], dtype=torch.float64)
 """Bounds of the parameters."""
 DELAYS = torch.arange(0.0, 0.61, 0.05, dtype=torch.float64)
-LAGS, ACCELERATIONS = (torch.tensor(each, dtype=torch.float64) for each in ((0.03, 0.1, 0.3), (0.5, 1.0, 2.0, 4.0, 8.0)))
+LAGS, ACCELERATIONS = (
+    torch.tensor(each, dtype=torch.float64) for each in ((0.03, 0.1, 0.3), (0.5, 1.0, 2.0, 4.0, 8.0))
+)
 """Candidates of the grid: s, s, and m/s^2 and rad/s^2."""
 _LOGARITHMIC = torch.tensor([False, *[True, False, True, True, True] * 2])
 _OUTLIER = 3.0  # residual, in standard deviations, from which on it counts linearly (Huber)
-_TOLD = 2.0  # standard errors by which a limit must lower the error of prediction to be told
+_TOLD = 1.5  # standard errors by which a limit must lower the error of prediction to be told: three windows
 
 
 class Dynamics(NamedTuple):
@@ -74,7 +76,10 @@ def fit_dynamics(windows: Windows) -> Dynamics:
     fits = [(_fit(start, windows, scale, first), first) for start, first in starts]
     (solution, _), lag_first = min(fits, key=lambda fit: fit[0][1])
     best = torch.from_numpy(solution)
-    residuals, jacobian = _residuals(best[None], windows, scale, lag_first)[0], _jacobian(best, windows, scale, lag_first)
+    residuals, jacobian = (
+        _residuals(best[None], windows, scale, lag_first)[0],
+        _jacobian(best, windows, scale, lag_first),
+    )
     inner = torch.linalg.pinv(jacobian.flatten(0, 1).T @ jacobian.flatten(0, 1), rtol=1e-9)
     scores = (jacobian * residuals[..., None]).sum(1)
     error = 1.96 * (inner @ (scores.T @ scores) @ inner).diagonal().sqrt()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +11,8 @@ import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 
 from rover_rl.sims.ros2.messages import TYPES, seconds_of
+from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.settings import Connection
 
 LEAST = 20.0  # shortest drive that is fitted, s
 SYNCHRONIZED = 1.0  # largest age of a message whose stamp is of the clock of the recording, s
@@ -32,23 +33,27 @@ class Stream(NamedTuple):
     values: np.ndarray
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Topics to read. An empty name leaves a sensor out; commands and odometry are needed."""
+class Topics(NamedTuple):
+    """Topics to read. Commands and odometry are needed."""
 
-    commands: str = "/cmd_vel"
-    odometry: str = "/odometry/wheels"
-    imu: str = "/imu/data"
-    pose: str = "/rover/pose_array"
-    scan: str = "/scan"
+    commands: str
+    odometry: str
+    imu: str
+    pose: str
+    scan: str
+
+    @classmethod
+    def of(cls, connection: Connection, settings: Ros2Settings) -> Topics:
+        topics = connection.cmd_vel_topic, settings.odometry_topic, connection.imu_topic, settings.pose_topic
+        return cls(*topics, connection.scan_topic)
 
 
 class Recording(NamedTuple):
     """Commands and readings of a drive.
 
-    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s) and yaw (rad, unwrapped); ``pose`` x, y
-    (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not finite without a return), whose beams are
-    ``increment`` apart, rad. Sensors that were not recorded are ``None``.
+    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s) and yaw (rad,
+    unwrapped); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not finite without
+    a return), whose beams are ``increment`` apart, rad. Sensors that were not recorded are ``None``.
     """
 
     commands: Stream
@@ -77,7 +82,7 @@ def read_recording(path: Path, topics: Topics) -> Recording:
 
 
 def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
-    named = {topic: role for role, topic in vars(topics).items() if topic}
+    named = {topic: role for role, topic in topics._asdict().items()}
     there = {each.topic: each.msgtype.replace("/msg/", "/") for each in reader.connections if each.msgcount}
     _check_topics(there, named, path)
     links = [each for each in reader.connections if each.topic in named or each.topic == "/clock"]
@@ -100,13 +105,15 @@ def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
     for topic, names in frames.items():
         if len(names) > 1:
             listed = ", ".join(map(repr, sorted(names)))
-            raise ValueError(f"{topic} has messages of several robots or sensors, by their frames: {listed}; record one")
+            raise ValueError(
+                f"{topic} has messages of several robots or sensors, by their frames: {listed}; record one"
+            )
     start = 1e-9 * reader.start_time
     streams = {role: _stream(topic, role, rows[role], rows["clock"], start) for topic, role in named.items()}
-    read = {role: streams.get(role) for role in vars(topics)}
+    read = {role: streams.get(role) for role in topics._fields}
     for role in ("commands", "odometry"):
         if read[role] is None:
-            raise ValueError(f"{vars(topics)[role]} in {path} has no finite {role}")
+            raise ValueError(f"{getattr(topics, role)} in {path} has no finite {role}")
     recording = Recording(**read, increment=increment)  # type: ignore[arg-type]
     _check_length(recording)
     return recording
@@ -115,12 +122,12 @@ def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
 def _check_topics(there: dict[str, str], named: dict[str, str], path: Path) -> None:
     found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())) or "no messages"
     for topic, role in named.items():
+        option, wanted = ROLES[role].option, " or ".join(ROLES[role].types)
         if topic not in there:
             if role in ("commands", "odometry"):
-                raise ValueError(f"{path} has no {role} on {topic}: name their topic with --topics.{role}; it has {found}")
+                raise ValueError(f"{path} has no {role} on {topic}: name the topic with {option}; it has {found}")
         elif there[topic] not in ROLES[role].types:
-            wanted = " or ".join(ROLES[role].types)
-            raise ValueError(f"{topic} has messages of {there[topic]}, and --topics.{role} takes {wanted}; it has {found}")
+            raise ValueError(f"{topic} has {there[topic]}, and {option} takes {wanted}; {path} has {found}")
 
 
 def _check_length(recording: Recording) -> None:
@@ -180,24 +187,30 @@ def _imu(message: Any) -> tuple[float, ...] | None:
 
 
 def _pose(message: Any) -> tuple[float, ...] | None:
-    pose = message.poses[0] if hasattr(message, "poses") and len(message.poses) else getattr(message, "pose", None)
-    pose = getattr(pose, "pose", pose)
-    place = None if pose is None else _finite(pose.position.x, pose.position.y)
+    poses = message.poses if hasattr(message, "poses") else [message.pose]
+    if not len(poses):
+        return None
+    pose = getattr(poses[0], "pose", poses[0])
+    place = _finite(pose.position.x, pose.position.y)
     return None if place is None else (*place, _yaw(pose.orientation))
 
 
 class Role(NamedTuple):
-    """Types of the messages of a topic, and the function that reads them; it returns ``None`` for those without."""
+    """Option that names a topic, types of its messages, and the function that reads them.
 
+    The function returns ``None`` for a message without finite values.
+    """
+
+    option: str
     types: tuple[str, ...]
     read: Callable[[Any], Any]
 
 
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "PoseArray")
 ROLES = {
-    "commands": Role(("geometry_msgs/Twist", "geometry_msgs/TwistStamped"), _twist),
-    "odometry": Role(("nav_msgs/Odometry",), lambda message: _twist(message.twist)),
-    "imu": Role(("sensor_msgs/Imu",), _imu),
-    "pose": Role((*(f"geometry_msgs/{each}" for each in _POSES), "nav_msgs/Odometry"), _pose),
-    "scan": Role(("sensor_msgs/LaserScan",), lambda message: np.asarray(message.ranges, dtype=np.float32)),
+    "commands": Role("--cmd-vel-topic", ("geometry_msgs/Twist", "geometry_msgs/TwistStamped"), _twist),
+    "odometry": Role("--odometry-topic", ("nav_msgs/Odometry",), lambda message: _twist(message.twist)),
+    "imu": Role("--imu-topic", ("sensor_msgs/Imu",), _imu),
+    "pose": Role("--pose-topic", (*(f"geometry_msgs/{each}" for each in _POSES), "nav_msgs/Odometry"), _pose),
+    "scan": Role("--scan-topic", ("sensor_msgs/LaserScan",), lambda each: np.asarray(each.ranges, dtype=np.float32)),
 }

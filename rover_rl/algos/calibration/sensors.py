@@ -5,6 +5,7 @@ A function returns an :class:`Estimate`, or ``None`` if the drive does not tell 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ BLOCK = 60  # number of times in a block of the bootstrap: 3 s
 DRAWS = 200  # number of bootstrap samples
 STANDING = 0.02  # largest speed of a base at rest, m/s and rad/s
 IN_PLACE = 0.05  # largest speed of a turn in place, m/s
+MOVING = 0.05  # root mean square of the changes in a block with motion, m and rad
 LEAST_BLOCKS = 4  # least number of blocks with motion
 GRAVITY = 9.81  # m/s^2
 
@@ -38,8 +40,8 @@ class Estimate(NamedTuple):
     def per(self, other: Estimate) -> Estimate:
         """Returns the ratio of two independent positive numbers, to first order."""
         value = self.value / other.value
-        parts = [(one.high - one.low) / 2 / one.value for one in (self, other)]
-        half = abs(value) * float(np.hypot(*parts))
+        mine, others = ((one.high - one.low) / 2 / one.value for one in (self, other))
+        half = abs(value) * math.hypot(mine, others)
         return Estimate(value, value - half, value + half)
 
 
@@ -58,13 +60,15 @@ class Curve(NamedTuple):
         return np.interp(at + SPAN / 2, *self) - np.interp(at - SPAN / 2, *self)
 
 
-def align(reference: Curve, other: Curve, weight: Curve | None = None) -> tuple[Estimate, Estimate] | None:
+def align(reference: Curve, other: Curve | None, weight: Curve | None = None) -> tuple[Estimate, Estimate] | None:
     """Returns by how much a sensor is late beside a reference, s, and its changes by those of the reference.
 
     The shift is that with the least squared difference of changes over half a second, where residuals above three
     robust standard deviations are left out. Intervals are a bootstrap over blocks of 3 s. ``None`` if there is too
-    little motion, or the sensors do not agree.
+    little motion where ``weight`` is 1, the sensors do not agree, or there is no other one.
     """
+    if other is None:
+        return None
     begin, end = max(reference.time[0], other.time[0]), min(reference.time[-1], other.time[-1])
     at = np.arange(begin + 1, end - 1, GRID)
     at = at[: len(at) // BLOCK * BLOCK]
@@ -75,18 +79,26 @@ def align(reference: Curve, other: Curve, weight: Curve | None = None) -> tuple[
     told = np.stack([reference.change(at - shift) for shift in shifts])
     keep = np.ones(len(at)) if weight is None else (np.interp(at, *weight) > 0.5).astype(float)
     for _ in range(3):
-        sums = [(keep * each).reshape(*each.shape[:-1], -1, BLOCK).sum(-1) for each in (told * seen, told**2)]
-        shift, gain = _best(*(each.sum(-1) for each in sums), shifts)
+        product, square = (_by_block(keep * each) for each in (told * seen, told**2))
+        shift, gain = _best(product.sum(-1), square.sum(-1), shifts)
         rest = np.abs(seen - gain * np.interp(at - shift, at, told[len(shifts) // 2]))
         usual = 1.48 * np.median(rest[keep > 0]) if keep.any() else 0.0
         keep = keep * (rest < 3 * usual + 0.05 * np.abs(seen).max())
-    moving = (sums[1][len(shifts) // 2] > 0.1 * SPAN**2 * BLOCK * 0.1).sum()
+    moving = (square[len(shifts) // 2] > MOVING**2 * BLOCK).sum()
     if moving < LEAST_BLOCKS or not (keep * rest**2).sum() < 0.3 * (keep * seen**2).sum():
         return None
-    draws = np.random.default_rng(0).multinomial(sums[0].shape[1], [1 / sums[0].shape[1]] * sums[0].shape[1], DRAWS)
-    samples = np.array([_best(*(each @ draw for each in sums), shifts) for draw in draws])
+    samples = np.array([_best(product @ draw, square @ draw, shifts) for draw in _resampled(product.shape[1])])
     late, ratio = Estimate.of(shift, samples[:, 0]), Estimate.of(gain, samples[:, 1])
     return (late, ratio) if late.high - late.low < 0.1 else None
+
+
+def _by_block(values: np.ndarray) -> np.ndarray:
+    return values.reshape(*values.shape[:-1], -1, BLOCK).sum(-1)
+
+
+def _resampled(blocks: int) -> np.ndarray:
+    """Returns how often a bootstrap sample draws each block, ``[DRAWS, blocks]``."""
+    return np.random.default_rng(0).multinomial(blocks, [1 / blocks] * blocks, DRAWS)
 
 
 def _best(product: np.ndarray, square: np.ndarray, shifts: np.ndarray) -> tuple[float, float]:
@@ -145,7 +157,10 @@ def scan_turn(scan: Stream, increment: float, still: Curve) -> Curve:
 def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
     """Whether the base has been at rest and told to be for a second before and after each time."""
     moves = []
-    for stream, time in ((recording.commands, recording.commands.arrival), (recording.odometry, recording.odometry.stamp)):
+    for stream, time in (
+        (recording.commands, recording.commands.arrival),
+        (recording.odometry, recording.odometry.stamp),
+    ):
         moving = np.concatenate(([0], np.cumsum((np.abs(stream.values) > STANDING).any(1))))
         one, end = np.searchsorted(time, (times - 1.0, times + 1.0))
         moves.append(moving[end] - moving[one] == 0)
@@ -160,7 +175,10 @@ def yaw_bias(recording: Recording) -> Estimate | None:
     rest, pieces = at_rest(recording, imu.stamp), []
     for run in np.split(np.arange(len(rest)), np.flatnonzero(np.diff(rest.astype(int))) + 1):
         count = int((imu.stamp[run[-1]] - imu.stamp[run[0]]) / 3.0) if rest[run[0]] else 0
-        pieces += [np.polyfit(imu.stamp[part], imu.values[part, 1], 1)[0] for part in np.array_split(run, max(count, 1))[:count]]
+        pieces += [
+            np.polyfit(imu.stamp[part], imu.values[part, 1], 1)[0]
+            for part in np.array_split(run, max(count, 1))[:count]
+        ]
     if len(pieces) < 3:
         return None
     half = student.ppf(0.975, len(pieces) - 1) * np.std(pieces, ddof=1) / len(pieces) ** 0.5
@@ -236,10 +254,10 @@ def friction(odometry: Stream, way: Curve, late: float, scale: float) -> Estimat
     told = np.stack([Curve.integral(time, speed).change(at) for speed in speeds])
     miss = np.abs(way.change(at + late) - told)
     usual = 1.48 * np.median(miss[-1])
-    loss = (np.minimum(miss, 6 * usual + 0.02) ** 2).reshape(len(candidates), -1, BLOCK).sum(-1)
+    loss = _by_block(np.minimum(miss, 6 * usual + 0.02) ** 2)
     best = int(loss.sum(1).argmin())
     better = loss[-1] - loss[best]
     if best in (0, len(candidates) - 1) or better.sum() < 2 * (better**2).sum() ** 0.5:
         return None
-    draws = np.random.default_rng(0).multinomial(loss.shape[1], [1 / loss.shape[1]] * loss.shape[1], DRAWS)
+    draws = _resampled(loss.shape[1])
     return Estimate.of(candidates[best], candidates[(loss @ draws.T).argmin(0)])
