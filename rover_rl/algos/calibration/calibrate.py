@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rover_rl.algos.calibration import sensors
 from rover_rl.algos.calibration.dynamics import Dynamics, fit_dynamics, make_windows
-from rover_rl.algos.calibration.model import HORIZON, NAMES, STEP, WARMUP, Windows, predict, simulate
+from rover_rl.algos.calibration.model import HORIZON, LIMITS, NAMES, STEP, WARMUP, Windows, predict, simulate
 from rover_rl.algos.calibration.reading import Recording, Stream
 from rover_rl.algos.calibration.sensors import Curve, Estimate
 from rover_rl.robots import Robot
@@ -57,7 +57,7 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     """
     windows = make_windows(recording.commands, recording.odometry)
     dynamics = fit_dynamics(windows)
-    numbers = _ages(recording) | _of_dynamics(dynamics) | _of_bodies(recording, robot) | _of_noise(recording)
+    numbers = _ages(recording) | _of_dynamics(dynamics) | _of_bodies(recording, robot, dynamics) | _of_noise(recording)
     candidates = torch.stack((nominal(robot), dynamics.values))
     told = [
         predict(each[None], windows, first)[0]
@@ -89,36 +89,36 @@ def _ages(recording: Recording) -> dict[str, Number]:
         stream: Stream | None = getattr(recording, name)
         age = None if stream is None else stream.age
         told = None if age is None else Estimate(float(np.median(age)), *map(float, np.quantile(age, (0.025, 0.975))))
-        advice = f"record {name}" if stream is None else "synchronize the clocks of the robot and the recorder"
+        advice = "record its topic" if stream is None else "synchronize the clocks of the robot and the recorder"
         numbers[f"{name}_age"] = Number(f"delay of {name}, from stamp to arrival", "s", told, advice)
     return numbers
 
 
+LABELS = {
+    "command_delay": ("delay of commands", "s", STEPS),
+    "gain": ("{0} by odometry for each commanded", "", "{1}"),
+    "lag": ("lag of the {0}", "s", "{1}"),
+    "acceleration": ("acceleration of the {0}", "{2}^2", "{1}"),
+    "deceleration": ("deceleration of the {0}", "{2}^2", "{1}"),
+    "top": ("largest {0}", "{2}", "command a larger {0} than the robot can drive"),
+}
+"""Label, unit and advice of a parameter, with the name of its channel (0), its advice (1) and its unit (2)."""
+
+
 def _of_dynamics(dynamics: Dynamics) -> dict[str, Number]:
-    units = {"gain": "", "lag": "s", "top": ""}
-    labels = {"gain": "{} by odometry for each commanded one", "lag": "lag of the {}", "top": "largest {}"}
     numbers = {}
-    for index, name in enumerate(NAMES):
-        channel, _, kind = name.partition(" ")
-        what, unit = ("speed", "m/s") if channel == "speed" else ("yaw rate", "rad/s")
-        unit = "s" if name == "delay" else units.get(kind, f"{unit}^2") or (unit if kind == "top" else "")
-        value, low, high = (float(each[index]) for each in (dynamics.values, dynamics.low, dynamics.high))
+    for name, told, *values in zip(NAMES, dynamics.told, dynamics.values, dynamics.low, dynamics.high, strict=True):
+        channel = ("yaw rate", TURNS, "rad/s") if name.startswith("turn") else ("speed", STEPS, "m/s")
+        row = LABELS.get(name) or LABELS[name.split("_")[1]]
+        label, unit, advice = (part.format(*channel) for part in row)
+        value, low, high = map(float, values)
         wide = TIME_ERROR if unit == "s" else RELATIVE_ERROR * value
         estimate = Estimate(value, max(min(low, value - wide), 0.0), max(high, value + wide))
-        label = "delay of commands" if name == "delay" else labels.get(kind, f"{kind} of the {{}}").format(what)
-        advice = (
-            f"command a larger {what} than the robot can drive"
-            if kind == "top"
-            else STEPS
-            if channel != "turn"
-            else TURNS
-        )
-        key = "command_delay" if name == "delay" else f"{channel}_{kind}"
-        numbers[key] = Number(label, unit, estimate if dynamics.told[index] else None, advice)
+        numbers[name] = Number(label, unit, estimate if told else None, advice)
     return numbers
 
 
-def _of_bodies(recording: Recording, robot: Robot) -> dict[str, Number]:
+def _of_bodies(recording: Recording, robot: Robot, dynamics: Dynamics) -> dict[str, Number]:
     """What the other sensors tell of the wheels: scale, ratio of yaw rates, track, slip, and shifts of stamps."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, odometry.values[:, index]) for index in (0, 1))
@@ -139,8 +139,13 @@ def _of_bodies(recording: Recording, robot: Robot) -> dict[str, Number]:
     slip = None if turn_ratio is None or scale is None else one.per(turn_ratio).per(scale)
     width = robot.drive.track(robot.wheels) if isinstance(robot.drive, SkidSteer) else None
     track = None if slip is None or width is None else Estimate(*(width * each for each in slip))
-    has = way is not None and pose_late is not None and scale is not None
-    slid = sensors.friction(odometry, way, pose_late.value, scale.value) if has else None  # type: ignore[union-attr,arg-type]
+    slid = None
+    if way is not None and scale is not None:
+        fastest = max(float(dynamics.values[NAMES.index(f"speed_{name}")]) for name in LIMITS[:2])
+        slid, slid_late = sensors.friction(odometry, way, scale.value, fastest) or nothing
+        if slid is not None:
+            # A body that slips turns late, too, and its yaw does not tell whether stamps are.
+            pose_late, imu_late, scan_late = slid_late, None, None
     turning = TURNS if by_imu or by_pose else "record an IMU or a pose"
     with_scale = turning if scale is not None else WITH_POSE
     slipping = f"{WITH_POSE}, and accelerate and brake until the wheels slip"
@@ -149,7 +154,7 @@ def _of_bodies(recording: Recording, robot: Robot) -> dict[str, Number]:
         "yaw_ratio": Number("yaw rate for each of odometry", "", _widened(imu_ratio or pose_ratio), turning),
         "slip": Number("effective track for each of the drive", "", _widened(slip), with_scale),
         "track": Number("effective track", "m", _widened(track), with_scale),
-        "friction": Number("friction", "", slid, slipping),
+        "friction": Number("friction", "", _widened(slid), slipping),
         **{
             f"{name}_late": Number(f"stamps of {name} after those of odometry", "s", _widened(late, TIME_ERROR), TURNS)
             for name, late in (("pose", pose_late), ("imu", imu_late), ("scan", scan_late))
@@ -158,6 +163,7 @@ def _of_bodies(recording: Recording, robot: Robot) -> dict[str, Number]:
 
 
 def _widened(estimate: Estimate | None, least: float | None = None) -> Estimate | None:
+    """Returns an estimate whose interval is as wide as the model's own error at least."""
     if estimate is None:
         return None
     value, low, high = estimate
@@ -191,15 +197,20 @@ def _places(recording: Recording, late: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _errors(twists: Tensor, windows: Windows, places: tuple[np.ndarray, np.ndarray]) -> list[float]:
-    """Returns medians over windows of the errors of the place after each horizon, from velocities ``[W, N, 2]``, m."""
+    """Returns medians of the errors of the place after each horizon, from velocities ``[W, N, 2]``, m.
+
+    They are those of the windows in which the robot drives or turns, of all if it never does.
+    """
     twists = twists[:, round(WARMUP / STEP) :]
     yaw = (twists[..., 1] * STEP).cumsum(1)
     way = (twists[..., :1] * STEP * torch.stack((yaw.cos(), yaw.sin()), -1)).cumsum(1).numpy()
     start, errors = windows.start.numpy(), []
+    moves = (windows.measured.abs().amax((1, 2)) > 0.1).numpy()
+    moves |= not moves.any()
     x, y, heading = (np.interp(start, places[0], column) for column in places[1].T)
     for horizon in HORIZONS:
         ahead, left = (np.interp(start + horizon, places[0], places[1][:, k]) - (x, y)[k] for k in (0, 1))
         turned = np.cos(heading) * ahead + np.sin(heading) * left, np.cos(heading) * left - np.sin(heading) * ahead
         told = way[:, round(min(horizon, HORIZON) / STEP) - 1]
-        errors.append(float(np.median(np.hypot(told[:, 0] - turned[0], told[:, 1] - turned[1]))))
+        errors.append(float(np.median(np.hypot(told[:, 0] - turned[0], told[:, 1] - turned[1])[moves])))
     return errors

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from rover_rl.algos.calibration.model import FREE, HORIZON, NAMES, STEP, WARMUP, Windows, predict
+from rover_rl.algos.calibration.model import FREE, HORIZON, LIMITS, NAMES, STEP, WARMUP, Windows, predict
 from rover_rl.algos.calibration.reading import Stream
 
 SILENCE = 0.5  # time without a command after which a base may stop by itself, s
@@ -67,102 +68,95 @@ def _is_commanded(commands: Stream, start: float) -> bool:
 def fit_dynamics(windows: Windows) -> Dynamics:
     """Returns the parameters that predict the velocities of odometry over windows of 3 s best.
 
-    A grid of candidates gives the start, from which Levenberg-Marquardt's method goes on with the residuals of Huber.
+    A grid of candidates gives the starts, from which a trust-region method goes on with the residuals of Huber.
     Intervals are 1.96 standard errors of the sandwich estimator with the windows as clusters (White, 1980), so that
     residuals of a window need not be independent.
     """
-    scale = _noise(windows)
-    starts = [(start, first) for first in (False, True) for start in _starts(windows, scale, first)]
-    fits = [(_fit(start, windows, scale, first), first) for start, first in starts]
-    (solution, _), lag_first = min(fits, key=lambda fit: fit[0][1])
-    best = torch.from_numpy(solution)
-    residuals, jacobian = (
-        _residuals(best[None], windows, scale, lag_first)[0],
-        _jacobian(best, windows, scale, lag_first),
-    )
+    # Standard deviation of odometry about its neighbors, and one hundredth of its size at least.
+    bends = (windows.measured[:, 2:] - 2 * windows.measured[:, 1:-1] + windows.measured[:, :-2]).flatten(0, 1)
+    scale = 1.48 / 6**0.5 * bends.abs().median(0).values + 0.01 * windows.measured.flatten(0, 1).std(0) + 1e-3
+    problems = [Problem(windows, scale, lag_first) for lag_first in (False, True)]
+    fits = [(problem, problem.solve(start)) for problem in problems for start in problem.starts()]
+    problem, found = min(fits, key=lambda fit: fit[1].cost)
+    best = torch.from_numpy(found.x)
+    jacobian = problem.jacobian(best)
     inner = torch.linalg.pinv(jacobian.flatten(0, 1).T @ jacobian.flatten(0, 1), rtol=1e-9)
-    scores = (jacobian * residuals[..., None]).sum(1)
+    scores = (jacobian * problem.residuals(best[None])[0, ..., None]).sum(1)
     error = 1.96 * (inner @ (scores.T @ scores) @ inner).diagonal().sqrt()
-    told = _told(best, windows, scale, lag_first) & (error < torch.where(_LOGARITHMIC, 0.1, 0.05))
-    bounds = [_numbers(best + sign * error) for sign in (-1, 1)]
-    return Dynamics(_numbers(best), bounds[0].clamp(min=0), bounds[1], told, lag_first)
-
-
-def _noise(windows: Windows) -> Tensor:
-    """Standard deviation of odometry about its neighbors, and one hundredth of its size at least, ``[2]``."""
-    bend = (windows.measured[:, 2:] - 2 * windows.measured[:, 1:-1] + windows.measured[:, :-2]).flatten(0, 1)
-    return 1.48 / 6**0.5 * bend.abs().median(0).values + 0.01 * windows.measured.flatten(0, 1).std(0) + 1e-3
+    told = problem.needs(best) & (error < torch.where(_LOGARITHMIC, 0.1, 0.05))
+    values, low, high = (_numbers(best + sign * error) for sign in (0, -1, 1))
+    return Dynamics(values, low.clamp(min=0), high, told, problem.lag_first)
 
 
 def _numbers(x: Tensor) -> Tensor:
     return torch.where(_LOGARITHMIC, x.exp(), x)
 
 
-def _residuals(x: Tensor, windows: Windows, scale: Tensor, lag_first: bool) -> Tensor:
-    """Returns residuals of candidates ``[C, 11]``, ``[C, W, 2 S]``, whose squares are Huber's loss."""
-    error = (predict(_numbers(x), windows, lag_first) - windows.measured) / scale * windows.weight[..., None]
-    size = error.abs().clamp(min=1e-12)
-    flat = torch.where(size > _OUTLIER, error.sign() * (2 * _OUTLIER * size - _OUTLIER**2).abs().sqrt(), error)
-    return flat.flatten(2)
+class Problem(NamedTuple):
+    """Least squares of a form of the model: ``scale`` ``[2]`` is that of the errors of odometry.
 
-
-def _jacobian(x: Tensor, windows: Windows, scale: Tensor, lag_first: bool) -> Tensor:
-    """Derivatives of the residuals by central differences, all in one batch, ``[W, 2 S, 11]``."""
-    width = torch.where(_LOGARITHMIC, 0.01, 0.005).double()
-    width[0] = 2 * STEP
-    high, low = x + width.diag(), x - width.diag()
-    both = _residuals(torch.cat((high, low)), windows, scale, lag_first)
-    return ((both[: len(x)] - both[len(x) :]) / (2 * width)[:, None, None]).permute(1, 2, 0)
-
-
-def _fit(start: Tensor, windows: Windows, scale: Tensor, lag_first: bool) -> tuple[np.ndarray, float]:
-    """Returns the parameters that a search from ``start`` ends at, and their loss."""
-
-    def of(x: np.ndarray) -> np.ndarray:
-        return _residuals(torch.from_numpy(x)[None], windows, scale, lag_first).flatten().numpy()
-
-    def slope(x: np.ndarray) -> np.ndarray:
-        return _jacobian(torch.from_numpy(x), windows, scale, lag_first).flatten(0, 1).numpy()
-
-    bounds = [torch.where(_LOGARITHMIC, bound.log(), bound).numpy() for bound in (LOWEST, HIGHEST)]
-    found = least_squares(of, start.numpy(), slope, bounds, x_scale="jac", ftol=1e-4, xtol=1e-4, max_nfev=30)
-    return found.x, found.cost
-
-
-def _starts(windows: Windows, scale: Tensor, lag_first: bool) -> list[Tensor]:
-    """Returns the best of a grid of candidates, and the best of those that accelerate most.
-
-    Each channel has its own candidate, with the delay that suits both.
+    Candidates ``x`` are ``[C, 11]``, the logarithms of the parameters but for times.
     """
-    most = windows.measured.abs().flatten(0, 1).max(0).values
-    asked = (windows.area.diff(dim=0) / windows.time.diff()[:, None]).abs().max(0).values
-    grid = torch.cartesian_prod(DELAYS, LAGS, ACCELERATIONS)
-    top = torch.minimum(1.02 * most, asked).clamp(min=0.05).log().expand(len(grid), 2)
-    delay, lag, limit = grid[:, 0], grid[:, 1], grid[:, 2].log()
-    gain = torch.zeros_like(delay)
-    x = torch.stack((delay, gain, lag, limit, limit, top[:, 0], gain, lag, limit, limit, top[:, 1]), 1)
-    parts = [_residuals(part, windows, scale, lag_first).unflatten(2, (-1, 2)) for part in x.split(len(LAGS) * 5)]
-    losses = torch.cat([part.square().sum((1, 2)) for part in parts]).unflatten(0, (len(DELAYS), -1))
-    fastest = torch.where((limit == limit.max()).unflatten(0, (len(DELAYS), -1))[..., None], losses, torch.inf)
-    starts = []
-    for loss in (losses, fastest):
-        number = int(loss.amin(1).sum(-1).argmin())
-        speed, turn = loss[number].argmin(0).tolist()
-        rows = x.unflatten(0, (len(DELAYS), -1))[number]
-        starts.append(torch.cat((rows[speed, :6], rows[turn, 6:])))
-    return starts
 
+    windows: Windows
+    scale: Tensor
+    lag_first: bool
 
-def _told(x: Tensor, windows: Windows, scale: Tensor, lag_first: bool) -> Tensor:
-    """Whether each parameter is needed: without it, windows are predicted worse than by chance."""
-    without = x.repeat(len(x), 1)
-    for index, name in enumerate(NAMES):
-        if name.split()[-1] in ("acceleration", "deceleration", "top"):
-            without[index, index] = float(np.log(FREE))
-        elif name.endswith("gain"):
-            without[index, index] += 0.1
-        else:
-            without[index, index] += 0.1
-    loss = _residuals(torch.cat((x[None], without)), windows, scale, lag_first).square().sum(-1)
-    worse = loss[1:] - loss[0]
-    return worse.sum(1) > _TOLD * worse.square().sum(1).sqrt()
+    def residuals(self, x: Tensor) -> Tensor:
+        """Returns residuals whose squares are Huber's loss, ``[C, W, 2 S]``."""
+        windows = self.windows
+        told = predict(_numbers(x), windows, self.lag_first)
+        error = (told - windows.measured) / self.scale * windows.weight[..., None]
+        size = error.abs()
+        flat = torch.where(
+            size > _OUTLIER, error.sign() * (2 * _OUTLIER * size - _OUTLIER**2).clamp(min=0).sqrt(), error
+        )
+        return flat.flatten(2)
+
+    def jacobian(self, x: Tensor) -> Tensor:
+        """Returns derivatives at ``x`` ``[11]`` by central differences, all in one batch, ``[W, 2 S, 11]``."""
+        width = torch.where(_LOGARITHMIC, 0.01, 0.005).double()
+        width[0] = 2 * STEP
+        high, low = self.residuals(torch.cat((x + width.diag(), x - width.diag()))).chunk(2)
+        return ((high - low) / (2 * width)[:, None, None]).permute(1, 2, 0)
+
+    def solve(self, start: Tensor) -> Any:
+        """Returns SciPy's result of a search from ``start``."""
+        bounds = [torch.where(_LOGARITHMIC, bound.log(), bound).numpy() for bound in (LOWEST, HIGHEST)]
+        return least_squares(
+            lambda x: self.residuals(torch.from_numpy(x)[None]).flatten().numpy(),
+            start.numpy(),
+            lambda x: self.jacobian(torch.from_numpy(x)).flatten(0, 1).numpy(),
+            bounds,
+            **{"x_scale": "jac", "ftol": 1e-4, "xtol": 1e-4, "max_nfev": 30},
+        )
+
+    def starts(self) -> list[Tensor]:
+        """Returns the best of a grid of candidates, and the best of those that accelerate most.
+
+        Each channel has its own candidate, with the delay that suits both.
+        """
+        windows = self.windows
+        most = windows.measured.abs().flatten(0, 1).max(0).values
+        asked = (windows.area.diff(dim=0) / windows.time.diff()[:, None]).abs().max(0).values
+        delay, lag, limit = torch.cartesian_prod(DELAYS, LAGS, ACCELERATIONS.log()).unbind(1)
+        top, gain = torch.minimum(1.02 * most, asked).clamp(min=0.05).log(), torch.zeros_like(delay)
+        columns = [(gain, lag, limit, limit, top[channel].expand_as(lag)) for channel in (0, 1)]
+        x = torch.stack((delay, *columns[0], *columns[1]), 1).unflatten(0, (len(DELAYS), -1))
+        losses = torch.stack([self.residuals(part).unflatten(2, (-1, 2)).square().sum((1, 2)) for part in x])
+        fastest = (x[..., 3] == x[..., 3].max())[..., None]
+        starts = []
+        for loss in (losses, losses.where(fastest, torch.inf)):
+            number = int(loss.amin(1).sum(-1).argmin())
+            speed, turn = loss[number].argmin(0).tolist()
+            starts.append(torch.cat((x[number, speed, :6], x[number, turn, 6:])))
+        return starts
+
+    def needs(self, x: Tensor) -> Tensor:
+        """Returns whether windows are predicted worse without each limit, and with each other parameter changed."""
+        without = x.repeat(len(x), 1)
+        for index, name in enumerate(NAMES):
+            without[index, index] = math.log(FREE) if name.split("_")[-1] in LIMITS else x[index] + 0.1
+        loss = self.residuals(torch.cat((x[None], without))).square().sum(-1)
+        worse = loss[1:] - loss[0]
+        return worse.sum(1) > _TOLD * worse.square().sum(1).sqrt()

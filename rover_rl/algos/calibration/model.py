@@ -16,8 +16,8 @@ STEP = 0.005  # duration of a step of the model, s
 WARMUP = 1.0  # time that is simulated before a window begins, in which the model forgets its start, s
 HORIZON = 3.0  # duration of a window, s
 
-CHANNEL = ("gain", "lag", "acceleration", "deceleration", "top")
-NAMES = ("delay", *(f"{channel} {name}" for channel in ("speed", "turn") for name in CHANNEL))
+LIMITS = ("acceleration", "deceleration", "top")
+NAMES = ("command_delay", *(f"{one}_{name}" for one in ("speed", "turn") for name in ("gain", "lag", *LIMITS)))
 """Names of the parameters, in their order."""
 FREE = 1e3
 """Value of a limit that limits nothing."""

@@ -148,13 +148,13 @@ def _stream(topic: str, role: str, rows: list[Any], clock: list[tuple[float, flo
         ticks = np.array(clock)
         arrival, start = np.interp(arrival, *ticks.T) - ticks[0, 1], ticks[0, 1]
     stamp = stamp - start
+    back = np.diff(stamp)
+    if np.nanmin(np.append(back, 0.0)) < -BACKWARD:
+        place = f"by {-np.nanmin(back):.2f} s, {arrival[np.nanargmin(back)]:.1f} s after the start"
+        raise ValueError(f"time goes backward on {topic} {place}: the robot restarted, or two robots publish on it")
     age: np.ndarray | None = arrival - stamp
     if not abs(np.median(arrival - stamp)) <= SYNCHRONIZED:  # NaN, too
         stamp, age = arrival, None
-    back = np.diff(stamp)
-    if back.size and back.min() < -BACKWARD:
-        place = f"by {-back.min():.2f} s, {arrival[back.argmin()]:.1f} s after the start"
-        raise ValueError(f"time goes backward on {topic} {place}: the robot restarted, or two robots publish on it")
     keep = np.concatenate(([True], stamp[1:] > np.maximum.accumulate(stamp)[:-1]))
     stamp, values = stamp[keep], np.array([row[2] for row in rows])[keep]
     if role in ("imu", "pose"):

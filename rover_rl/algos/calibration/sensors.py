@@ -6,7 +6,7 @@ A function returns an :class:`Estimate`, or ``None`` if the drive does not tell 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -33,7 +33,7 @@ class Estimate(NamedTuple):
     high: float
 
     @classmethod
-    def of(cls, value: float, draws: np.ndarray) -> Estimate:
+    def of(cls, value: Any, draws: np.ndarray) -> Estimate:
         """Takes the interval from bootstrap samples."""
         return cls(float(value), *map(float, np.quantile(draws, (0.025, 0.975))))
 
@@ -235,16 +235,17 @@ def scan_noise(recording: Recording) -> tuple[Estimate | None, Estimate | None]:
     return deviation(steps[np.isfinite(steps)] / 2**0.5), Estimate(lost, max(lost - half, 0.0), lost + half)
 
 
-def friction(odometry: Stream, way: Curve, late: float, scale: float) -> Estimate | None:
-    """Returns the coefficient of friction, if the wheels slipped: the acceleration of the body by that of gravity.
+def friction(odometry: Stream, way: Curve, scale: float, fastest: float) -> tuple[Estimate, Estimate] | None:
+    """Returns the coefficient of friction, and by how much the way is late, s, if the wheels slipped.
 
-    The body follows the wheels by ``mu g`` at most (Coulomb). Candidates of ``mu`` run at once; that which tells the
-    way best over half a second counts, if the blocks in which the wheels slip are told better than without slip.
+    The body follows the wheels by ``mu g`` at most (Coulomb). Candidates of ``mu`` run at once; that which, with a
+    shift, tells the way best over half a second counts, if several blocks are told better than without slip, and the
+    interval is below what the wheels accelerate by at most, ``fastest`` (m/s^2): with more friction, none slipped.
     """
     step = 0.01
     time = np.arange(odometry.stamp[0], odometry.stamp[-1], step)
     wheels = np.interp(time, odometry.stamp, odometry.values[:, 0]) / scale
-    candidates = np.append(np.geomspace(0.03, 1.5, 80), np.inf)
+    candidates = np.append(np.geomspace(0.03, 1.5, 160), np.inf)
     now, speeds = np.zeros(len(candidates)), np.empty((len(candidates), len(time)))
     for index, goal in enumerate(wheels):
         now = now + np.clip(goal - now, -candidates * GRAVITY * step, candidates * GRAVITY * step)
@@ -252,12 +253,15 @@ def friction(odometry: Stream, way: Curve, late: float, scale: float) -> Estimat
     at = np.arange(max(time[0], way.time[0]) + 1, min(time[-1], way.time[-1]) - 1, GRID)
     at = at[: len(at) // BLOCK * BLOCK]
     told = np.stack([Curve.integral(time, speed).change(at) for speed in speeds])
-    miss = np.abs(way.change(at + late) - told)
-    usual = 1.48 * np.median(miss[-1])
-    loss = _by_block(np.minimum(miss, 6 * usual + 0.02) ** 2)
-    best = int(loss.sum(1).argmin())
-    better = loss[-1] - loss[best]
-    if best in (0, len(candidates) - 1) or better.sum() < 2 * (better**2).sum() ** 0.5:
+    shifts = np.arange(-10, 11) * FINE
+    seen = [way.change(at + shift) for shift in shifts]
+    usual = 1.48 * min(float(np.median(np.abs(each - told[-1]))) for each in seen)
+    loss = np.stack([_by_block(np.minimum(np.abs(each - told), 6 * usual + 0.02) ** 2) for each in seen])
+    shift, best = np.unravel_index(loss.sum(2).argmin(), loss.shape[:2])
+    slips = loss[loss[:, -1].sum(1).argmin(), -1] - loss[shift, best] > 20 * usual**2
+    if best in (0, len(candidates) - 1) or slips.sum() < LEAST_BLOCKS:
         return None
-    draws = _resampled(loss.shape[1])
-    return Estimate.of(candidates[best], candidates[(loss @ draws.T).argmin(0)])
+    picked = (loss @ _resampled(loss.shape[2]).T).reshape(-1, DRAWS).argmin(0)
+    late, value = Estimate.of(shifts[shift], shifts[picked // len(candidates)]), candidates[picked % len(candidates)]
+    estimate = Estimate.of(candidates[best], value)
+    return (estimate, late) if estimate.high * GRAVITY < fastest else None

@@ -44,9 +44,9 @@ class Truth:
 
 
 def exciting(seed: int = 0, seconds: float = 150.0, top: float = 1.2, turn: float = 2.0) -> np.ndarray:
-    """Commands at 20 Hz that excite everything, ``[K, 3]``: time (s), speed (m/s) and yaw rate (rad/s)."""
+    """Commands at 20 Hz that excite everything after 14 s of rest, ``[K, 3]``: time (s), m/s and rad/s."""
     rng = np.random.default_rng(seed)
-    parts = [(0.0, 0.0, 8.0)]
+    parts = [(0.0, 0.0, 14.0)]
     while sum(part[2] for part in parts) < seconds:
         kind, hold = rng.integers(4), rng.uniform(1.0, 3.5)
         speed = rng.choice((-1, 1)) * top * rng.choice((0.3, 0.6, 1.0)) if kind != 1 else 0.0
