@@ -18,6 +18,8 @@ from rover_rl.algos.calibration.reading import Topics, read_recording
 from rover_rl.algos.config_files import read_config
 from rover_rl.cli.main import main
 from rover_rl.cli.policies import read_env
+from rover_rl.envs.config import EnvConfig, LimitsConfig
+from rover_rl.envs.served_rover import ServedRover
 from rover_rl.files import MADE
 from rover_rl.robots import get_robot
 from rover_rl.sims.ros2 import messages as ros
@@ -91,7 +93,8 @@ def test_numbers_of_a_kinematic_robot(tmp_path: Path, truth: Truth, seed: int) -
             assert error < 0.05 * true[name] + 0.002, name
     held_by = [estimate.low <= true[name] <= estimate.high for name, estimate in told.items()]
     assert sum(held_by) >= 0.9 * len(told)
-    assert set(found.numbers) - set(told) == (set() if math.isfinite(truth.friction) else {"friction"})
+    slipped = math.isfinite(truth.friction)
+    assert set(found.numbers) - set(told) == ({"imu_late", "scan_late"} if slipped else {"friction"})
     assert found.errors[0, 2] > 3 * found.errors[1, 2]
 
 
@@ -131,6 +134,16 @@ def test_a_robot_at_rest_tells_noise_alone(tmp_path: Path) -> None:
     ages = {f"{name}_age" for name in ("odometry", "imu", "pose", "scan")}
     assert told == {*ages, "imu_noise", "range_noise", "lost_beams", "yaw_bias"}
     assert all(number.advice for number in numbers.values())
+
+
+def test_the_simulated_robot_keeps_the_limits_of_the_settings() -> None:
+    limits = LimitsConfig(apply=True, max_speed=0.3, max_acceleration=1.0)
+    rover = ServedRover(EnvConfig(world="maze", backend="warp", limits=limits, seed=0))
+    rover.reset((0.0, 0.0, 0.0))
+    speeds = [rover.step((1.0, 0.0)).state.linear_velocity.item() for _ in range(10)]
+    rover.close()
+    assert speeds[1] < 0.11
+    assert max(speeds) == pytest.approx(0.3, abs=0.01)
 
 
 # Recordings that cannot be used
