@@ -341,7 +341,7 @@ def test_robot_and_drive_take_the_description_of_an_environment(
     assert "unknown robot 'tank'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml")
     assert "unknown world 'mars'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml", "--world", "mars")
     (tmp_path / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
-    driven = ["drive", "pretrained:moon-ppo", "--goal", "1", "1", "--dry-run", "--log", tmp_path / "drive.jsonl"]
+    driven = ["drive", "pretrained:moon-ppo", "--goal", "1", "1", "--dry-run", "--bag", tmp_path / "drive.mcap"]
     message = failed(capsys, *driven, "--env", tmp_path / "forward.yaml")
     assert "the policy was made for actions" in message
     assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))
@@ -402,7 +402,7 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
         ("--html", ["evaluate", "scripted", "--world", "maze", "--html", "OUT/page.html"]),
         ("--out", ["film", "scripted", "--out", "OUT/film.gif"]),
         ("--out", ["export", "pretrained:moon-sac", "--out", "OUT/sac.onnx"]),
-        ("--log", ["drive", "pretrained:moon-sac", "--goal", "1", "0", "--log", "OUT/drive.jsonl"]),
+        ("--bag", ["drive", "pretrained:moon-sac", "--goal", "1", "0", "--bag", "OUT/drive.mcap"]),
         ("--out", ["worlds", "show", "maze", "--out", "OUT/maze.png"]),
     ],
 )

@@ -71,7 +71,7 @@ OUTPUTS = [
     ),
     (["compare", "runs/small"], "runs/comparison/comparison.csv"),
     (["benchmark", "barn", "scripted", "--data", "barn", "--worlds", "all"], "runs/benchmark-barn/worst-scripted.png"),
-    (["drive", "scripted", "--goal", "1", "0", "--world", "maze"], "runs/drive.jsonl"),
+    (["drive", "scripted", "--goal", "1", "0", "--world", "maze", "--bag", "drive.mcap"], "drive.mcap"),
 ]
 
 
@@ -81,7 +81,7 @@ def test_a_command_does_not_touch_a_file_that_it_did_not_make(
 ) -> None:
     told = refused(capsys, line, folder / output)
     assert told.startswith(f"rover-rl: {output} is ")
-    assert "--force" in told or "name another --log" in told
+    assert "--force" in told or "name another --bag" in told
 
 
 def test_failures_are_not_filmed_over_a_file_of_someone_else(capsys: pytest.CaptureFixture[str], folder: Path) -> None:

@@ -18,6 +18,7 @@ CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 CurriculumKind: TypeAlias = Literal["none", "learnability"]
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 PriorKind: TypeAlias = Literal["none", "route"]
+ImageNetworkKind: TypeAlias = Literal["convolutions", "patches"]
 ExpertKind: TypeAlias = Literal["map", "route"]
 TrackerName: TypeAlias = Literal["csv", "tensorboard", "wandb", "trackio", "mlflow"]
 """Experiment trackers that training can send its progress to."""
@@ -36,6 +37,9 @@ class NetworkConfig:
     north_up: bool = False
     """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
     It can recognize places of one map by them without the pose. Needs --no-mirror-augmentation."""
+    image_network: ImageNetworkKind = "convolutions"
+    """How images, heights and past scans are read: by three convolutions, or by one layer over patches of 4 x 4.
+    patches take a tenth of the time on a CPU."""
     hidden: tuple[int, ...] = (128, 128)
     """Number of units in each hidden layer of the actor and the critic."""
     max_std: float = 2.0
@@ -373,7 +377,13 @@ _POSITIVE = (
 )
 _NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
 _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
-_CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
+_CHOICES = {
+    "memory": MemoryKind,
+    "image_network": ImageNetworkKind,
+    "prior": PriorKind,
+    "expert": ExpertKind,
+    "curriculum": CurriculumKind,
+}
 
 
 def _check_ranges(settings: dict[str, Any]) -> None:

@@ -40,7 +40,9 @@ TOO_NEAR = "obstacle too near"  #: Ending of a live drive: an obstacle is closer
 CONTACT = "contact"  #: Ending of a run of a benchmark: the body touches an obstacle.
 STOPPED = "stopped"  #: Ending of a live drive: a person interrupted it, or the connection to the rover was lost.
 RESTARTED = "robot restarted"  #: Ending of a live drive: the rover's clock went backwards, or its pose jumped.
-EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
+REPLACED = "replaced"  #: Ending of a drive in a bag of others: another goal came before its own was reached.
+_STEPS = "flipped", "jammed", "out of bounds", "stuck", "invalid action"
+EARLY_ENDINGS = (*_STEPS, TOO_NEAR, RESTARTED, STOPPED, REPLACED)
 """Endings of an episode before its time limit, other than at its goal."""
 
 

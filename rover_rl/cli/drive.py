@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
-    from rover_rl.algos.deploy.drive_log import DriveLog
+    from rover_rl.algos.deploy.bags import DriveBag
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.algos.policy.runner import PolicyRunner
@@ -91,8 +92,9 @@ class Drive:
     """Accept a policy that recognizes the places of another world, by the pose or with north_up."""
     seed: int = 0
     """Seed of the random goals."""
-    log: Path = Path("runs/drive.jsonl")
-    """Log file that the drives are appended to. rover-rl evaluate reads it."""
+    bag: Path | None = None
+    """MCAP file to record the drives to, for ros2 bag, Foxglove and rover-rl evaluate.
+    Default: runs/drive-TIME.mcap, with the time in UTC."""
     dry_run: bool = False
     """Print the commands instead of sending them."""
     view: bool = False
@@ -108,13 +110,14 @@ class Drive:
         self._check()
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
-            from rover_rl.algos.deploy.drive_log import DriveLog, check_log
+            from rover_rl.algos.deploy.bags import DriveBag, check_bag
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs.config import name_of_part
             from rover_rl.envs.rover import RoverEnv
             from rover_rl.sims.ros2.simulator import Ros2Simulator
 
-            check_log(self.log)
+            path = self.bag or Path(time.strftime("runs/drive-%Y%m%dT%H%M%SZ.mcap", time.gmtime()))
+            check_bag(path)
             policy = self._policy()
             assert policy.module is not None
             world, module, page = policy.worlds[0], policy.module, None
@@ -132,7 +135,8 @@ class Drive:
                 page.on_stop = env.simulator.halt
             runner = PolicyRunner(module, env=env) if page is None else page.runner(module, env)
             robot = name_of_part(described.robot)
-            log = stack.enter_context(DriveLog(self.log, world, policy.name, self.seconds, robot))
+            bag = stack.enter_context(DriveBag(path, world, policy.name, self.seconds, robot))
+            env.simulator.tap(bag.add)
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
 
             def go_on() -> None:
@@ -145,8 +149,8 @@ class Drive:
                 if page is not None:
                     page.show(env, moment)
 
-            endings = self._drive(env, runner, goals, world, log, go_on, show)
-        print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
+            endings = self._drive(env, runner, goals, world, bag, go_on, show)
+        print(f"Bag: {path}; to evaluate it: rover-rl evaluate {path}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
     def _drive(
@@ -155,7 +159,7 @@ class Drive:
         runner: PolicyRunner,
         goals: list[tuple[float, float]],
         world: str,
-        log: DriveLog,
+        bag: DriveBag,
         go_on: Callable[[], None],
         show: Callable[[str, Moment], None],
     ) -> list[str]:
@@ -182,7 +186,7 @@ class Drive:
         for goal in goals if topic is None else chain(goals, topic.goals(go_on)):
             go_on()
             try:
-                ending = drive_to(env, runner, goal, **limits, watch=watch, log=log)
+                ending = drive_to(env, runner, goal, **limits, watch=watch, bag=bag)
             except GoalGivenUp as reason:
                 ending = str(reason)
             endings.append(ending)

@@ -13,12 +13,13 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.algos.policy.names import BASELINES, NO_POLICY, ResolvedPolicy, resolve_policies
-from rover_rl.cli.policies import LOG, SEVERAL_POLICIES, EnvOptions
+from rover_rl.cli.policies import SEVERAL_POLICIES, EnvOptions, is_bag
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.files import check_outputs
 from rover_rl.robots import get_robots, names_several
 from rover_rl.sims.backends import name_of
+from rover_rl.sims.ros2.settings import BAG, BagTopics
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -50,11 +51,12 @@ class Evaluate:
 
     policies: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="[TASK] POLICY ...", help=f"{SEVERAL_POLICIES} Also drive logs ({LOG}). {_OF_TASK}"),
+        tyro.conf.arg(metavar="[TASK] POLICY ...", help=f"{SEVERAL_POLICIES} Also bags of drives ({BAG}). {_OF_TASK}"),
     ]
     world: tuple[str, ...] = ()
     """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.
-    Default: for each policy, the worlds that it was trained in; after training in a range, one that was not in it."""
+    Default: for each policy, the worlds that it was trained in; after training in a range, one that was not in it.
+    Bags: the world that they name; the first one here for those that name none, and if no policy is named."""
     count: Annotated[int | None, tyro.conf.arg(aliases=["--episodes"])] = None
     """Number of episodes in each world. Of inspect, moon and maze, up to 256 are stored; others are newly drawn.
     Default: 256 in one world, 4 in each world of a range."""
@@ -92,6 +94,7 @@ class Evaluate:
     opens offline (needs the extra view)."""
     force: bool = False
     """Write over files that rover-rl did not make."""
+    topics: BagTopics = field(default_factory=BagTopics)
     task: tyro.conf.Suppress[Any] = None
     """Task whose test it is."""
 
@@ -120,7 +123,6 @@ class Evaluate:
         )
 
     def _evaluate(self) -> int:
-        from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
@@ -134,12 +136,12 @@ class Evaluate:
         check_imperfections(self.imperfect)
         given = {"seconds": self.seconds, "action_repeat": self.action_repeat}
         check_options(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
-        logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
+        words = [word for word in self.policies if not is_bag(word)]
+        driven = self._of_bags([Path(word) for word in self.policies if is_bag(word)], are_alone=not words)
         if not self.policies:
             raise ValueError(NO_POLICY)
-        words = [word for word in self.policies if not word.endswith(LOG)]
         if self.html is not None and not words:
-            raise ValueError(f"--html shows drives of policies; of a log: rover-rl film LOG{LOG} --html {self.html}")
+            raise ValueError(f"--html shows drives of policies; of a bag: rover-rl film BAG{BAG} --html {self.html}")
         robot = self.environment.given_robot or (self.task and self.task.test_env.robot)
         policies = resolve_policies(words, self.world, robot) if words else []
         if self.task is not None:
@@ -148,14 +150,10 @@ class Evaluate:
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
         runs = self._runs(policies, sets, backends, out)
-        of_logs = {
-            out / f"paths-{log.stem}{f'-{number}' if number else ''}.png": [drive]
-            for log, drives in logs.items()
-            for number, drive in enumerate(drives)
-        }
+        of_bags = {out / f"paths-drives{f'-{k}' if k else ''}.png": [drives] for k, drives in enumerate(driven)}
         tables = [out / f"evaluation{part}" for part in (".json", ".csv", "-summary.csv", "-worlds.csv")]
         pictures = dict.fromkeys(run.picture for run in runs if run.picture is not None)
-        written = [*tables, *pictures, *of_logs, *([self.html] if self.html else [])]
+        written = [*tables, *pictures, *of_bags, *([self.html] if self.html else [])]
         # Fails before the evaluation, which can take minutes.
         check_outputs(*written, inputs=[*self.policies, *self.world], force=self.force)
         out.mkdir(parents=True, exist_ok=True)
@@ -165,8 +163,8 @@ class Evaluate:
         for run, result in zip(runs, results, strict=True):
             if run.picture is not None:
                 drawn.setdefault(run.picture, []).append(result)
-        drawn |= of_logs
-        results += [drive for drives in logs.values() for drive in drives]
+        drawn |= of_bags
+        results += driven
         trained = {policy.name: policy.config for policy in policies if policy.config}
         try:
             write_evaluation(out / "evaluation.json", results)
@@ -184,6 +182,15 @@ class Evaluate:
             count = write_worst(shown, policies, out / "evaluation.json", self.html)
             print(f"Replay of {count} drives: {self.html}")
         return 0
+
+    def _of_bags(self, paths: list[Path], are_alone: bool) -> list[Evaluation]:
+        if not paths:
+            return []
+        from rover_rl.algos.deploy.recorded_drives import evaluate_drives, read_drives
+
+        world, robot = next(iter(self.world), None), self.environment.given_robot
+        bags = [read_drives(path, self.topics, world if are_alone else None, robot) for path in paths]
+        return evaluate_drives([bag._replace(world=bag.world or world) for bag in bags])
 
     def _backends(self, policies: list[ResolvedPolicy]) -> list[str | None]:
         """Returns the names of the backends to drive in; ``None`` is that of the environment.

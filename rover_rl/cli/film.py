@@ -10,9 +10,10 @@ import tyro
 
 from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions
+from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
 from rover_rl.cli.replays import check_page
 from rover_rl.files import check_outputs
+from rover_rl.sims.ros2.settings import BAG, BagTopics
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import StoredEvaluation
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
 
 FILMED = 20.0
 """Default duration of a film in endless mode, s."""
-POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
+POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a bag ({BAG}): of rover-rl drive, or of ROS 2.")
 
 
 @dataclass(frozen=True)
 class Film:
-    """Film a policy, an episode of its evaluation, its failures, or a drive of a log.
+    """Film a policy, an episode of its evaluation, its failures, or a drive of a bag.
 
     One rover from behind with its lidar beams, or many rovers from above. Without --episode and --failures, the rovers
     drive from goal to goal.
@@ -38,7 +39,7 @@ class Film:
     html: Path | None = None
     """Page to write in place of a film: one file that opens offline, with a time slider (needs the extra view)."""
     episode: int | None = None
-    """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a log: the drive in it;
+    """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a bag: the drive in it;
     default: the last one."""
     failures: bool = False
     """Film the episodes of the policy's evaluation that do not reach their goal, each in a file with its number."""
@@ -50,9 +51,9 @@ class Film:
     """Camera: chase follows the first rover, top shows all rovers from above."""
     world: str | None = None
     """World to drive in. Default: that of the episode, the one that the policy was trained in, or maze.
-    For a log: the world that it names; none shows the lidar readings on flat ground."""
+    For a bag: the world that it names; none shows the lidar readings on flat ground."""
     seconds: float | None = None
-    """Duration of the film, s: 20 by default, and the end of an episode or a log, of which all is shown by default."""
+    """Duration of the film, s: 20 by default, and the end of an episode or a bag, of which all is shown by default."""
     seed: int | None = None
     """Seed of starts and goals. Default: 0; with --episode the stored starts and goals."""
     rovers: int | None = None
@@ -71,13 +72,15 @@ class Film:
     """Write over files that rover-rl did not make."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
+    topics: BagTopics = field(default_factory=BagTopics)
 
     def __call__(self) -> int:
         self._check()
-        if self.policy.endswith(LOG):
-            from rover_rl.algos.video.recording import recording_of_log
+        if is_bag(self.policy):
+            from rover_rl.algos.deploy.recorded_drives import read_drives, recording_of_drive
 
-            recording = recording_of_log(Path(self.policy), self.episode, self.world)
+            drives = read_drives(Path(self.policy), self.topics, self.world, self.environment.given_robot)
+            recording = recording_of_drive(drives, self.episode)
             self._film(recording, self._out, f"of {self.policy}")
         elif self.episode is not None or self.failures:
             self._film_episodes()
@@ -90,16 +93,16 @@ class Film:
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
-        single = self.episode is not None or self.failures or self.policy.endswith(LOG)
+        single = self.episode is not None or self.failures or is_bag(self.policy)
         for name, given in {"--rovers": self.rovers, "--rewards": self.rewards}.items():
             if single and given is not None:
-                raise ValueError(f"{name} belongs to films without --episode, --failures and logs")
+                raise ValueError(f"{name} belongs to films without --episode, --failures and bags")
         if self.episode is not None and self.failures:
             raise ValueError("give --episode or --failures, not both")
         if self.html is not None and self.rewards is not None:
             raise ValueError("--rewards belongs to films without --html")
-        if self.failures and self.policy.endswith(LOG):
-            raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
+        if self.failures and is_bag(self.policy):
+            raise ValueError("--failures reads an evaluation; name a drive of a bag with --episode")
         if self.html is not None:
             check_page(self.html)
         if not self.failures:

@@ -6,7 +6,7 @@ import os
 import sys
 import webbrowser
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,8 +14,9 @@ import tyro
 
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.film import POLICY, how_it_ended
-from rover_rl.cli.policies import LOG
+from rover_rl.cli.policies import is_bag
 from rover_rl.files import check_outputs
+from rover_rl.sims.ros2.settings import BagTopics
 
 if TYPE_CHECKING:
     from rover_rl.algos.video.recording import Recording
@@ -28,7 +29,7 @@ WIDTH, HEIGHT = 400, 300
 
 @dataclass(frozen=True)
 class Play:
-    """Watch a policy drive to a goal, or a drive of a log: films it, and opens the film.
+    """Watch a policy drive to a goal, or a drive of a bag: films it, and opens the film.
 
     The command film has more options.
     """
@@ -38,13 +39,14 @@ class Play:
     """World to drive in. Default: the one that the policy was trained in, or moon.
     After training in a range, it is one that was not in it."""
     seconds: float = 12.0
-    """Time in which the policy must reach the goal, s. Of a log, the last seconds are shown."""
+    """Time in which the policy must reach the goal, s. Of a bag, the last seconds are shown."""
     seed: int | None = None
     """Seed of starts and goals. Default: the stored ones."""
     show: bool = True
     """Open the film in the default viewer, if there is a display."""
     force: bool = False
     """Write over files that rover-rl did not make."""
+    topics: BagTopics = field(default_factory=BagTopics)
 
     def __call__(self) -> int:
         print(f"Filming {self.policy}", flush=True)
@@ -52,20 +54,20 @@ class Play:
             # The first film compiles the renderer, which takes some seconds, as do the imports.
             background.submit(_compile_renderer)
             import rover_rl.algos.video.film  # noqa: F401
-        path, drive = self._film_log() if self.policy.endswith(LOG) else self._film_policy()
+        path, drive = self._film_bag() if is_bag(self.policy) else self._film_policy()
         print(f"Film: {path}: {how_it_ended(drive)}")
         has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         if self.show and (has_display or sys.platform in ("darwin", "win32")):
             webbrowser.open(path.resolve().as_uri())
         return 0
 
-    def _film_log(self) -> tuple[Path, Recording]:
+    def _film_bag(self) -> tuple[Path, Recording]:
+        from rover_rl.algos.deploy.recorded_drives import read_drives, recording_of_drive
         from rover_rl.algos.video.film import Style, film_recording
-        from rover_rl.algos.video.recording import recording_of_log
 
         path = Path(self.policy).with_suffix(".gif")
         check_outputs(path, force=self.force, option="rover-rl film --out")
-        drive = recording_of_log(Path(self.policy), world=self.world)
+        drive = recording_of_drive(read_drives(Path(self.policy), self.topics, self.world))
         film_recording(drive.last(self.seconds), path, Style(width=WIDTH, height=HEIGHT))
         return path, drive
 

@@ -12,12 +12,11 @@ from rover_rl.algos.config_files import read_yaml
 from rover_rl.algos.policy.names import BASELINES, NAMES
 from rover_rl.envs.config import EnvConfig, GuardConfig, env_from_plain
 from rover_rl.robots.options import RobotOptions, with_options
+from rover_rl.sims.ros2.settings import BAG
 
 if TYPE_CHECKING:
     from rover_rl.algos.policy.runner import Policy
 
-LOG = ".jsonl"
-"""Suffix of the logs of ``rover-rl drive``."""
 ONE_POLICY = f"Folder of a run, checkpoint, ONNX file, .zip of Stable-Baselines3, {NAMES}."
 """Help of an argument that names a policy."""
 SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Stable-Baselines3, {NAMES}."
@@ -72,6 +71,13 @@ class EnvOptions:
         if self.compensate_delay:
             changes["compensate_delay"] = True
         return environment_for(policy, replace(config, **changes))
+
+
+def is_bag(word: str) -> bool:
+    """Whether an argument names a bag. Raises ``ValueError`` for a log of an older version."""
+    if word.endswith(".jsonl"):
+        raise ValueError(f"{word} is a log of an older version, which is no longer read: drives are in {BAG} files now")
+    return word.endswith((BAG, ".db3")) or (Path(word) / "metadata.yaml").is_file()
 
 
 def read_env(path: Path) -> EnvConfig:

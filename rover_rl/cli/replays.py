@@ -1,4 +1,4 @@
-"""Drives to replay: those of an evaluation that are worth seeing, and those of a log."""
+"""Drives to replay: those of an evaluation that are worth seeing, and those of a bag."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rover_rl.files import check_writable
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 if TYPE_CHECKING:
+    from rover_rl.algos.deploy.recorded_drives import Drives
     from rover_rl.algos.evaluation.results import Evaluation, StoredEvaluation
     from rover_rl.algos.video.recording import Recording
 
@@ -84,10 +85,9 @@ def drives_of_evaluation(
         yield title_of(stored, episode), partial(record_stored, policy.module, stored, episode)
 
 
-def drives_of_log(path: Path, world: str | None) -> Iterator[tuple[str, Callable[[], Recording]]]:
-    """Yields the drives of a log by title, the last one first."""
-    from rover_rl.algos.deploy.drive_log import logged_drives
-    from rover_rl.algos.video.recording import recording_of_log
+def drives_of_bag(bag: Drives) -> Iterator[tuple[str, Callable[[], Recording]]]:
+    """Yields the drives of a bag by title, the last one first."""
+    from rover_rl.algos.deploy.recorded_drives import recording_of_drive
 
-    for number, drive in reversed([*enumerate(logged_drives(path))]):
-        yield f"drive {number}: {drive.ending}", partial(recording_of_log, path, number, world)
+    for number, drive in reversed([*enumerate(bag.drives)]):
+        yield f"drive {number}: {drive.ending}", partial(recording_of_drive, bag, number)

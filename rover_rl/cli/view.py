@@ -10,15 +10,16 @@ import tyro
 
 from rover_rl.algos.policy.names import RANDOM, resolve_policy
 from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
-from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions
-from rover_rl.cli.replays import drives_of_evaluation, drives_of_log
+from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
+from rover_rl.cli.replays import drives_of_bag, drives_of_evaluation
+from rover_rl.sims.ros2.settings import BAG, BagTopics
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.view.replay import ReplayPage
     from rover_rl.view.viewer import Viewer
 
-_HELP = f"{ONE_POLICY} A run may still be training. Or a log of rover-rl drive ({LOG}), which is replayed."
+_HELP = f"{ONE_POLICY} A run may still be training. Or a bag ({BAG}), of rover-rl drive or ROS 2, to replay."
 _POLICY = tyro.conf.arg(metavar="POLICY", help=_HELP)
 
 
@@ -47,11 +48,12 @@ class View:
     """Port of the page; 0 takes a free one."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND.replace("bullet.", "warp."))] = None
+    topics: BagTopics = field(default_factory=BagTopics)
 
     def __call__(self) -> int:
         check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
         check_seed(self.seed)
-        viewer = self._open_replay() if self.evaluation or self.policy.endswith(LOG) else self._open()
+        viewer = self._open_replay() if is_bag(self.policy) or self.evaluation else self._open()
         print(f"Page: {viewer.address} (Ctrl-C ends it)", flush=True)
         try:
             viewer.wait()
@@ -68,8 +70,11 @@ class View:
         check_address(self.host, self.port)
         from rover_rl.algos.evaluation.results import read_evaluation
 
-        if self.policy.endswith(LOG):
-            drives = dict(drives_of_log(Path(self.policy), self.world))
+        if is_bag(self.policy):
+            from rover_rl.algos.deploy.recorded_drives import read_drives
+
+            bag = read_drives(Path(self.policy), self.topics, self.world, self.environment.given_robot)
+            drives = dict(drives_of_bag(bag))
         else:
             assert self.evaluation is not None
             policy = resolve_policy(self.policy, (), self.environment.robot)

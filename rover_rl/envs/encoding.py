@@ -29,7 +29,8 @@ class ObservationEncoder(nn.Module):
     ``keys`` are the entries of the observation to read, which may be those of ``sensors`` of one's own. ``north_up``
     adds lidar and target in map orientation: rotated by the yaw, so that they do not change when the rover turns in
     place; it needs ``lidar``, ``imu`` and ``target``. An unknown key or sensor raises ``ValueError``. ``features`` is
-    the number of features.
+    the number of features. ``images`` are the rows and columns of the entries that are images, which networks read by
+    ``image_network``: ``"convolutions"`` or ``"patches"``.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))
@@ -43,6 +44,7 @@ class ObservationEncoder(nn.Module):
         lidar_points: int = 32,
         north_up: bool = False,
         sensors: Sequence[SensorLike] = (),
+        image_network: str = "convolutions",
     ) -> None:
         super().__init__()
         self.keys = tuple(keys)
@@ -52,6 +54,8 @@ class ObservationEncoder(nn.Module):
         if unknown := [key for key in self.keys if key not in self.sensors]:
             raise ValueError(f"the observation has no entries {unknown}; use some of {[*self.sensors]}")
         self.sensors["imu"] = Imu(heading=north_up or "pose" in keys)
+        self.images = {key: shape for key in self.keys if (shape := self.sensors[key].image)}
+        self.image_network = image_network
         self._lidar_points, self._north_up = lidar_points, north_up
         self.features = sum(self.sensors[key].features for key in self.keys) + (lidar_points + 4 if north_up else 0)
 

@@ -59,7 +59,7 @@ class RoverEnv(EnvBase):
         robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
-        is_memoryless: whether an observation tells of the state alone, and not of the observations before it.
+        reads_between: whether sensors read in steps whose number is not a multiple of a given one, for later steps.
         movers: movers of each row, where they are and where they go.
 
     Raises ``ValueError`` if a name is unknown, a number is out of range, the device is not available, or the backend
@@ -121,7 +121,7 @@ class RoverEnv(EnvBase):
         self._simulation = Simulation(self.config, self._row_worlds, self.robots, self.sensors, self.lidar)
         self.simulator, self.scanner = self._simulation.simulator, self._simulation.scanner
         self.movers, self.delays = self._simulation.movers, self._simulation.delays
-        self.is_memoryless = self._simulation.is_memoryless
+        self.reads_between = self._simulation.reads_between
         gains, fastest = self.config.heading_gains, max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = stages.HeadingController(self.num_envs, gains, self._tensor_device)

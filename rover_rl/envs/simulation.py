@@ -93,8 +93,16 @@ class Simulation:
             worlds.open(prepare)
             simulator.enter_worlds()
         self._init_stages(config, robots)
-        remembers = any(each.period > 1 or type(each).reader is not Sensor.reader for each in sensors.values())
-        self.is_memoryless = not (remembers or config.agents > 1 or self.delays or live)
+        self._periods = [(each.period, type(each).reader is not Sensor.reader) for each in sensors.values()]
+        self._always_reads = config.agents > 1 or self.delays is not None or live is not None
+
+    def reads_between(self, repeat: int) -> bool:
+        """Whether a sensor has to read in a step whose number is not a multiple of ``repeat``.
+
+        A sensor does not if its period is a multiple of ``repeat``, or if it has no memory and reads in those steps.
+        """
+        periods = [period for period, remembers in self._periods if remembers or repeat % period]
+        return self._always_reads or any(period % repeat for period in periods)
 
     def _init_stages(self, config: EnvConfig, robots: RowRobots) -> None:
         noise, period, fleet, live = config.randomization, config.lidar.period, robots.fleet, self.simulator.live

@@ -10,11 +10,15 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
+from tensordict import TensorDict
 
 from rover_rl import LidarConfig, RoverEnv, Terrain, World, box
+from rover_rl.algos.config import training_config
 from rover_rl.algos.policy.networks import (
     UNITS,
     ImageFeatures,
+    actor_of,
+    encoder_of,
     make_action_critic,
     make_actor,
     make_critic,
@@ -108,6 +112,27 @@ def test_networks_read_an_image_for_each_kind():
     assert sensor.mirror(value).tolist() == [[2, 1, 0, 1, 4, 3]]
     features = ImageFeatures(ObservationEncoder(("target", "segmentation"), sensors=[sensor]))
     assert features(torch.zeros(1, 5 + 30)).shape == (1, 5 + UNITS)
+
+
+@pytest.mark.parametrize("size", [(8, 12), (6, 9), (1, 16)])
+def test_patches_read_every_pixel_of_images_of_any_size(size):
+    encoder = ObservationEncoder(("target", "depth"), sensors=[replace(LEVEL, size=size)], image_network="patches")
+    torch.manual_seed(0)
+    network = ImageFeatures(encoder)
+    image = torch.rand(2, 3, size[0] * size[1], requires_grad=True)
+    read = network(torch.cat((torch.zeros(2, 3, 5), image), -1))
+    assert read.shape == (2, 3, 5 + UNITS)
+    read.sum().backward()
+    assert (image.grad != 0).all()
+    torch.testing.assert_close(read[1, 2], network(torch.cat((torch.zeros(5), image[1, 2]), -1)))
+
+
+def test_a_policy_without_convolutions_says_so_in_its_settings():
+    settings = training_config("ppo", sensors=["depth"], observation=("target", "depth"), image_network="patches")
+    actor = actor_of(settings)
+    assert not any(isinstance(layer, torch.nn.Conv2d) for layer in actor.modules())
+    seen = {"target": torch.zeros(1, 2), "depth": torch.ones(1, encoder_of(settings).sensors["depth"].features)}
+    assert actor(TensorDict(seen, [1]))["action"].shape == (1, 2)
 
 
 def test_pixels_kinds_and_heights_are_lost_too_close_and_noisy():

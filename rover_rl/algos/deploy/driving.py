@@ -5,9 +5,10 @@ Example:
 
     >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)  # doctest: +SKIP
     >>> runner = PolicyRunner(policy)  # doctest: +SKIP
-    >>> with DriveLog(Path("drive.jsonl"), world="maze", policy="mine", seconds=60.0) as log:  # doctest: +SKIP
+    >>> with DriveBag(Path("drive.mcap"), world="maze", policy="mine", seconds=60.0) as bag:  # doctest: +SKIP
+    ...     env.simulator.tap(bag.add)  # also records what is received and sent
     ...     for goal in [(1.0, 2.0), (-3.0, 0.5)]:
-    ...         print(drive_to(env, runner, goal, log=log))
+    ...         print(drive_to(env, runner, goal, bag=bag))
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl.algos.deploy.drive_log import DriveLog
+from rover_rl.algos.deploy.bags import DriveBag
 from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR, Drive, ending_of
 from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.envs.config import EnvConfig, require_match
@@ -28,6 +29,7 @@ from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.native.threads import single_threaded
 from rover_rl.sims import RoverState
+from rover_rl.sims.ros2.frames import MAP
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 
 _log = logging.getLogger(__name__)
@@ -72,7 +74,7 @@ def drive_to(
     patience: float = 30.0,
     allow_unseen: bool = False,
     watch: Callable[[Moment], None] = lambda moment: None,
-    log: DriveLog | None = None,
+    bag: DriveBag | None = None,
 ) -> str:
     """Drives to one goal and stops the rover at the end of the drive, also after an error.
 
@@ -88,6 +90,7 @@ def drive_to(
         clearance: lidar reading below which the drive ends, m.
         patience: longest time to wait for the beginning of the drive, s; it ends if something is still too near then.
         allow_unseen: whether to accept a lidar with a smaller field of view than the least that the training drew.
+        bag: where the goal, the steps and the ending are recorded.
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of
@@ -109,8 +112,8 @@ def drive_to(
             PolicyRunner(drive.runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
         # The memory of the runner is kept from goal to goal.
         drive.observation = drive.env.reset(goal=torch.tensor([goal]))
-        if log is not None:
-            log.begin(env.rover_state, env.scan, goal)
+        if bag is not None:
+            bag.begin(env.rover_state, env.scan, goal, rover.pose_frame or MAP)
         first = env.rover_state.stamp
         while drive.observation["lidar"].min() < clearance and env.rover_state.stamp - first < patience:
             watch(_moment(rover, drive.observation, 0.0))
@@ -122,8 +125,9 @@ def drive_to(
             elapsed += env.rover_state.dt.item()
             moment = _moment(rover, now, elapsed)
             watch(moment)
-            if log is not None:
-                log.add(env.rover_state, env.scan, now["outcome"], moment.command, moment.latency, moment.held)
+            if bag is not None:
+                told = {name: getattr(moment, name) for name in ("command", "latency", "distance", "held")}
+                bag.step(env.rover_state, env.scan, now["outcome"], **told)
             if reason := _restart(before, env.rover_state):
                 _log.warning("the robot seems to have been restarted: %s", reason)
                 ending = RESTARTED
@@ -135,8 +139,8 @@ def drive_to(
                 ending = TOO_NEAR
     finally:
         rover.stop()
-        if log is not None:
-            log.end(ending or STOPPED)
+        if bag is not None:
+            bag.end(ending or STOPPED)
     return ending
 
 

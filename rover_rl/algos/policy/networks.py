@@ -39,6 +39,7 @@ BOUNDS_KEYS = ("low", "high")
 # Channels and kernel sizes of convolutions over an image, each of which halves rows and columns, and the number of
 # features after them.
 CHANNELS, KERNELS, UNITS = (16, 32, 32), (5, 3, 3), 64
+PATCH, PATCH_UNITS = 4, 24  # largest number of rows and columns of a patch, and number of features of one
 
 
 def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
@@ -144,7 +145,8 @@ class PrivilegedEncoder(nn.Module):
 
 def encoder_of(config: TrainingConfig) -> ObservationEncoder:
     network, env = config.network, config.env
-    return ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
+    reading = network.observation, env.lidar.points, network.north_up, env.own_sensors
+    return ObservationEncoder(*reading, image_network=network.image_network)
 
 
 def actor_of(
@@ -293,11 +295,10 @@ class ImageFeatures(nn.Module):
 
     def __init__(self, encoder: ObservationEncoder) -> None:
         super().__init__()
-        sensors = {key: encoder.sensors[key] for key in encoder.keys}
-        self._sizes = {key: sensor.features for key, sensor in sensors.items()}
-        shapes = {key: sensor.image for key, sensor in sensors.items() if sensor.image}
-        self.networks = nn.ModuleDict({key: _convolutions(self._sizes[key], shape) for key, shape in shapes.items()})
-        self.added = sum(UNITS - self._sizes[key] for key in shapes)
+        self._sizes, images = {key: encoder.sensors[key].features for key in encoder.keys}, encoder.images
+        read = Patches if encoder.image_network == "patches" else _convolutions
+        self.networks = nn.ModuleDict({key: read(self._sizes[key], shape) for key, shape in images.items()})
+        self.added = sum(UNITS - self._sizes[key] for key in images)
 
     def forward(self, features: Tensor) -> Tensor:
         sizes = [*self._sizes.values()]
@@ -320,9 +321,32 @@ def _convolutions(features: int, shape: tuple[int, int]) -> nn.Module:
     return nn.Sequential(nn.Unflatten(-1, (channels, *shape)), convolutions, nn.Linear(count, UNITS), nn.ReLU())
 
 
+class Patches(nn.Module):
+    """Reads images ``[..., features]`` by one layer over their patches, with the same weights for each.
+
+    It returns :data:`UNITS` features. Patches have :data:`PATCH` rows and columns, or the largest numbers below that
+    divide those of the image. They do not overlap: on a CPU, this takes a tenth of the time of three convolutions.
+    """
+
+    def __init__(self, features: int, shape: tuple[int, int]) -> None:
+        super().__init__()
+        self._channels = channels = features // (shape[0] * shape[1])
+        self._sizes = [next(size for size in range(PATCH, 0, -1) if count % size == 0) for count in shape]
+        self._counts = [count // size for count, size in zip(shape, self._sizes, strict=True)]
+        count, pixels = math.prod(self._counts), math.prod(self._sizes)
+        self.patch, self.image = nn.Linear(channels * pixels, PATCH_UNITS), nn.Linear(count * PATCH_UNITS, UNITS)
+
+    def forward(self, image: Tensor) -> Tensor:
+        (rows, columns), (height, width) = self._counts, self._sizes
+        pixels = image.reshape(-1, self._channels, rows, height, columns, width)
+        patches = pixels.permute(0, 2, 4, 1, 3, 5).flatten(3).flatten(1, 2)
+        read = self.image(self.patch(patches).relu().flatten(1)).relu()
+        return read.reshape(*image.shape[:-1], UNITS)
+
+
 def _body(encoder: ObservationEncoder, features: int, hidden: Sequence[int], outputs: int, gain: float) -> nn.Module:
     # The features of the encoder may be followed by others.
-    if not any(encoder.sensors[key].image for key in encoder.keys):
+    if not encoder.images:
         return _mlp(features, hidden, outputs, gain)
     images = ImageFeatures(encoder)
     return nn.Sequential(images, _mlp(features + images.added, hidden, outputs, gain))

@@ -1,12 +1,10 @@
-"""Recorded drives, which films show: of policies, and in logs of ``rover-rl drive``."""
+"""Recorded drives, which films show."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +12,6 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.driving import Step, drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate, rows_of
@@ -26,15 +23,12 @@ from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.native.threads import single_threaded
 from rover_rl.progress import ProgressDisplay
-from rover_rl.robots import Robot, get_robot
-from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion
+from rover_rl.robots import Robot
 from rover_rl.sims.movers.field import shown_parts
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.worlds import Terrain, World, get_world
+from rover_rl.worlds import World
 from rover_rl.worlds.movers.parts import Parts
 
-NO_WORLD = "none"  # stands for flat ground without obstacles, on which the lidar readings show what was there
-_MARGIN = 12.0  # size of that ground around the drive, m
 SHOWN = 5.0  # distance up to which the nearest lidar reading is plotted, m
 State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
 """State and scan of a rover, and the movers around it."""
@@ -221,45 +215,3 @@ def moments_of(states: Sequence[State], goal: Tensor, dt: float, ending: str) ->
     event, endings = ("goal reached" if reached else ending, moments[-1].seconds), () if reached else (ending,)
     moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)
     return moments
-
-
-def recording_of_log(path: Path, number: int | None = None, world: str | None = None) -> Recording:
-    """Reads a drive of a log, by default the last one, resampled to 20 Hz."""
-    drives = logged_drives(path)
-    number = len(drives) - 1 if number is None else number
-    if not 0 <= number < len(drives):
-        raise ValueError(f"{path} has {len(drives)} drives: --episode must be at most {len(drives) - 1}, got {number}")
-    drive = drives[number]
-    driven, scans, goal = drive.trajectory(), drive.scans(), torch.tensor([drive.goal])
-    place = _world(drive, world, torch.cat((driven.path, goal)))
-    position = driven.position.clone()
-    if place.name == NO_WORLD:
-        position[:, 2] = 0.0
-    orientation = matrix_to_quaternion(euler_to_matrix(driven.angles))
-    # The log holds no wheel odometry.
-    speeds = torch.cat((torch.zeros(1), driven.signed_speed))
-    count = len(scans)
-    rovers = RoverState.pack(
-        position=position,
-        orientation=orientation,
-        linear_velocity=speeds[:, None],
-        angular_velocity=torch.zeros(count, 1),
-        dt=torch.full((count, 1), driven.dt),
-        stamp=torch.zeros(count, 1).double(),
-    )
-    states: list[State] = [(rovers[step : step + 1], scans[step : step + 1], None) for step in range(count)]
-    angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
-    moments = moments_of(states, goal, driven.dt, drive.ending)
-    return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)
-
-
-def _world(drive: LoggedDrive, world: str | None, points: Tensor) -> World:
-    if world not in (None, NO_WORLD):
-        return get_world(world)
-    if world is None:
-        try:
-            return get_world(drive.world)
-        except (ValueError, OSError, ImportError):
-            pass
-    side = math.ceil(2 * (points.abs().max().item() + _MARGIN))
-    return World(NO_WORLD, Terrain.flat((float(side), float(side))))

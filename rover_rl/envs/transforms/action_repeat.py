@@ -32,7 +32,8 @@ class ActionRepeat(Transform):
     number of goals reached, int64 ``[N, 1]``. Append transforms that count actions or sum rewards after this one.
 
     The observation, with its scan, is made after the last step alone, unless something reads it in between: a sensor
-    with a period or a memory, delays, or a transform before this one that does not say ``reads_observation = False``.
+    with a memory or another period than actions have, delays, or a transform before this one that does not say
+    ``reads_observation = False``.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))
@@ -49,7 +50,7 @@ class ActionRepeat(Transform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         env, transforms = self._before()
         is_read = any(getattr(transform, "reads_observation", True) for transform in transforms)
-        if isinstance(env, RoverEnv) and env.is_memoryless and not is_read:
+        if isinstance(env, RoverEnv) and not (is_read or env.reads_between(self.repeat)):
             tensordict.set(UNOBSERVED, torch.ones(tensordict.batch_size, dtype=torch.bool, device=tensordict.device))
         return tensordict
 

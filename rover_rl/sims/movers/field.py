@@ -199,16 +199,11 @@ class MoverField:
     def _nearest_mover(self, points: Tensor) -> tuple[Tensor, Tensor]:
         if self._own is None or not self._tables.motions:
             return torch.full_like(points[:, :1], math.inf), torch.zeros_like(points[:, :1])
-        parts = self._own
-        offset = points[:, None] - parts.position[..., :2]
-        (z, w), (x, y) = parts.orientation[..., 2:].unbind(-1), offset.unbind(-1)
-        cos, sin = 1 - 2 * z.square(), 2 * z * w
-        local = torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
-        beside = _length((local.abs() - parts.half[..., :2]).clamp(min=0))
-        around = (_length(offset) - parts.half[..., 0]).clamp(min=0)
-        distance = torch.where(parts.kind == KINDS.index("box"), beside, around)
-        least, which = distance.masked_fill(parts.kind < 0, math.inf).min(-1, keepdim=True)
-        return least, _length(self.state.velocity).gather(1, parts.mover.gather(1, which))
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.worlds.movers.part_kernels import nearest_mover
+
+        least, mover = nearest_mover(self._own, points)
+        return least, _length(self.state.velocity).gather(1, mover)
 
     def nearest_center(self, points: Tensor) -> Tensor:
         """Returns the horizontal distance from points ``[N, 2]`` to the origin of the nearest mover, ``[N, 1]``, m."""

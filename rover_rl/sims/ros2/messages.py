@@ -26,14 +26,17 @@ except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 requires the package rosbags: pip install "rover_rl[ros2]"') from error
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
-"""Definitions of ``common_interfaces``, unchanged since Humble, and of grid_map, as in its branch."""
-_GRID_MAP = {
-    "GridMapInfo": "float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose\n",
-    "GridMap": "std_msgs/Header header\nGridMapInfo info\nstring[] layers\nstring[] basic_layers\n"
+"""Definitions of ``common_interfaces``, unchanged since Humble, of grid_map, as in its branch, and of a step."""
+_OTHERS = {
+    "grid_map_msgs/msg/GridMapInfo": "float64 resolution\nfloat64 length_x\nfloat64 length_y\n"
+    "geometry_msgs/Pose pose\n",
+    "grid_map_msgs/msg/GridMap": "std_msgs/Header header\nGridMapInfo info\nstring[] layers\nstring[] basic_layers\n"
     "std_msgs/Float32MultiArray[] data\nuint16 outer_start_index\nuint16 inner_start_index\n",
+    "rover_rl_msgs/msg/DriveStep": "std_msgs/Header header\ngeometry_msgs/Pose pose\ngeometry_msgs/Twist command\n"
+    "float64 dt\nfloat64 latency\nfloat64 distance\nfloat32[] ranges\nbool collision\nbool reached\nbool held\n",
 }
-for _name, _definition in _GRID_MAP.items():
-    TYPES.register(get_types_from_msg(_definition, f"grid_map_msgs/msg/{_name}"))
+for _name, _definition in _OTHERS.items():
+    TYPES.register(get_types_from_msg(_definition, _name))
 
 
 class Message:
@@ -106,6 +109,7 @@ MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
 Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
 GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
 GridMap = message_class("grid_map_msgs/msg/GridMap")
+DriveStep = message_class("rover_rl_msgs/msg/DriveStep")
 
 
 def encode(message: Message) -> bytes:

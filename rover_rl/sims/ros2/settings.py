@@ -14,6 +14,8 @@ PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
 Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
+BAG = ".mcap"
+"""Suffix of the bags of ``rover-rl drive``."""
 
 
 @dataclass(frozen=True)
@@ -113,3 +115,31 @@ class Ros2Settings:
             allowed = get_args(choice)
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """Topics and frames of a bag that ``rover-rl drive`` has not recorded; its own need none.
+
+    The defaults are those of a bag of ``rover-rl robot``. A drive is what lies between a goal and the pose within the
+    success distance, the next goal, or the end of the bag. Raises ``ValueError`` if ROS 2 does not allow a name.
+    """
+
+    scan: str = "/scan"
+    """Topic of the scans, sensor_msgs/LaserScan, which films show; a bag needs none."""
+    pose: str = Ros2Settings.pose_topic
+    """Topic of the pose: geometry_msgs/PoseStamped, PoseWithCovarianceStamped, PoseArray (its first pose),
+    nav_msgs/Odometry, or /tf."""
+    goal: str = "/goal_pose"
+    """Topic of the goals, geometry_msgs/PoseStamped. The same goal again is no new one."""
+    lidar_yaw: float = Ros2Settings.lidar_yaw
+    """Direction in which the lidar's zero angle points, counter-clockwise from straight ahead, rad; 0 faces forward."""
+    map_frame: str = Ros2Settings.map_frame
+    """Frame of tf that is that of the world, with /tf."""
+    base_frame: str = Ros2Settings.frame_id
+    """Frame of tf that is that of the robot, with /tf."""
+
+    def __post_init__(self) -> None:
+        check_topics(scan=self.scan, pose=self.pose, goal=self.goal)
+        if not math.isfinite(self.lidar_yaw):
+            raise ValueError(f"lidar_yaw must be a finite angle in rad, got {self.lidar_yaw}")

@@ -6,7 +6,8 @@ import logging
 import math
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,7 +22,7 @@ from rover_rl.sims.ros2.messages import Clock
 from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, make_transport
+from rover_rl.sims.ros2.transport import Tap, TappedTransport, ThrottledLogger, Transport, make_transport
 from rover_rl.sims.rover_state import RoverState, beam_angles
 from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
@@ -61,6 +62,8 @@ class Ros2Simulator(Simulator):
     Attributes:
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
+        tap: passes all messages that are sent and received to a function, such as
+            :meth:`~rover_rl.algos.deploy.bags.DriveBag.add`.
     """
 
     # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
@@ -86,7 +89,9 @@ class Ros2Simulator(Simulator):
         self._set_beams(GUARD_BEAMS)
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency, self.held = 0.0, False
-        self.transport = make_transport(settings.transport, settings.node)
+        tapped: Any = TappedTransport(make_transport(settings.transport, settings.node))
+        self.transport: Transport = tapped
+        self.tap: Callable[[Tap], None] = tapped.tap
         self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
         self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self.transport)

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeAlias
 from rover_rl.sims.ros2.settings import TransportName
 
 Publisher: TypeAlias = Callable[[Any], None]
+Tap: TypeAlias = Callable[[str, Any, Any], None]
 HISTORY_DEPTH = 5  # unread messages of a best-effort topic that are kept; reliable publishers keep one
 ACTIVE_TIME = 1.0  # time since its last message during which a publisher counts as active, s
 NAMING_TIME = 0.3  # time to wait for the name of the node of a publisher, s
@@ -75,6 +76,51 @@ def other_types(transport: Transport, topic: str, kind: Any, receivers: bool = F
 
 def short(ros_type: str) -> str:
     return ros_type.replace("/msg/", "/")
+
+
+class TappedTransport:
+    """A :class:`Transport` that also passes all messages that it sends and receives to functions, such as a recorder.
+
+    They are called from any thread with the topic, the class of the message and the message.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self._taps: list[Tap] = []
+        self._latched: dict[str, tuple[str, Any, Any]] = {}
+
+    def tap(self, hear: Tap) -> None:
+        """Calls ``hear`` with each message from now on, and with the last one of each latched topic."""
+        self._taps.append(hear)
+        for message in [*self._latched.values()]:
+            hear(*message)
+
+    def subscribe(
+        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
+    ) -> None:
+        def both(message: Any) -> object:
+            self._pass_on(latched, topic, kind, message)
+            return receive(message)
+
+        self._transport.subscribe(topic, kind, both, reliable=reliable, latched=latched)
+
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
+        publish = self._transport.publisher(topic, kind, reliable=reliable, latched=latched)
+
+        def both(message: Any) -> None:
+            publish(message)
+            self._pass_on(latched, topic, kind, message)
+
+        return both
+
+    def _pass_on(self, latched: bool, topic: str, kind: Any, message: Any) -> None:
+        if latched:
+            self._latched[topic] = topic, kind, message
+        for hear in self._taps:
+            hear(topic, kind, message)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
 
 
 class ActiveSenders:

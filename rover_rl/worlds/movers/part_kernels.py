@@ -88,6 +88,18 @@ def place(
     launch_rows(place_parts, yaw.shape, inputs, yaw.device)
 
 
+def nearest_mover(parts: Parts, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the horizontal distance from points ``[N, 2]`` to the nearest part, and the mover that it belongs to.
+
+    Distances ``[N, 1]`` (m) are those to upright parts: 0 inside, and ``inf`` without parts. Movers: int64 ``[N, 1]``.
+    """
+    least, mover = points.new_empty(len(points)), parts.mover.new_empty(len(points))
+    inputs = [_filled(PartArrays(), vars(parts)), wp.from_torch(parts.mover)]
+    inputs += [wp.from_torch(points.contiguous(), dtype=wp.vec2), wp.from_torch(least), wp.from_torch(mover)]
+    launch_rows(find_nearest, least.shape, inputs, least.device)
+    return least[:, None], mover[:, None]
+
+
 def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Tensor) -> Tensor:
     """Returns the ranges of rays in the world frame, where they meet a mover the distance to it, float32 ``[N, K]``, m.
 
@@ -134,6 +146,8 @@ def place_parts(
     """Turns a part by the yaw of its mover and moves it; its velocity is the way from where it was, in ``dt``."""
     t, part = wp.tid()
     row = first + t
+    if placed.kind[row, part] < 0:
+        return
     if not rows[row]:
         placed.velocity[row, part] = wp.vec3(0.0, 0.0, 0.0)
         placed.turn[row, part] = 0.0
@@ -156,6 +170,36 @@ def place_parts(
     placed.velocity[row, part] = velocity
     placed.turn[row, part] = change / dt
     placed_yaws[row, part] = yaw
+
+
+@wp.kernel
+def find_nearest(
+    parts: PartArrays,
+    movers: wp.array2d[wp.int64],
+    points: wp.array[wp.vec2],
+    least: wp.array[float],
+    mover: wp.array[wp.int64],
+    first: int,
+):
+    """Finds the part nearest to a point of each row: a rectangle of a box, and a circle of everything else."""
+    row = first + wp.tid()
+    nearest = float(wp.inf)
+    of = wp.int64(0)
+    for part in range(parts.kind.shape[1]):
+        if parts.kind[row, part] >= 0:
+            at = parts.position[row, part]
+            half = parts.half[row, part]
+            offset = points[row] - wp.vec2(at[0], at[1])
+            gap = wp.length(offset) - half[0]
+            if parts.kind[row, part] == BOX:
+                local = wp.quat_rotate_inv(parts.orientation[row, part], wp.vec3(offset[0], offset[1], 0.0))
+                beside = wp.vec2(wp.max(wp.abs(local[0]) - half[0], 0.0), wp.max(wp.abs(local[1]) - half[1], 0.0))
+                gap = wp.length(beside)
+            if wp.max(gap, 0.0) < nearest:
+                nearest = wp.max(gap, 0.0)
+                of = movers[row, part]
+    least[row] = nearest
+    mover[row] = of
 
 
 @wp.func

@@ -13,13 +13,14 @@ import torch
 from PIL import Image
 
 from rover_rl import World
-from rover_rl.algos.deploy.drive_log import DriveLog
+from rover_rl.algos.deploy.bags import DriveBag
+from rover_rl.algos.deploy.recorded_drives import read_drives, recording_of_drive
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.evaluation.results import Evaluation, read_evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
-from rover_rl.algos.video.recording import record_episodes, recording_of_log
+from rover_rl.algos.video.recording import record_episodes
 from rover_rl.cli.film import Film
 from rover_rl.cli.main import main
 from rover_rl.envs.config import EnvConfig, Randomization
@@ -114,7 +115,8 @@ def _durations(picture: Image.Image) -> list[float]:
         ("film random --episode 1 --evaluation . --out x.gif", "has no evaluation of random; it has scripted"),
         ("film scripted --episode 1 --evaluation x.json --out x.gif", "x.json: No such file"),
         ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation"),
-        ("film none.jsonl --out x.gif", "none.jsonl: No such file"),
+        ("film none.mcap --out x.gif", "none.mcap: No such file"),
+        ("film old.jsonl --out x.gif", "old.jsonl is a log of an older version"),
     ],
 )
 def test_a_wrong_request_is_one_sentence(
@@ -133,25 +135,25 @@ def test_a_wrong_request_is_one_sentence(
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
-    """Log of two drives past a wall, in a world that cannot be loaded."""
+def bag(tmp_path: Path) -> Path:
+    """Bag of two drives past a wall, in a world that cannot be loaded."""
     world = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
-    path = tmp_path / "drive.jsonl"
+    path = tmp_path / "drive.mcap"
     env = RoverEnv(world_n=world, seed=0, backend="warp")
-    with DriveLog(path, "my_lab", "scripted", 60.0) as written:
+    with DriveBag(path, "my_lab", "scripted", 60.0) as written:
         for goal in ((1.0, 3.0), (-1.0, 3.0)):
             td = env.reset(start=torch.tensor([[0.0, 0.0, 0.5]]), goal=torch.tensor([goal]))
             written.begin(env.rover_state, env.scan, goal)
             for _ in range(12):
                 td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
-                written.add(env.rover_state, env.scan, td["outcome"], (1.0, 0.0), 0.01)
+                written.step(env.rover_state, env.scan, td["outcome"], (1.0, 0.0), latency=0.01)
             written.end("obstacle too near")
     env.close()
     return path
 
 
-def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drive = recording_of_log(log)
+def test_a_drive_of_a_bag_is_filmed_with_its_readings(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = recording_of_drive(read_drives(bag))
     assert (drive.episode, drive.ending, len(drive.moments)) == (1, "obstacle too near", 13)
     assert drive.world.name == "none"
     first, last = (drive.moments[step].rover for step in (0, -1))
@@ -162,11 +164,11 @@ def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.
     assert 10 < beams.sum() < len(beams)
     hits = (scan * (drive.ray_angles + 0.5).cos() + 0.174 * math.cos(0.5))[beams]
     torch.testing.assert_close(hits, torch.full_like(hits, 1.8), atol=0.05, rtol=0)
-    assert recording_of_log(log, 0, "maze").world.name == "maze"
-    out = log.with_name("log.gif")
-    assert Film(str(log), out=out, episode=0, **SMALL)() == 0
-    assert f"Film: {out}: episode 0 of {log}, obstacle too near after 0.6 s\n" in capsys.readouterr().out
-    assert main(["play", str(log), "--no-show"]) == 0
-    assert f"Film: {log.with_suffix('.gif')}: obstacle too near after 0.6 s\n" in capsys.readouterr().out
-    assert main(["film", str(log), "--episode", "2", "--out", "x.gif"]) == 2
+    assert recording_of_drive(read_drives(bag, world="maze"), 0).world.name == "maze"
+    out = bag.with_name("bag.gif")
+    assert Film(str(bag), out=out, episode=0, **SMALL)() == 0
+    assert f"Film: {out}: episode 0 of {bag}, obstacle too near after 0.6 s\n" in capsys.readouterr().out
+    assert main(["play", str(bag), "--no-show"]) == 0
+    assert f"Film: {bag.with_suffix('.gif')}: obstacle too near after 0.6 s\n" in capsys.readouterr().out
+    assert main(["film", str(bag), "--episode", "2", "--out", "x.gif"]) == 2
     assert "has 2 drives: --episode must be at most 1, got 2" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_rl.algos.deploy.drive_log import read_drives
+from rover_rl.algos.deploy.recorded_drives import read_drives
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.cli import main
 from rover_rl.sims.ros2 import messages as ros
@@ -31,28 +31,32 @@ def robot(wire) -> Iterator[SimulatedRobot]:
 
 
 @pytest.fixture
-def log(tmp_path) -> list[str]:
-    return ["--log", str(tmp_path / "drive.jsonl")]
+def bag(tmp_path) -> list[str]:
+    return ["--bag", str(tmp_path / "drive.mcap")]
+
+
+def endings(bag: list[str]) -> list[str]:
+    return [drive.ending for drive in read_drives(Path(bag[1])).drives]
 
 
 def drives(robot: SimulatedRobot) -> bool:
     return robot.rover.env.rover_state.linear_velocity.item() > 0.1
 
 
-def test_drive_visits_goals_and_writes_a_log(robot, wire, log, capsys):
-    code = main(["drive", "pretrained:anywhere", "--world", "maze", "--random", "2", "--seconds", "1", *log])
-    (logged,) = read_drives(Path(log[1]))
-    assert len(logged.endings) == 2
-    assert code == (logged.endings != ["goal", "goal"])
+def test_drive_visits_goals_and_records_them(robot, wire, bag, capsys):
+    code = main(["drive", "pretrained:anywhere", "--world", "maze", "--random", "2", "--seconds", "1", *bag])
+    assert len(endings(bag)) == 2
+    assert code == (endings(bag) != ["goal", "goal"])
     output = capsys.readouterr().out
     assert output.count("goal 1,") == output.count("goal 2,") == 1
+    assert f"Bag: {bag[1]}" in output
     assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
 
 
 @pytest.mark.parametrize(
     ("number", "suppressed"), [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGINT, True)]
 )
-def test_a_signal_stops_the_rover_even_if_a_library_suppresses_it(robot, wire, log, number, suppressed):
+def test_a_signal_stops_the_rover_even_if_a_library_suppresses_it(robot, wire, bag, number, suppressed):
     before = signal.getsignal(number)
 
     def interrupt() -> None:
@@ -61,21 +65,23 @@ def test_a_signal_stops_the_rover_even_if_a_library_suppresses_it(robot, wire, l
                 signal.raise_signal(number)
 
     wire.rovers.append(interrupt)
-    assert main([*FAR, *log]) == 130
+    assert main([*FAR, *bag]) == 130
+    assert endings(bag) == ["stopped"]
+    assert Path(bag[1]).read_bytes().endswith(b"MCAP0\r\n")  # the file is whole
     assert signal.getsignal(number) is before
     assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
 
 
-def test_silent_sensors_stop_the_rover(robot, wire, log, capsys):
+def test_silent_sensors_stop_the_rover(robot, wire, bag, capsys):
     wire.rovers.append(lambda: drives(robot) and wire.rovers.clear())
-    assert main([*FAR, *log]) == 2
+    assert main([*FAR, *bag]) == 2
     assert "rover-rl: lost the robot: /scan (scan): the last message is" in capsys.readouterr().err
     assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
-    assert read_drives(Path(log[1]))[0].endings == ["stopped"]
+    assert endings(bag) == ["stopped"]
 
 
-def test_a_dry_run_sends_nothing(robot, wire, log, capsys):
-    assert main([*FAR, "--dry-run", "--seconds", "0.5", *log]) == 1
+def test_a_dry_run_sends_nothing(robot, wire, bag, capsys):
+    assert main([*FAR, "--dry-run", "--seconds", "0.5", *bag]) == 1
     output = capsys.readouterr().out
     assert output.count("m/s") == 2 * 10
     assert "goal 1, 9.00 9.00: time limit" in output
@@ -115,11 +121,11 @@ class Rviz:
 
 
 def test_goals_come_one_by_one_from_a_topic_and_are_refused_replaced_and_canceled(
-    robot, wire, log, capsys, monkeypatch
+    robot, wire, bag, capsys, monkeypatch
 ):
     rviz = Rviz(wire, robot)
     monkeypatch.setattr("rover_rl.algos.deploy.goals.time", rviz)
-    assert main(["drive", "scripted", "--world", "maze", "--goal-topic", "/goal_pose", *log]) == 130
+    assert main(["drive", "scripted", "--world", "maze", "--goal-topic", "/goal_pose", *bag]) == 130
     told = rviz.told
     assert told[0] == "waiting"
     assert told[1].startswith("refused 40.00 0.00: the goal 40 0 is outside of the bounds of maze")
@@ -130,11 +136,11 @@ def test_goals_come_one_by_one_from_a_topic_and_are_refused_replaced_and_cancele
     output = capsys.readouterr().out
     assert "goal 1, 9.00 9.00: replaced" in output
     assert "goal 2, 9.00 8.00: canceled" in output
-    assert read_drives(Path(log[1]))[0].endings == ["stopped", "stopped"]
+    assert endings(bag) == ["stopped", "stopped"]
 
 
-def test_drive_without_a_robot_reports_an_error(wire, log, capsys):
-    assert main([*FAR, "--timeout", "0.2", *log]) == 2
+def test_drive_without_a_robot_reports_an_error(wire, bag, capsys):
+    assert main([*FAR, "--timeout", "0.2", *bag]) == 2
     assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in capsys.readouterr().err
 
 

@@ -1,13 +1,11 @@
-"""Drives with a simulated rover on a course: endings, limits, faulty sensors, and logs."""
+"""Drives with a simulated rover on a course: endings, limits, faulty sensors, and bags."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,14 +13,14 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl import ActionConfig, EnvConfig, Randomization, RoverEnv, Termination, Terrain, World, box
-from rover_rl.algos.deploy.drive_log import DriveLog, read_drives
+from rover_rl.algos.deploy.bags import DriveBag
 from rover_rl.algos.deploy.driving import Moment, drive_to
+from rover_rl.algos.deploy.recorded_drives import read_drives
 from rover_rl.algos.driving import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.evaluation.trajectory import count_reversals
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.cli import main
 from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
 from tests.algos.policy.memories import CountingPolicy
@@ -116,11 +114,11 @@ def test_an_obstacle_that_is_too_close_or_the_time_limit_ends_the_drive(env, wir
 def test_a_drive_begins_when_who_stands_at_the_rover_has_gone_and_may_be_stopped_before(env, wire, tmp_path):
     near = iter([0.15] * 80)
     wire.tamper["/scan"] = lambda scan: replace(scan, ranges=[next(near, scan.ranges[0]), *scan.ranges[1:]])
-    path, moments = tmp_path / "drive.jsonl", list[Moment]()
-    with DriveLog(path, "maze", "scripted", 60.0) as log, pytest.raises(KeyboardInterrupt):
-        drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=interrupt, log=log)
+    path, moments = tmp_path / "drive.mcap", list[Moment]()
+    with DriveBag(path, "maze", "scripted", 60.0) as bag, pytest.raises(KeyboardInterrupt):
+        drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=interrupt, bag=bag)
     assert stopped(wire)
-    assert read_drives(path)[0].endings == [STOPPED]
+    assert [drive.ending for drive in read_drives(path).drives] == [STOPPED]
     assert drive_to(env, ScriptedPolicy(), GOAL, clearance=0.2, watch=moments.append) == "goal"
     waiting = [moment for moment in moments if moment.seconds == 0]
     assert len(waiting) > 1
@@ -229,60 +227,20 @@ def test_a_restart_of_the_robot_ends_the_drive(wire, env, caplog, topic, fault, 
     assert stopped(wire)
 
 
-def test_commands_are_within_their_limits_and_reversals_are_logged(wire, start, tmp_path):
+def test_commands_are_within_their_limits_and_reversals_are_recorded(wire, start, tmp_path):
     _, env = start(max_speed=0.3, max_yaw_rate=1.5, max_acceleration=2.0, max_yaw_acceleration=20.0)
     steps = iter(range(10**6))
 
     def swerve(now: TensorDictBase) -> TensorDictBase:
         return now.set("action", torch.tensor([[1.0, 1.0 if next(steps) // 4 % 2 else -1.0]]))
 
-    path = tmp_path / "drive.jsonl"
-    with DriveLog(path, "maze", "swerve", 60.0) as log:
-        drive_to(env, swerve, BEYOND, seconds=2.0, log=log)
+    path = tmp_path / "drive.mcap"
+    with DriveBag(path, "maze", "swerve", 60.0) as bag:
+        drive_to(env, swerve, BEYOND, seconds=2.0, bag=bag)
     *twists, _, _, _ = wire.sent["/cmd_vel"]  # stop commands are exempt
     speeds, turns = np.array([(twist.linear.x, twist.angular.z) for twist in twists]).T
     assert (speeds.max(), np.abs(turns).max()) == (0.3, 1.5)
     assert np.abs(np.diff(speeds)).max() <= 2.0 * 0.05 + 1e-6
     assert np.abs(np.diff(turns)).max() <= 20.0 * 0.05 + 1e-6
-    entries = [json.loads(line) for line in path.read_text().splitlines()]
-    turns = [entry["command"][1] for entry in entries if "command" in entry]
-    assert entries[-1]["reversals"] == count_reversals(turns) >= 5
-
-
-def test_a_log_is_evaluated(env, tmp_path):
-    """One drive has reached its goal, one was interrupted, one is incomplete, and one is of another policy."""
-    path = tmp_path / "logs" / "drive.jsonl"
-    with DriveLog(path, "maze", "scripted", 60.0) as log:
-        drive_to(env, ScriptedPolicy(), GOAL, log=log)
-        with pytest.raises(KeyboardInterrupt):
-            drive_to(env, ScriptedPolicy(), (0.0, 2.0), watch=interrupt, log=log)
-        log.begin(env.rover_state, env.scan, (0.0, 1.0))
-    with path.open("a") as file:
-        file.write('{"position": [1.0, ')  # an incomplete line
-    with DriveLog(path, "maze", "other", 60.0) as log:
-        drive_to(env, ScriptedPolicy(), (0.0, 2.0), clearance=20.0, patience=0.0, log=log)
-    drives, others = read_drives(path)
-    assert (drives.name, drives.seconds, drives.endings) == ("scripted", 60.0, ["goal", STOPPED])
-    assert (others.name, others.endings) == ("other", [TOO_NEAR])
-    assert drives.success_rate == 0.5
-    assert 0.25 < drives.metrics["spl"].value <= 0.5
-    assert drives.trajectories[0].seconds > 1.0
-    assert main(["evaluate", str(path), "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "paths-drive.png").is_file()
-    written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert written[0]["endings"] == {"goal": 1, STOPPED: 1}
-
-
-def test_times_are_the_rovers(tmp_path):
-    """With a lidar at 10 Hz, each step lasts two control steps of the evaluation."""
-    header = {"format": "rover_rl drive, version 1", "world": "maze", "policy": "mine", "robot": "rover_zero"}
-    lines: list[dict] = [header | {"seconds": 60.0}]
-    for step in range(11):
-        pose = {"position": [0.1 * step, 0.0, 0.0], "angles": [0.0, 0.0, 0.0], "ranges": [None]}
-        events = {"collision": step == 5, "reached": False, "dt": 0.1, "command": [1.0, 0.0]}
-        lines.append(pose | (events if step else {"goal": [2.0, 0.0]}))
-    path: Path = tmp_path / "drive.jsonl"
-    path.write_text("\n".join(map(json.dumps, [*lines, {"ending": "stuck"}])))
-    (trajectory,) = read_drives(path)[0].trajectories
-    assert (trajectory.seconds, trajectory.length) == (pytest.approx(1.0), pytest.approx(1.0))
-    assert trajectory.collision.nonzero().flatten().tolist() == [9]
+    (drive,) = read_drives(path).drives
+    assert drive.trajectory().reversals == count_reversals(turns.tolist()) >= 5

@@ -105,7 +105,7 @@ def test_a_watchdog_halts_the_rover_for_good_and_one_that_is_gone_or_hangs_raise
 
 def test_drive_drives_a_robot(robot, in_domain, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("rover_rl.cli.drive.SENSOR_TIMEOUT", 60.0)  # on a busy machine
-    options = ["--goal", "2", "1", "--seconds", "1", "--timeout", "60", "--log", str(tmp_path / "drive.jsonl")]
+    options = ["--goal", "2", "1", "--seconds", "1", "--timeout", "60", "--bag", str(tmp_path / "drive.mcap")]
     assert main(["drive", "scripted", "--world", "maze", *options]) == 1
     assert "goal 1, 2.00 1.00: " in capsys.readouterr().out
     assert max(speed for speed, _ in robot.twists) > 0.1
@@ -194,7 +194,7 @@ def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, 
     sender = threading.Thread(target=send_goals)
     sender.start()
     options = ["--goal-topic", "/goal_pose", "--pose", "tf", "--seconds", "600", "--timeout", "60"]
-    code = main(["drive", "scripted", "--world", "maze", *options, "--log", str(tmp_path / "drive.jsonl")])
+    code = main(["drive", "scripted", "--world", "maze", *options, "--bag", str(tmp_path / "drive.mcap")])
     ended.set()
     sender.join()
     assert code == 130

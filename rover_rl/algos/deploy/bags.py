@@ -1,0 +1,147 @@
+"""Bags of drives with a live rover: MCAP files, which ``ros2 bag``, Foxglove and PlotJuggler open."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from queue import Full, Queue
+from threading import Thread
+from typing import Any
+
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.files import check_writable
+from rover_rl.sims import RoverState
+from rover_rl.sims.ros2 import messages as ros
+from rover_rl.sims.ros2.frames import MAP
+from rover_rl.sims.ros2.settings import BAG
+
+try:
+    from mcap.writer import CompressionType, Writer
+except ImportError as error:  # pragma: no cover
+    raise ImportError('bags of drives require the package mcap: pip install "rover_rl[ros2]"') from error
+
+GOAL, STEP, ENDING = "/rover_rl/goal", "/rover_rl/step", "/rover_rl/ending"
+"""Topics of the goal of a drive, of its start and steps, and of its ending."""
+ABOUT = "rover_rl drive"  # name of the metadata
+WAITING = 500  # largest number of messages that wait for the disk
+CLOSE_TIMEOUT = 5.0  # longest time to wait at the end until all messages are written, s
+
+_log = logging.getLogger(__name__)
+
+
+class DriveBag:
+    """Context manager that records drives to an MCAP file, for ``rover-rl evaluate``, ``film`` and ``view``.
+
+    Besides the messages that :meth:`add` gets, it has the goal (``geometry_msgs/PoseStamped``) of each drive, its steps
+    (``rover_rl_msgs/DriveStep``) and its ending (``std_msgs/String``). A thread writes, so that a disk that is slow or
+    full never delays a drive: a warning says that messages are missing. If the program is killed, the file is read up
+    to its last message.
+
+    Args:
+        path: new file.
+        world, policy, robot: names, which are written as metadata.
+        seconds: time limit of each drive, s.
+
+    Raises:
+        FileExistsError: if there is such a file.
+    """
+
+    def __init__(self, path: Path, world: str, policy: str, seconds: float, robot: str = "rover_zero") -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._path, self._file = path, path.open("xb")
+        self._about = {"world": world, "policy": policy, "robot": robot, "seconds": repr(float(seconds))}
+        self._waiting: Queue[tuple[str, Any, Any, int] | None] = Queue(WAITING)
+        self._is_open, self._has_lost = True, False
+        self._thread = Thread(target=self._write, name=f"writer of {path.name}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> DriveBag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_open = False
+        with suppress(Full):
+            self._waiting.put(None, timeout=CLOSE_TIMEOUT)
+        self._thread.join(CLOSE_TIMEOUT)
+
+    def add(self, topic: str, kind: Any, message: Any) -> None:
+        """Adds a message of the class ``kind``, which has just arrived or been sent. Never blocks."""
+        try:
+            if self._is_open:
+                self._waiting.put_nowait((topic, kind, message, time.time_ns()))
+        except Full:
+            if not self._has_lost:
+                _log.warning("%s lacks messages: the disk is too slow", self._path)
+            self._has_lost = True
+
+    def begin(self, rover: RoverState, scan: Tensor, goal: tuple[float, float], frame: str = MAP) -> None:
+        """Adds the goal of a drive (x, y, m), which is in ``frame``, and the rover and the raw scan at its start."""
+        stamp = ros.Time.from_seconds(rover.stamp.item())
+        self.add(GOAL, ros.PoseStamped, ros.PoseStamped(ros.Header(stamp, frame), ros.Pose(ros.Point(*goal))))
+        self._add_step(rover, scan)
+
+    def step(
+        self, rover: RoverState, scan: Tensor, outcome: TensorDictBase, command: tuple[float, float], **more: Any
+    ) -> None:
+        """Adds a step: the rover and the raw scan after it, ``[1, beams]`` (m), and its ``"outcome"``.
+
+        ``command`` and, in ``more``, ``latency``, ``distance`` and ``held`` are those of
+        :class:`~rover_rl.algos.deploy.driving.Moment`.
+        """
+        twist = ros.Twist(ros.Vector3(x=command[0]), ros.Vector3(z=command[1]))
+        events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"])}
+        self._add_step(rover, scan, command=twist, dt=rover.dt.item(), **events, **more)
+
+    def end(self, ending: str) -> None:
+        """Adds the ending of the drive."""
+        self.add(ENDING, ros.String, ros.String(ending))
+
+    def _add_step(self, rover: RoverState, scan: Tensor, **more: Any) -> None:
+        place = ros.Pose(ros.Point(*rover.position[0].tolist()), ros.Quaternion(*rover.orientation[0].tolist()))
+        header = ros.Header(ros.Time.from_seconds(rover.stamp.item()))
+        self.add(STEP, ros.DriveStep, ros.DriveStep(header, place, ranges=scan[0].float().cpu().numpy().copy(), **more))
+
+    def _write(self) -> None:
+        messages = iter(self._waiting.get, None)
+        try:
+            with self._file:
+                # With a chunk for each message, a file that was cut off loses only its last message.
+                writer = Writer(self._file, chunk_size=0, compression=CompressionType.NONE)
+                writer.start(profile="ros2", library="rover_rl")
+                writer.add_metadata(ABOUT, self._about)
+                channels: dict[str, int] = {}
+                for topic, kind, message, at in messages:
+                    if topic not in channels:
+                        definition, _ = ros.TYPES.generate_msgdef(kind.ros_type, ros_version=2)
+                        schema = writer.register_schema(kind.ros_type, "ros2msg", definition.encode())
+                        channels[topic] = writer.register_channel(topic, "cdr", schema)
+                    writer.add_message(channels[topic], at, _serialized(message), at)
+                    self._file.flush()
+                writer.finish()
+            self._path.stat()  # fails if the file has been removed
+        except Exception as error:
+            # Whatever it is, the drive goes on.
+            _log.warning("%s: the drive is no longer recorded: %s", self._path, error)
+            deque(messages, maxlen=0)
+
+
+def _serialized(message: Any) -> bytes:
+    if isinstance(message, ros.Message):
+        return ros.encode(message)
+    from rclpy.serialization import serialize_message  # for a message of ROS's own classes
+
+    return bytes(serialize_message(message))
+
+
+def check_bag(path: Path) -> None:
+    """Checks the name and the place of a bag. Raises ``ValueError``, ``FileExistsError`` or ``PermissionError``."""
+    if path.suffix != BAG:
+        raise ValueError(f"--bag takes a file whose name ends in {BAG}, got {path}")
+    check_writable(path, "--bag")
+    if path.exists():
+        raise FileExistsError(f"{path} is there already: name another --bag")
