@@ -1,19 +1,22 @@
-"""Reads a recording of a drive: an MCAP file or a folder of rosbag2. Needs the package rosbags (extra ``ros2``)."""
+"""Reads a recording of a drive: an MCAP file or a folder of rosbag2. Needs the extra ``ros2``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
 
-from rover_rl.sims.ros2.messages import TYPES, seconds_of
+from rover_rl.algos.deploy.recorded_drives import Bag
+from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.transport import short
 from rover_rl.sims.settings import Connection
 
+CLOCK, NEEDED = "/clock", ("commands", "odometry")
 LEAST = 20.0  # shortest drive that is fitted, s
 SYNCHRONIZED = 1.0  # largest age of a message whose stamp is of the clock of the recording, s
 BACKWARD = 0.1  # time by which stamps may be out of order, s
@@ -72,46 +75,31 @@ def read_recording(path: Path, topics: Topics) -> Recording:
         ValueError: if it is no recording, has no commands or no odometry, a topic is of another type or of two robots,
             time goes backward, or the drive is too short.
     """
-    try:
-        with AnyReader([path], default_typestore=TYPES) as reader:
-            return _read(reader, path, topics)
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"no recording at {path}") from error
-    except (AnyReaderError, OSError, AssertionError) as error:
-        raise ValueError(f"{path} is no MCAP file and no folder of rosbag2 that can be read: {error}") from error
-
-
-def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
-    named = {topic: role for role, topic in topics._asdict().items()}
-    there = {each.topic: each.msgtype.replace("/msg/", "/") for each in reader.connections if each.msgcount}
-    _check_topics(there, named, path)
-    links = [each for each in reader.connections if each.topic in named or each.topic == "/clock"]
-    rows: dict[str, list[Any]] = {role: [] for role in (*named.values(), "clock")}
+    bag, named = Bag(path), {topic: role for role, topic in topics._asdict().items()}
+    kinds = {topic: _kind(bag, topic, role) for topic, role in named.items() if _is_there(bag, topic, role)}
+    rows: dict[str, list[Any]] = {topic: [] for topic in (*named, CLOCK)}
     frames: dict[str, set[str]] = {topic: set() for topic in named}
-    increment = 0.0
-    for link, nanoseconds, data in reader.messages(links):
-        message: Any = reader.deserialize(data, link.msgtype)
-        arrival = 1e-9 * (nanoseconds - reader.start_time)
-        if link.topic == "/clock":
-            rows["clock"].append((arrival, seconds_of(message.clock)))
+    start, increment = math.nan, 0.0
+    for topic, at, message in bag.messages({**kinds, CLOCK: ros.Clock}):
+        start = at if math.isnan(start) else start
+        if topic == CLOCK:
+            rows[topic].append((at - start, ros.seconds_of(message.clock)))
             continue
-        role, header = named[link.topic], getattr(message, "header", None)
+        role, header = named[topic], getattr(message, "header", None)
         if header is not None:
-            frames[link.topic].add(" ".join((header.frame_id, getattr(message, "child_frame_id", ""))).strip())
+            frames[topic].add(" ".join((header.frame_id, getattr(message, "child_frame_id", ""))).strip())
         increment = message.angle_increment if role == "scan" else increment
         if (values := ROLES[role].read(message)) is not None:
-            stamp = math.nan if header is None or role == "commands" else seconds_of(header.stamp)
-            rows[role].append((arrival, stamp, values))
+            stamp = math.nan if header is None or role == "commands" else ros.seconds_of(header.stamp)
+            rows[topic].append((at - start, stamp, values))
     for topic, names in frames.items():
         if len(names) > 1:
             listed = ", ".join(map(repr, sorted(names)))
             raise ValueError(
                 f"{topic} has messages of several robots or sensors, by their frames: {listed}; record one"
             )
-    start = 1e-9 * reader.start_time
-    streams = {role: _stream(topic, role, rows[role], rows["clock"], start) for topic, role in named.items()}
-    read = {role: streams.get(role) for role in topics._fields}
-    for role in ("commands", "odometry"):
+    read = {role: _stream(topic, role, rows[topic], rows[CLOCK], start) for topic, role in named.items()}
+    for role in NEEDED:
         if read[role] is None:
             raise ValueError(f"{getattr(topics, role)} in {path} has no finite {role}")
     recording = Recording(**read, increment=increment)  # type: ignore[arg-type]
@@ -119,15 +107,23 @@ def _read(reader: AnyReader, path: Path, topics: Topics) -> Recording:
     return recording
 
 
-def _check_topics(there: dict[str, str], named: dict[str, str], path: Path) -> None:
-    found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())) or "no messages"
-    for topic, role in named.items():
-        option, wanted = ROLES[role].option, " or ".join(ROLES[role].types)
-        if topic not in there:
-            if role in ("commands", "odometry"):
-                raise ValueError(f"{path} has no {role} on {topic}: name the topic with {option}; it has {found}")
-        elif there[topic] not in ROLES[role].types:
-            raise ValueError(f"{topic} has {there[topic]}, and {option} takes {wanted}; {path} has {found}")
+def _is_there(bag: Bag, topic: str, role: str) -> bool:
+    """Whether a bag has a topic. Raises ``ValueError`` if it has not, and the topic is needed."""
+    if topic not in bag.types and role in NEEDED:
+        raise ValueError(
+            f"{bag.path} has no {role} on {topic}: name the topic with {ROLES[role].option}; {bag.contents}"
+        )
+    return topic in bag.types
+
+
+def _kind(bag: Bag, topic: str, role: str) -> Any:
+    """Returns the class of the messages on a topic. Raises ``ValueError`` if it is not one of the role."""
+    kinds = {kind.ros_type: kind for kind in ROLES[role].kinds}
+    found = bag.types[topic]
+    if len(found) > 1 or not found <= {*kinds}:
+        types, wanted = (" or ".join(map(short, sorted(names))) for names in (found, kinds))
+        raise ValueError(f"{topic} in {bag.path} has {types}, and {ROLES[role].option} takes {wanted}; {bag.contents}")
+    return kinds[min(found)]
 
 
 def _check_length(recording: Recording) -> None:
@@ -139,7 +135,7 @@ def _check_length(recording: Recording) -> None:
 
 def _stream(topic: str, role: str, rows: list[Any], clock: list[tuple[float, float]], start: float) -> Stream | None:
     size = max((len(values) for *_, values in rows), default=0)
-    rows = [row for row in rows if len(row[2]) == size]
+    rows = sorted((row for row in rows if len(row[2]) == size), key=itemgetter(0))
     if not rows:
         return None
     arrival, stamp = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
@@ -196,21 +192,21 @@ def _pose(message: Any) -> tuple[float, ...] | None:
 
 
 class Role(NamedTuple):
-    """Option that names a topic, types of its messages, and the function that reads them.
+    """Option that names a topic, classes of its messages, and the function that reads them.
 
     The function returns ``None`` for a message without finite values.
     """
 
     option: str
-    types: tuple[str, ...]
+    kinds: tuple[Any, ...]
     read: Callable[[Any], Any]
 
 
-_POSES = ("PoseStamped", "PoseWithCovarianceStamped", "PoseArray")
+_POSES = ros.PoseStamped, ros.PoseWithCovarianceStamped, ros.PoseArray, ros.Odometry
 ROLES = {
-    "commands": Role("--cmd-vel-topic", ("geometry_msgs/Twist", "geometry_msgs/TwistStamped"), _twist),
-    "odometry": Role("--odometry-topic", ("nav_msgs/Odometry",), lambda message: _twist(message.twist)),
-    "imu": Role("--imu-topic", ("sensor_msgs/Imu",), _imu),
-    "pose": Role("--pose-topic", (*(f"geometry_msgs/{each}" for each in _POSES), "nav_msgs/Odometry"), _pose),
-    "scan": Role("--scan-topic", ("sensor_msgs/LaserScan",), lambda each: np.asarray(each.ranges, dtype=np.float32)),
+    "commands": Role("--cmd-vel-topic", (ros.Twist, ros.TwistStamped), _twist),
+    "odometry": Role("--odometry-topic", (ros.Odometry,), lambda message: _twist(message.twist)),
+    "imu": Role("--imu-topic", (ros.Imu,), _imu),
+    "pose": Role("--pose-topic", _POSES, _pose),
+    "scan": Role("--scan-topic", (ros.LaserScan,), lambda each: np.asarray(each.ranges, dtype=np.float32)),
 }
