@@ -34,7 +34,7 @@ class Calibrate:
     """Recording: an MCAP file or a folder of rosbag2, with commands and wheel odometry, and IMU, pose and scan if there
     are any (needs the extra ros2)."""
     robot: str = "rover_zero"
-    """Robot whose limits and track the numbers are compared with: a name, a URDF file, or module:attribute."""
+    """Robot whose limits and track count before the calibration: a name, a URDF file, or module:attribute."""
     robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot."""
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)

@@ -29,7 +29,6 @@ class Stream(NamedTuple):
     or ``None`` there. ``values`` are ``[M, k]``.
     """
 
-    topic: str
     arrival: np.ndarray
     stamp: np.ndarray
     age: np.ndarray | None
@@ -159,7 +158,7 @@ def _stream(topic: str, role: str, rows: list[Any], clock: list[tuple[float, flo
         # An IMU without orientation: its yaw rate adds up.
         values[1:, -1] = np.cumsum(values[:-1, 0] * np.diff(stamp))
         values[0, -1] = 0.0
-    return Stream(topic, arrival[keep], stamp, None if age is None else age[keep], values)
+    return Stream(arrival[keep], stamp, None if age is None else age[keep], values)
 
 
 def _twist(message: Any) -> tuple[float, ...] | None:
