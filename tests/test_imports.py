@@ -50,7 +50,7 @@ LAYERS = (
     ("algos.driving",),
     ("algos.train",),
     ("algos.evaluation",),
-    ("algos.benchmarks", "algos.deploy", "algos.experiments", "algos.video"),
+    ("algos.benchmarks", "algos.calibration", "algos.deploy", "algos.experiments", "algos.video"),
     ("algos.__init__",),
     ("view",),
     ("cli",),

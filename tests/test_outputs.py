@@ -55,6 +55,7 @@ def refused(capsys: pytest.CaptureFixture[str], line: list[str], path: Path) -> 
 
 
 OUTPUTS = [
+    (["calibrate", "drive.mcap"], "runs/calibration/calibration.yaml"),
     (["worlds", "import", "lab.yaml"], "lab.world.npz"),
     (["worlds", "show", "maze:7"], "maze-7.world.png"),
     (["worlds", "--world", "maze", "moon"], "worlds/moon.png"),

@@ -14,6 +14,7 @@ from typing import Any
 import tyro
 
 from rover_rl.cli.benchmark import Benchmark
+from rover_rl.cli.calibrate import Calibrate
 from rover_rl.cli.compare import Compare
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
@@ -53,6 +54,7 @@ COMMANDS = {
     "demo": Demo,
     "robot": RobotCommand,
     "drive": Drive,
+    "calibrate": Calibrate,
     "export": Export,
 }
 """Commands by name, without train, whose options depend on the algorithm."""

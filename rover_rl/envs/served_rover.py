@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from rover_rl.checks import MAX_COUNT
-from rover_rl.envs.config import SCAN_POSE, EnvConfig, LimitsConfig, SensorLike, TaskConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, Lidar3D
 from rover_rl.envs.sensors.heights import HeightScan
@@ -35,15 +35,15 @@ class ServedRover:
     """A rover among the movers of its world, with the noise, delays and errors of an environment.
 
     What it reports has the stamp of its time, however late it arrives. Lost scans never arrive. The commands are
-    limited to what the robot's drive can do, as the base of a real rover limits them. Of the lidar of ``config``, the
-    number of beams counts: it scans in each step, or as ``randomization.scan_period`` says. Of the sensors, it has
-    depth and color cameras and 3D lidars, and for height scans elevation maps without errors.
+    limited to what the robot's drive can do, or to ``config.limits``, as the base of a real rover limits them. Of the
+    lidar of ``config``, the number of beams counts: it scans in each step, or as ``randomization.scan_period`` says. Of
+    the sensors, it has depth and color cameras and 3D lidars, and for height scans elevation maps without errors.
     """
 
     def __init__(self, config: EnvConfig) -> None:
         lidar = replace(config.lidar, points=min(config.lidar.points, config.lidar.beams), period=1)
         one: dict[str, Any] = {"num_envs": 1, "agents": 1, "length": MAX_COUNT, "end_on_goal": False}
-        plain: dict[str, Any] = {"task": TaskConfig(), "limits": LimitsConfig(apply=True, min_reversal=0.0)}
+        plain: dict[str, Any] = {"task": TaskConfig(), "limits": replace(config.limits, apply=True, min_reversal=0.0)}
         plain["randomization"] = replace(config.randomization, limits=(1.0, 1.0))
         plain |= {"privileged": False, "compensate_delay": False}
         sensors = own_sensors(config.sensors).values()
