@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from rover_rl.algos.evaluation import tasks
+from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.main import main
 from rover_rl.cli.policies import EnvOptions
 from rover_rl.cli.train import train_defaults
 from rover_rl.robots import RobotOptions, get_robot, robot_names
 from rover_rl.sims.effective_track import measured_track
+from rover_rl.tasks import get_task
 from tests.robots.public_urdfs import Machine, car
 
 
@@ -55,6 +58,15 @@ def test_options_of_a_robot_are_part_of_its_name_in_all_commands() -> None:
     assert options.given_robot == "scout.urdf(drive=skid_steer, lidar='0 0 0.5')"
     assert EnvOptions(robot_options=RobotOptions(max_speed=1.0)).given_robot is None
     assert train_defaults([]).config.env.robot_options == RobotOptions()
+
+
+def test_a_policy_drives_with_the_robot_that_is_named_in_place_of_those_of_a_task() -> None:
+    planner, race = resolve_policy("gridplanner", ("forest:1",), "racer").module, get_task("race")
+    env = tasks.test_env(race, planner)
+    with pytest.raises(ValueError, match="made for the robot racer"):
+        EnvOptions().description(planner, None, env)
+    driven = EnvOptions(robot="racer").description(planner, None, env)
+    assert (driven.robot, driven.randomization, driven.task) == ("racer", env.randomization, env.task)
 
 
 def test_a_skid_steer_robot_of_a_urdf_turns_as_it_is_commanded(tmp_path: Path) -> None:
