@@ -119,10 +119,10 @@ class Ros2Settings:
 
 @dataclass(frozen=True)
 class BagTopics:
-    """Topics and frames of a bag that ``rover-rl drive`` has not recorded; its own need none.
+    """Topics and frames of a bag that rover-rl drive has not recorded; its own bags need none of them.
 
-    The defaults are those of a bag of ``rover-rl robot``. A drive is what lies between a goal and the pose within the
-    success distance, the next goal, or the end of the bag. Raises ``ValueError`` if ROS 2 does not allow a name.
+    The defaults are those of a bag of rover-rl robot. A drive is what lies between a goal and the pose within the
+    success distance, the next goal, or the end of the bag. Raises ValueError if ROS 2 does not allow a name.
     """
 
     scan: str = "/scan"

@@ -59,7 +59,7 @@ def test_no_line_is_too_wide_and_no_name_or_number_is_cut(width: int, columns: l
     words = " ".join(lines).split()
     # Intervals are whole or left out.
     assert not any(word.endswith("–") or word.startswith("–") for word in words)
-    assert {"18.2", "5–48", "12.0", "0.17", "anywhere", "gridplanner"} <= {*words}
+    assert {"16.7", "5–45", "12.0", "0.15", "anywhere", "gridplanner"} <= {*words}
     shown = "".join(line[1:31].split(" ")[0] for line in lines)
     assert NAMES[2] in shown
     assert NAMES[3] in shown
