@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -34,6 +35,8 @@ that do not exist, one after another, and goes on where it was stopped.
 - **Touched** is the share of episodes with a contact, and the time is that of the episodes that reach the goal.
 - *Planners* are not trained. `expert` knows the map, which no learner does. An entry **with planner** has one in its
   network or in its action.
+
+The first table has the success of each entry with its largest budget in million (M) steps, and the others the rest.
 """
 
 
@@ -90,28 +93,35 @@ def _name(card: Card) -> str:
 
 
 def _overview(tasks: dict[str, list[list[Card]]]) -> str:
-    """Table of the tasks by the entries. The last row is that of entries that were judged in all tasks."""
-    names = dict.fromkeys(_name(group[0]) for groups in tasks.values() for group in groups)
-    names = dict.fromkeys(sorted(names, key=lambda name: name.startswith("*")))
-    cells = {task: {_name(group[0]): group for group in groups} for task, groups in tasks.items()}
+    """Table of the tasks by the entries, each with its largest budget.
+
+    The last row is that of entries that were judged in all tasks.
+    """
+    cells = {task: _largest(groups) for task, groups in tasks.items()}
+    names = sorted({name for row in cells.values() for name in row}, key=lambda name: (name.startswith("*"), name))
     lines = ["| task |" + "".join(f" {name} |" for name in names), "|---" * (len(names) + 1) + "|"]
     for task, row in cells.items():
         lines.append(f"| [{task}](#{task}) |" + "".join(f" {_cell(row.get(name))} |" for name in names))
-    everywhere = [
-        [row[name] for row in cells.values()] if all(name in row for row in cells.values()) else None for name in names
-    ]
     if len(cells) > 1:
-        lines.append("| all |" + "".join(f" {_cell(*groups) if groups else ''} |" for groups in everywhere))
+        everywhere = ([row.get(name) for row in cells.values()] for name in names)
+        lines.append("| all |" + "".join(f" {_cell(*groups)} |" for groups in everywhere))
     return "\n".join(lines) + "\n"
 
 
+def _largest(groups: Sequence[list[Card]]) -> dict[str, list[Card]]:
+    """Cards of the largest budget of each entry, by the name of the entry without its budget, as in ppo-100M."""
+    by_steps = sorted(groups, key=lambda group: group[0]["steps"] or 0)
+    return {re.sub(r"-[\d.]+M\b", "", _name(group[0])): group for group in by_steps}
+
+
 def _cell(*groups: Sequence[Card] | None) -> str:
+    """Success and budget of an entry; over several tasks, success and its interval."""
     known = [group for group in groups if group]
-    value = success(*known) if known else None
-    if value is None:
+    if len(known) < len(groups):
         return ""
-    interval = "" if math.isnan(value.low) else f" ({value.low:.0%} to {value.high:.0%})"
-    return f"{value.value:.0%}{interval}"
+    value, steps = success(*known), known[0][0]["steps"]
+    rest = f" ({value.low:.0%} to {value.high:.0%})" if len(known) > 1 else f", {steps / 1e6:.2g} M" if steps else ""
+    return f"{value.value:.0%}{rest}"
 
 
 def success(*groups: Sequence[Card]) -> Estimate:

@@ -130,9 +130,9 @@ def test_the_page_has_a_row_for_each_entry_over_its_seeds(tmp_path: Path) -> Non
     assert task_page.read_cards(tmp_path / "cards") == sorted(cards, key=lambda one: one["task"])
     tasks.main(Options(draw=True, out=tmp_path / "cards", page=tmp_path / "page.md"))
     lines = (tmp_path / "page.md").read_text().splitlines()
-    assert "| task | ppo | mixed, with planner | *scripted* |" in lines
-    assert "| [other](#other) | 20% (20% to 20%) |  |  |" in lines
-    assert any(line.startswith("| all | 40% (") for line in lines)
+    assert "| task | mixed, with planner | ppo | *scripted* |" in lines
+    assert "| [other](#other) |  | 20%, 0.001 M |  |" in lines
+    assert any(line.startswith("| all |  | 40% (") for line in lines)
     rows = [line for line in lines[lines.index("## tiny") :] if line.startswith(("| ppo", "| mixed", "| *"))]
     assert [row.split(" | ")[0] for row in rows] == ["| ppo", "| *scripted*", "| mixed, with planner"]
     assert "| 70.0% | 50% to 90% | 1, 2, 3 | 0.70 |  | 0% | 1,000 | 2 | x86_64, 2 cores |" in rows[0]
