@@ -1,4 +1,4 @@
-"""Warp kernel of shortest paths over the cells of a grid, which are numbered row by row."""
+"""Warp kernels of shortest paths over the cells of a grid, which are numbered row by row, and of straight lines."""
 
 from __future__ import annotations
 
@@ -112,3 +112,58 @@ def spread_costs(
                             arrive[other] = step
                             link(other, int(candidate) % BUCKETS, first, after, before)
                 k += 1
+
+
+@wp.func
+def next_border(at: wp.float64, span: wp.float64):
+    """First border of cells that a line crosses along an axis, from ``at`` in the direction of ``span``."""
+    half = wp.float64(0.5)
+    if span > wp.float64(0.0):
+        return wp.floor(at + half) + half
+    return wp.ceil(at - half) - half
+
+
+@wp.func
+def crossing(border: wp.float64, at: wp.float64, span: wp.float64):
+    """Share of a line at which it crosses a border; more than 1 if it never does."""
+    if span == wp.float64(0.0):
+        return wp.float64(2.0)
+    return (border - at) / span
+
+
+@wp.kernel
+def see(
+    fits: wp.array2d[wp.uint32],
+    begins: wp.array[wp.vec2d],
+    ends: wp.array[wp.vec2d],
+    orientations: wp.array[int],
+    free: wp.array[wp.bool],
+    first_row: int,
+):
+    """Whether the rover may drive straight from one point to another: in all cells between, its orientation fits.
+
+    Coordinates are in cells, whose centers are whole numbers. ``fits`` has a margin of one cell.
+    """
+    row = first_row + wp.tid()
+    begin = begins[row]
+    span = ends[row] - begin
+    # Shares of the line at which it crosses the next border of cells along x and y.
+    border = wp.vec2d(next_border(begin[0], span[0]), next_border(begin[1], span[1]))
+    last = wp.float64(0.0)
+    one, half = wp.float64(1.0), wp.float64(0.5)
+    free[row] = True
+    while last < one:
+        x, y = crossing(border[0], begin[0], span[0]), crossing(border[1], begin[1], span[1])
+        share = wp.min(wp.min(x, y), one)
+        if share - last >= wp.float64(1.0e-9):
+            middle = begin + (share + last) * half * span
+            column = wp.clamp(int(wp.floor(middle[0] + half)) + 1, 0, fits.shape[1] - 1)
+            line = wp.clamp(int(wp.floor(middle[1] + half)) + 1, 0, fits.shape[0] - 1)
+            if ((fits[line, column] >> wp.uint32(orientations[row])) & wp.uint32(1)) == wp.uint32(0):
+                free[row] = False
+                return
+        if x <= share:
+            border[0] = border[0] + wp.sign(span[0])
+        if y <= share:
+            border[1] = border[1] + wp.sign(span[1])
+        last = share

@@ -22,7 +22,7 @@ from rover_rl.native.warp import launch_rows, wp
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import LONGEST, ORIENTATIONS, STEPS, CellGrid, distance_to_cells, free_steps
 from rover_rl.sims.free_space.ground import slopes_on_grid
-from rover_rl.sims.free_space.path_kernels import BUCKETS, spread_costs
+from rover_rl.sims.free_space.path_kernels import BUCKETS, see, spread_costs
 from rover_rl.sims.free_space.space import free_space
 from rover_rl.worlds.region import overlap
 from rover_rl.worlds.table import SlotTable
@@ -294,7 +294,8 @@ class _Strings(PathGrid):
         super().__init__(world, robot)
         self._reach = goal_radius / self.cell
         # Bits of the orientations in which the rover may be in each cell, and the passable cells.
-        self._fits = np.pad(free_space(world, robot).orientations().numpy(), 1)
+        fits = np.pad(free_space(world, robot).orientations().numpy(), 1).astype(np.uint32)
+        self._fits = wp.array(fits, dtype=wp.uint32, device="cpu")
         self._numbers = np.flatnonzero(self.passable.numpy())
         self._points = self._place(self._numbers)
 
@@ -320,19 +321,13 @@ class _Strings(PathGrid):
     def _visible(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether the rover may drive straight from ``a [M, 2]`` to ``b [M, 2]``: bool ``[M]``."""
         span = b - a
-        orientation = np.rint(np.arctan2(span[:, 1], span[:, 0]) / math.pi * ORIENTATIONS).astype(int) % ORIENTATIONS
-        lines = np.arange(int(np.abs(span).max(initial=0.0)) + 2)
-        first = np.floor(np.minimum(a, b) + 0.5) + 0.5
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = (first[:, :, None] + lines - a[:, :, None]) / span[:, :, None]
-        # Lines parallel to an axis of the grid never cross its lines: a division by zero, or 0 / 0.
-        crossings = np.nan_to_num(crossings, nan=1.0, posinf=1.0, neginf=1.0).clip(0, 1).reshape(len(a), 2 * len(lines))
-        edges = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0, 1)), axis=1)
-        middle = (edges[:, 1:] + edges[:, :-1]) / 2
-        points = a[:, None] + middle[:, :, None] * span[:, None]
-        index = np.floor(points + 1.5).astype(int).clip(0, np.array(self._fits.shape[::-1]) - 1)
-        free = (self._fits[index[..., 1], index[..., 0]] >> orientation[:, None]) & 1 > 0
-        return np.all(free | (np.diff(edges, axis=1) < 1e-9), axis=1)
+        orientation = (
+            np.rint(np.arctan2(span[:, 1], span[:, 0]) / math.pi * ORIENTATIONS).astype(np.int32) % ORIENTATIONS
+        )
+        free = wp.empty(len(a), dtype=bool, device="cpu")
+        lines = [wp.array(points, dtype=wp.vec2d, device="cpu") for points in (a, b)]
+        launch_rows(see, (len(a),), [self._fits, *lines, orientation, free], torch.device("cpu"))
+        return free.numpy()
 
     def _detour_length(self, start: np.ndarray, goal: np.ndarray) -> float:
         """Length of the path from a start ``[2]`` to a goal ``[2]`` whose straight line is blocked."""
