@@ -17,6 +17,8 @@ MAX_NUMBER = 1e30
 """Upper limit of real-valued settings: products with 32-bit floats stay finite."""
 MAX_SECONDS = 1e6
 """Longest drive that can be evaluated or filmed, s."""
+NAME = "[A-Za-z_][A-Za-z0-9_]*"
+"""Part of the name of a topic or a node of ROS 2, between two slashes."""
 MAX_TOPIC = 247
 """Largest number of characters of a topic, as in ROS 2."""
 
@@ -68,9 +70,8 @@ def check_positive(most: float, **numbers: float) -> None:
 
 def check_topics(**topics: Any) -> None:
     """Raises ``ValueError`` for the first topic, by the name of its setting, that ROS 2 does not allow."""
-    part = "[A-Za-z_][A-Za-z0-9_]*"
     for name, topic in topics.items():
-        if not (isinstance(topic, str) and len(topic) <= MAX_TOPIC and re.fullmatch(f"/?{part}(/{part})*", topic)):
+        if not (isinstance(topic, str) and len(topic) <= MAX_TOPIC and re.fullmatch(f"/?{NAME}(/{NAME})*", topic)):
             raise ValueError(
                 f"{name} must be a topic of ROS 2, such as /scan or /robot1/scan: letters, digits and _ in parts that "
                 f"begin with no digit, at most {MAX_TOPIC} characters, got {topic!r}"

@@ -22,6 +22,7 @@ from rover_rl import checks
 from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
 from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
+from rover_rl.cli.ros_arguments import RosArguments, renamed
 from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.names import Name
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 GOAL_NOT_REACHED = 1  # exit code
 SENSOR_TIMEOUT = 0.5  # time without a sensor message after which a drive ends, s; without a scan, it stops before
 HIDDEN = {"model", "reset", "reset_topic", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"}
-"""Settings that a drive chooses itself, or that are for resets, of which it has none."""
+HIDDEN |= {"description_topic", "map_topic"}
+"""Settings that a drive chooses itself, or that are for resets, of which it has none, or for simulated robots."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class Drive:
     The rover stops at each goal, and on Ctrl-C, SIGTERM, any error, a silent sensor, an unusable scan, a flip, a robot
     that restarts, or an obstacle that is too close. A separate process stops it if this process dies. The rover never
     drives in a direction that no lidar beam covers.
+
+    ROS's own remaps end the line: --ros-args -r /scan:=/front/scan -r __ns:=/robot1 -r __node:=driver (docs/ros2.md).
     """
 
     shown: ClassVar = {
@@ -64,7 +68,8 @@ class Drive:
     """CSV file of goals, one per line: x, y (m)."""
     goal_topic: str | None = None
     """Topic of goals, such as RViz's /goal_pose: drive to each geometry_msgs/PoseStamped on it, until Ctrl-C. A new one
-    replaces the last; a std_msgs/Empty on TOPIC/cancel gives it up, and TOPIC/status tells what is done."""
+    replaces the last; a std_msgs/Empty on TOPIC/cancel gives it up, and TOPIC/status tells what is done. One in another
+    frame than the pose, such as odom, is transformed by tf."""
     random: int = 0
     """Number of random goals, drawn as in training."""
     world: str | None = None
@@ -105,12 +110,17 @@ class Drive:
     """Port of the page; 0 takes a free one."""
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
+    ros_args: RosArguments = field(default_factory=dict)
 
     def __call__(self) -> int:
         self._check()
+        if self.ros_args:
+            own, connection, settings = renamed(self.ros_args, self, self.connection, self.settings)
+            return int(replace(own, connection=connection, settings=settings, ros_args={})())
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.bags import DriveBag, check_bag
+            from rover_rl.algos.deploy.outputs import DriveOutputs
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs.config import name_of_part
             from rover_rl.envs.rover import RoverEnv
@@ -137,6 +147,7 @@ class Drive:
             robot = name_of_part(described.robot)
             bag = stack.enter_context(DriveBag(path, world, policy.name, self.seconds, robot))
             env.simulator.tap(bag.add)
+            stack.callback(DriveOutputs(env).close)
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
 
             def go_on() -> None:
@@ -174,7 +185,7 @@ class Drive:
         assert isinstance(rover, Ros2Simulator)
         if self.goal_topic is not None:
             inside = partial(_require_inside, world)
-            topic = GoalTopic(rover.transport, self.goal_topic, inside, lambda: rover.pose_frame)
+            topic = GoalTopic(rover.transport, self.goal_topic, inside, lambda: rover.pose_frame, rover.follow_tf())
             print(f"Waits for goals on {self.goal_topic}", flush=True)
 
         def watch(moment: Moment) -> None:

@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -25,6 +26,7 @@ from rover_rl.cli.help_text import ReadableHelp
 from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.robots import Robots
+from rover_rl.cli.ros_arguments import split_ros_arguments
 from rover_rl.cli.tasks import Tasks
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.view import View
@@ -85,8 +87,10 @@ def read_command(args: Sequence[str]) -> Any:
         rest = rest[1:]
     default = {} if isinstance(command, type) else {"default": command}
     kind = command if isinstance(command, type) else type(command)
+    rest, rules = split_ros_arguments(rest) if name in ("drive", "robot") else (rest, None)
     with ReadableHelp(getattr(kind, "shown", None)):
-        return tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", **default)
+        read = tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", **default)
+    return replace(read, ros_args=rules) if rules else read
 
 
 def main(args: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
+from rover_rl.cli.ros_arguments import RosArguments, node_name, renamed
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.sensors.suite import own_sensors
@@ -28,11 +29,14 @@ class RobotCommand:
     """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, tf, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
+
+    ROS's own remaps end the line: --ros-args -r /scan:=/front/scan -r __ns:=/robot1 -r __node:=rover (docs/ros2.md).
     """
 
     shown: ClassVar = {
         Connection: {*Connection.__dataclass_fields__} - {"timeout"},
-        Ros2Settings: {"command", "odometry_topic", "pose_topic", "reset_topic", "lidar_yaw"},
+        Ros2Settings: {"command", "odometry_topic", "pose_topic", "reset_topic", "lidar_yaw", "tf_topic"}
+        | {"tf_static_topic", "clock_topic", "description_topic", "map_topic"},
     }
 
     env: Path | None = None
@@ -69,6 +73,7 @@ class RobotCommand:
     it is in the frame map, such as slam_toolbox or amcl."""
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
+    ros_args: RosArguments = field(default_factory=dict)
 
     def __call__(self) -> int:
         check_positive(MAX_RATE, rate=self.rate)
@@ -90,16 +95,17 @@ class RobotCommand:
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())
-        world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
+        world, robot = get_world(described.worlds[0]), get_robot(described.robot)
+        connection, settings = renamed(self.ros_args, described.connection, self.settings)
         x, y, yaw = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
-        transport = make_transport("dds", robot.name)
+        transport = make_transport("dds", node_name(self.ros_args, robot.name))
         view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
         lidar, kind = replace(described.lidar, beams=self.lidar_beams), replace(robot, lidar_view=view)
         rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
         try:
             told: dict[str, Any] = {"is_localized": self.localize, "world_map": world_map(world) if self.map else None}
             start = (x, y, yaw)
-            node = RobotNode(rover, transport, robot.lidar_range, self.settings, connection, start, view, **told)
+            node = RobotNode(rover, transport, robot.lidar_range, settings, connection, start, view, **told)
             place, topics = described.world_names[0], (connection.scan_topic, connection.cmd_vel_topic)
             print(f"Rover in {place} on ROS 2: publishes {topics[0]}, receives {topics[1]}", flush=True)
             node.run(self.rate, stop)

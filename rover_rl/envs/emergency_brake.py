@@ -24,11 +24,12 @@ class EmergencyBrake(Stage):
 
     The brake sees what the scan sees, by beams of some ``angles`` ``[beams]`` (rad), and late if there are ``delays``.
     It does not keep the corners of a rover that turns on the spot from obstacles. What is within the outline already
-    does not count, so that a rover in contact can leave.
+    does not count, so that a rover in contact can leave. ``acts`` says whether it lowered the last speeds, bool
+    ``[N, 1]``.
     """
 
     def __init__(self, config: GuardConfig, fleet: Fleet, angles: Tensor, delays: SensorDelays | None = None) -> None:
-        self._config, self._fleet, self._delays = config, fleet, delays
+        self._config, self._fleet, self._delays, self.acts = config, fleet, delays, torch.tensor(False)
         self._table = fleet.table(self._numbers)
         device = fleet.index.device
         self._beams = torch.stack((angles.cos(), angles.sin()), -1).float().to(device)
@@ -53,6 +54,7 @@ class EmergencyBrake(Stage):
         reach = config.deceleration * config.reaction + config.approach
         rest = 2 * config.deceleration * (free - config.approach * config.reaction).clamp(min=0)
         most = (reach * reach + rest).sqrt() - reach
+        self.acts = speed.abs() > most
         return torch.cat((torch.clamp(speed, -most, most), command[:, 1:]), -1)
 
     def _free_way(self, speed: Tensor, yaw_rate: Tensor, ranges: Tensor) -> Tensor:

@@ -121,7 +121,7 @@ class RoverEnv(EnvBase):
         self._simulation = Simulation(self.config, self._row_worlds, self.robots, self.sensors, self.lidar)
         self.simulator, self.scanner = self._simulation.simulator, self._simulation.scanner
         self.movers, self.delays = self._simulation.movers, self._simulation.delays
-        self.reads_between = self._simulation.reads_between
+        self.brake, self.reads_between = self._simulation.brake, self._simulation.reads_between
         gains, fastest = self.config.heading_gains, max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
         gains = replace(gains, max_output=min(gains.max_output, fastest))
         self.controller = stages.HeadingController(self.num_envs, gains, self._tensor_device)

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from rover_rl.checks import MAX_COUNT
-from rover_rl.envs.config import SCAN_POSE, EnvConfig, SensorLike, TaskConfig
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, PoseConfig, Randomization, SensorLike, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, Lidar3D
 from rover_rl.envs.sensors.heights import HeightScan
@@ -25,7 +25,7 @@ from rover_rl.rotations import quaternion_product, quaternion_to_euler
 from rover_rl.sims.movers.field import shown_parts
 from rover_rl.sims.movers.standing import check_standing
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.sensor_report import Device, DeviceKind, ElevationMap, SensorReport
+from rover_rl.sims.sensor_report import Device, DeviceKind, ElevationMap, SensorReport, Variances
 
 MAP_CELL = 0.1
 """Side of a cell of an elevation map, m."""
@@ -127,7 +127,28 @@ class ServedRover:
         self._scan_stamp = torch.where(delays.scan_step == steps, stamp, self._scan_stamp)
         scan_stamp = delays.late("told scan stamp", self._scan_stamp, steps, delays.scan)
         ranges = delays.late("told scan", env.state.sensed.ranges, steps, delays.scan)
-        return SensorReport(stamp.item(), RoverState.pack(**late, dt=sensed.dt), ranges[0], scan_stamp.item())
+        state, config = RoverState.pack(**late, dt=sensed.dt), env.config
+        variances = _variances(config.randomization, config.pose, env.control_dt, int(steps))
+        return SensorReport(stamp.item(), state, ranges[0], scan_stamp.item(), variances=variances)
+
+
+def _variances(noise: Randomization, pose: PoseConfig, dt: float, steps: int) -> Variances:
+    """Returns the mean squares of the errors over all that a reset can draw, some steps of ``dt`` (s) after it."""
+    severity, bias = _mean_square(*noise.severity), _mean_square(*noise.yaw_bias)
+    tilt, drift, jump = (severity * each**2 for each in (noise.imu_noise, pose.drift_heading, pose.jump_heading))
+    localized = {"either": 0.5, "localized": 1.0}.get(pose.source, 0.0)
+    reckoned = 0.0 if pose.source == "truth" else 1 - localized
+    # The error of the heading, and its change in a step: see rover_rl.envs.stages.Localization.
+    error = reckoned * bias * (steps * dt) ** 2 + localized * (drift + jump)
+    moved = drift * (1 - math.exp(-dt / pose.drift_time)) + jump * (1 - math.exp(-pose.jump_rate * dt))
+    rate = (2 * tilt + 2 * localized * moved) / dt**2 + reckoned * bias
+    scale = _mean_square(*(end - 1 for end in noise.odometry_scale))
+    return Variances(tilt, tilt + error, rate, severity * noise.odometry_noise**2, scale)
+
+
+def _mean_square(low: float, high: float) -> float:
+    """Returns the mean square of numbers that are drawn uniformly from a range."""
+    return (low * low + low * high + high * high) / 3
 
 
 def _device(kind: DeviceKind, sensor: Any) -> Device:

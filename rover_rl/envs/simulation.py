@@ -114,8 +114,10 @@ class Simulation:
             self.stages.append(self.delays)
         if robots.are_several:
             self.stages.append(stages.DriveBounds(fleet))
+        self.brake: EmergencyBrake | None = None
         if config.guard.deceleration:
-            self.stages.append(EmergencyBrake(config.guard, fleet, self._lidar.angles, self.delays))
+            self.brake = EmergencyBrake(config.guard, fleet, self._lidar.angles, self.delays)
+            self.stages.append(self.brake)
         # A live rover limits its commands itself.
         if config.limits.apply and live is None:
             self.stages.append(stages.RowLimits(config.limits, noise.limits, fleet))

@@ -76,13 +76,26 @@ class ElevationMap(NamedTuple):
         return self.heights[tuple(index.clamp(torch.zeros_like(last), last).unbind(-1))]
 
 
+class Variances(NamedTuple):
+    """Mean squares of errors: of roll and pitch each, of the heading (rad^2), and of its rate (rad^2/s^2).
+
+    Those of wheel velocities are relative to them: ``noise`` is drawn anew in each step, and ``scale`` stays.
+    """
+
+    tilt: float = 0.0
+    heading: float = 0.0
+    yaw_rate: float = 0.0
+    noise: float = 0.0
+    scale: float = 0.0
+
+
 class SensorReport(NamedTuple):
     """What arrives from the sensors of one rover in a step.
 
     It has the time of the step (s), pose and velocities as the sensors tell them (``[1]``, with the stamp of their
     time), the scan (``[beams]``, m; ``None`` if none has arrived) and its time (s), images of each kind, points of each
     3D lidar in its frame (``[planes, beams, 3]``, m; NaN for no return) and an elevation map of each height scan, by
-    the topic of the sensor. ``None`` is that of the connection.
+    the topic of the sensor. ``None`` is that of the connection. ``variances`` say how far off pose and velocities are.
     """
 
     time: float
@@ -92,6 +105,7 @@ class SensorReport(NamedTuple):
     images: Mapping[ImageKind, Mapping[str | None, Tensor]] = MappingProxyType({})
     points: Mapping[str | None, Tensor] = MappingProxyType({})
     ground: Mapping[str | None, ElevationMap] = MappingProxyType({})
+    variances: Variances = Variances()
 
 
 class SimulatedRover(Protocol):

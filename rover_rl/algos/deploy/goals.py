@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import MAP, WORLD
+from rover_rl.sims.ros2.tf import FrameTree
 from rover_rl.sims.ros2.transport import Transport
 
 POLL = 0.05  # time between two looks for a goal, s
@@ -24,11 +24,12 @@ class GoalTopic:
 
     A goal replaces the one that is driven to, and a ``std_msgs/Empty`` on ``TOPIC/cancel`` gives it up. A
     ``std_msgs/String`` on ``TOPIC/status``, which late subscribers get, too, tells what is done: ``waiting``,
-    ``driving to X Y``, the ending of the last drive, or why a goal is refused. Goals are x and y, m.
+    ``driving to X Y``, the ending of the last drive, or why a goal is refused. Goals are x and y, m. One in another
+    frame than the rover's pose is transformed by tf: where that frame is at the stamp of the goal, or now for stamp 0.
 
     Args:
         require: raises ``ValueError`` for a goal that is not driven to.
-        pose_frame: returns the frame of the rover's pose, which a goal must be in; ``map`` and ``world`` are the same.
+        pose_frame, frames: returns the frame of the rover's pose, and transforms of tf.
     """
 
     def __init__(
@@ -37,8 +38,9 @@ class GoalTopic:
         topic: str,
         require: Callable[[tuple[float, float]], None],
         pose_frame: Callable[[], str],
+        frames: FrameTree,
     ) -> None:
-        self._require, self._pose_frame = require, pose_frame
+        self._require, self._pose_frame, self._frames = require, pose_frame, frames
         self._newest: deque[tuple[float, float]] = deque(maxlen=1)
         self._is_canceled = False
         self._publish = transport.publisher(f"{topic}/status", ros.String, reliable=True, latched=True)
@@ -72,13 +74,15 @@ class GoalTopic:
         self._is_canceled = True
 
     def _receive(self, msg: Any) -> None:
-        goal = msg.pose.position.x, msg.pose.position.y
-        frame, own = msg.header.frame_id.strip("/"), self._pose_frame()
+        place, frame, own = msg.pose.position, msg.header.frame_id.strip("/"), self._pose_frame()
+        goal = place.x, place.y
         try:
-            if not all(map(math.isfinite, goal)):
+            if not all(map(math.isfinite, (*goal, place.z))):
                 raise ValueError("it is not finite")
-            if frame not in ("", own) and not {frame, own} <= {MAP, WORLD}:
-                raise ValueError(f"its frame_id must be {own!r}, the frame of the rover's pose, got {frame!r}")
+            if frame not in ("", own):
+                there = self._frames.between(own, frame, ros.seconds_of(msg.header.stamp) or None)
+                x, y, _ = (there.rotation.apply([*goal, place.z]) + there.position).tolist()
+                goal = x, y
             self._require(goal)
         except ValueError as error:
             self.tell(f"refused {goal[0]:.2f} {goal[1]:.2f}: {error}")

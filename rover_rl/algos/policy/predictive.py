@@ -32,8 +32,8 @@ from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
 from rover_rl.algos.policy.grid_planner import beams_and_contacts
 from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import HeadingGains, RobotLike
-from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
-from rover_rl.envs.sensors.movers import movers_of
+from rover_rl.envs.seen_map.scans import SIZE, goal_positions
+from rover_rl.envs.sensors.movers import movers_in_world
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import covering_discs
@@ -140,11 +140,10 @@ class PredictivePolicy(TensorDictModuleBase):
 
     def _movers(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor, Tensor]:
         """Returns positions and velocities in the world and radii of movers. Those that exist are first."""
-        movers, pose, imu = movers_of(tensordict[MOVERS]), tensordict["pose"], tensordict["imu"]
+        movers = movers_in_world(*(tensordict[key] for key in (MOVERS, "pose", "imu")))
         order = (movers[..., 4] == 0).to(torch.int8).sort(dim=-1, stable=True).indices
-        movers = movers.gather(1, order[..., None].expand_as(movers))
-        place, velocity = (in_world(movers[..., k : k + 2], imu) for k in (0, 2))
-        return pose[:, None, :2] + place, velocity, movers[..., 4].contiguous()
+        place, velocity, radius = movers.gather(1, order[..., None].expand_as(movers)).split((2, 2, 1), -1)
+        return place, velocity, radius[..., 0].contiguous()
 
     def _around(self, tensordict: TensorDictBase, movers: tuple[Tensor, Tensor, Tensor], count: int, dt: float) -> Any:
         """Returns what is around the rovers as the kernels read it, with movers at ``count`` instants from now on."""

@@ -23,8 +23,8 @@ from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import EnvConfig, require_match
 from rover_rl.envs.make import RewardedEnv, make_env
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.movers import movers_of
-from rover_rl.envs.sensors.route import MapReader
+from rover_rl.envs.sensors.movers import movers_in_world
+from rover_rl.envs.sensors.route import map_of
 from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.envs.task import StepEvent
 from rover_rl.rotations import quaternion_to_euler
@@ -222,31 +222,22 @@ class Session:
             Cells that are not free, ``[cells, 3]``: x, y (m) and the level of ``SeenMap.levels``, and the points of the
             route from the rover on, ``[3, 2]``, m.
         """
-        reader = next((one for one in self.rovers.observer.readers.values() if isinstance(one, MapReader)), None)
-        if reader is None:
+        if (seen := map_of(self.rovers.observer)) is None:
             return None
-        seen, route = reader.seen, reader.route
         (levels, corner), row, rovers = seen.levels(), self.row, self.rovers
         cell = seen.cell[row].item()
         marked = (levels[row] < FREE).nonzero()
         places = corner[row] + cell * (marked.flip(-1) + 0.5)
         cells = torch.cat((places, levels[row][marked[:, 0], marked[:, 1], None]), -1).cpu()
-        position = rovers.rover_state.position[row, :2]
-        distance, angle = route[row, [0, 2]], route[row, [1, 3]]
-        angle = angle + quaternion_to_euler(rovers.rover_state.orientation[row : row + 1])[0, 2]
-        corners = position + distance[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
-        return cells, torch.cat((position[None], corners)).cpu()
+        return cells, torch.cat((rovers.rover_state.position[row : row + 1, :2], seen.corners()[row])).cpu()
 
     def tracked(self) -> Tensor:
         """Movers that the policy tracks, ``[movers, 5]``: x, y (m), their velocities (m/s) and radius (m)."""
-        if (values := self.observation.get(MOVERS, None)) is None:
+        if self.observation.get(MOVERS, None) is None:
             return torch.zeros(0, 5)
-        rover = self.rovers.rover_state[self.row : self.row + 1]
-        yaw = quaternion_to_euler(rover.orientation)[0, 2]
-        movers = movers_of(values[self.row])
-        place, velocity, radius = movers[movers[:, -1] > 0].split((2, 2, 1), -1)
-        turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos())).reshape(2, 2)
-        return torch.cat((rover.position[:, :2] + place @ turn, velocity @ turn, radius), -1).cpu()
+        row = slice(self.row, self.row + 1)
+        (movers,) = movers_in_world(*(self.observation[key][row] for key in (MOVERS, "pose", "imu")))
+        return movers[movers[:, -1] > 0].cpu()
 
     def inside(self) -> dict[str, float]:
         """Numbers on the inside of the policy: norms of the parts of a recurrent state."""

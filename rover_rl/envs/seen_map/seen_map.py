@@ -11,7 +11,7 @@ from torch import Tensor
 from rover_rl.envs.config import SCAN_POSE, LidarConfig
 from rover_rl.envs.seen_map import scans
 from rover_rl.envs.seen_map.scans import CELL, HALF, NUMBERS, SIZE, STATE
-from rover_rl.envs.sensors.movers import belong_to_movers, movers_of
+from rover_rl.envs.sensors.movers import belong_to_movers, movers_in_world
 from rover_rl.envs.sensors.standard import WHOLE, Entries, seen_from_now, taken_at
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.robots.fleet import Fleet
@@ -151,7 +151,7 @@ class SeenMap:
         ways = []
         if movers is not None:
             scan = scan._replace(hits=scan.hits & ~belong_to_movers(*self._points_of(lidar, late), movers))
-            ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_of(movers), pose, imu)]
+            ways = [(place[:, :2] / CELL).contiguous(), self._ways_of(movers_in_world(movers, pose, imu))]
         bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
         self._launch(scan, goal, bounds, rows, ways)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
@@ -165,6 +165,10 @@ class SeenMap:
     def cell(self) -> Tensor:
         """Size of a cell of each row's map, ``[N, 1]``, m."""
         return CELL * self._unit
+
+    def corners(self) -> Tensor:
+        """Returns the first and the second corner of the last routes in the frame of the pose, ``[N, 2, 2]``, m."""
+        return self._corners * self._unit[..., None]
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -225,14 +229,13 @@ class SeenMap:
         ahead, left = (self._readings[:, :2] * self._units)[self._fleet.index].split(1, -1)
         return seen_from_now(ahead + lidar * self._directions[:, 0], left + lidar * self._directions[:, 1], scan_pose)
 
-    def _ways_of(self, movers: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
-        """Returns position, velocity and radius of movers in the world, in cells, ``[N, COUNT, NUMBERS]``.
+    def _ways_of(self, movers: Tensor) -> Tensor:
+        """Returns position, velocity and radius of movers in the world (m) in cells, ``[N, COUNT, NUMBERS]``.
 
         Half of the robot's width and a margin are added to the radius, which is negative where there is no mover.
         """
         radius = torch.where(movers[..., 4] > 0, movers[..., 4] + self._sides[self._fleet.index], -1.0)
-        place, velocity = (scans.in_world(movers[..., k : k + 2], imu) for k in (0, 2))
-        return torch.cat((pose[:, None, :2] + place, velocity, radius[..., None]), -1) / self.cell[..., None]
+        return torch.cat((movers[..., :4], radius[..., None]), -1) / self.cell[..., None]
 
     def _launch(self, scan: scans.Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
         from rover_rl.envs.seen_map.route_kernels import close_ways, plan_routes

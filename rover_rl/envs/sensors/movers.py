@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 
 from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
+from rover_rl.envs.seen_map.scans import in_world
 from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup, mirrored_signs
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
 from rover_rl.envs.specs import Bounds
@@ -119,6 +120,12 @@ def encoded(movers: Tensor) -> Tensor:
 
 def movers_of(value: Tensor) -> Tensor:
     return value[..., :TRACKED].unflatten(-1, (COUNT, NUMBERS))
+
+
+def movers_in_world(value: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
+    """Returns the movers of values ``[N, 156]`` in the frame of the pose, ``[N, COUNT, NUMBERS]``."""
+    place, velocity, radius = movers_of(value).split((2, 2, 1), -1)
+    return torch.cat((pose[:, None, :2] + in_world(place, imu), in_world(velocity, imu), radius), -1)
 
 
 def predicted_scans(movers: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rover_rl.envs.seen_map.scans import SIZE
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
+from rover_rl.envs.sensors.base import Observer, Sensor, SensorInput, SensorSetup
 from rover_rl.envs.sensors.standard import Target
 from rover_rl.envs.sensors.suite import ROUTE, SEEN_DISTANCES
 from rover_rl.envs.specs import Bounds
@@ -77,21 +77,20 @@ class SeenDistances(Sensor):
 
 
 class MapReader:
-    """Reads a :class:`Route` or :class:`SeenDistances`, and keeps the maps of a batch of rovers for it.
-
-    Attributes:
-        seen: the maps.
-        route: the last routes on them, ``[N, 5]``.
-    """
+    """Reads a :class:`Route` or :class:`SeenDistances`, and keeps the maps ``seen`` of a batch of rovers for it."""
 
     def __init__(
         self, sensor: Route | SeenDistances, setup: SensorSetup, threads: int = 1, keep_passed: bool = False
     ) -> None:
         self._period, self._distances = sensor.period, keep_passed
         self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt, threads, keep_passed)
-        self.route = torch.zeros(len(setup.fleet), len(Route.bounds.low), device=setup.fleet.index.device)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         due, observation = inputs.due(self._period), inputs.observation
-        self.route = self.seen(observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
-        return torch.cat(self.seen.distances(observation, inputs.bounds, due), -1) if self._distances else self.route
+        route = self.seen(observation, due, due & (inputs.steps == 0).squeeze(-1), inputs.bounds)
+        return torch.cat(self.seen.distances(observation, inputs.bounds, due), -1) if self._distances else route
+
+
+def map_of(observer: Observer) -> SeenMap | None:
+    """Returns the maps that the sensors of an observer keep of what rovers have seen; ``None`` if none of them does."""
+    return next((one.seen for one in observer.readers.values() if isinstance(one, MapReader)), None)

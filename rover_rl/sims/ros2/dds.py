@@ -168,7 +168,8 @@ class DdsTransport:
 
     def _announce(self) -> None:
         entities = [reader.reader for reader in self._readers], self._writers.values()
-        node = self._node("/", self.node, *([self._identifier(one) for one in group] for group in entities))
+        namespace, _, name = self.node.strip("/").rpartition("/")
+        node = self._node(f"/{namespace}", name, *([self._identifier(one) for one in group] for group in entities))
         _write(self._announcer, self._announcement(self._identifier(self._require_open()), [node]))
 
     def _identifier(self, entity: Any) -> Any:
@@ -354,7 +355,7 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
 # Indexing these classes creates types, which type checkers do not support.
 _SEQUENCE: Any = idl.types.sequence
 _ARRAY: Any = idl.types.array
-_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "char": idl.types.uint8} | {
+_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "byte": idl.types.uint8, "char": idl.types.uint8} | {
     name: getattr(idl.types, name)
     for name in ("int8", "int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
 }

@@ -75,6 +75,7 @@ def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
 
 # Fields first.
 Time = message_class("builtin_interfaces/msg/Time", base=_Time)
+Duration = message_class("builtin_interfaces/msg/Duration")
 Header = message_class("std_msgs/msg/Header")
 Vector3 = message_class("geometry_msgs/msg/Vector3")
 Point = message_class("geometry_msgs/msg/Point")
@@ -109,6 +110,15 @@ MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
 Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
 GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
 GridMap = message_class("grid_map_msgs/msg/GridMap")
+Path = message_class("nav_msgs/msg/Path")
+ColorRGBA = message_class("std_msgs/msg/ColorRGBA")
+UVCoordinate = message_class("visualization_msgs/msg/UVCoordinate")
+MeshFile = message_class("visualization_msgs/msg/MeshFile")
+Marker = message_class("visualization_msgs/msg/Marker")
+MarkerArray = message_class("visualization_msgs/msg/MarkerArray")
+KeyValue = message_class("diagnostic_msgs/msg/KeyValue")
+DiagnosticStatus = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+DiagnosticArray = message_class("diagnostic_msgs/msg/DiagnosticArray")
 DriveStep = message_class("rover_rl_msgs/msg/DriveStep")
 
 

@@ -21,7 +21,7 @@ try:
 except ImportError as error:
     raise ModuleNotFoundError(
         "transport='rclpy' requires ROS 2's Python library: on Linux on x86-64, pip install ros-jazzy-rclpy "
-        "ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs ros-jazzy-rosgraph-msgs; or source an "
+        "ros-jazzy-rmw-fastrtps-cpp ros-jazzy-{nav,sensor,rosgraph,visualization,diagnostic}-msgs; or source an "
         "installed ROS (/opt/ros/.../setup.bash), and use the Python that it was built for. transport='dds' requires "
         "neither",
         name="rclpy",
@@ -43,7 +43,9 @@ class RclpyTransport:
     def __init__(self, node: str) -> None:
         self._context = Context()
         rclpy.init(context=self._context)
-        self._name, self._node = node, rclpy.create_node(node, context=self._context)
+        self._name = f"/{node.strip('/')}"
+        namespace, _, name = self._name.rpartition("/")
+        self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._publishers: dict[str, Any] = {}
         self._subscriptions: Counter[str] = Counter()
         self._streams: defaultdict[str, _Streams] = defaultdict(_Streams)
@@ -112,8 +114,8 @@ class RclpyTransport:
         while not others and time.monotonic() < deadline:
             time.sleep(0.01)
             infos = self._node.get_publishers_info_by_topic(topic)
-            names = Counter((f"{info.node_namespace.rstrip('/')}/{info.node_name}", info.node_name) for info in infos)
-            others = sorted(full for (full, name), n in names.items() if n > (name in own) and name != UNNAMED)
+            names = Counter(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
+            others = sorted(name for name, n in names.items() if n > (name in own) and not name.endswith(UNNAMED))
         return " or ".join(others) or "a publisher of no known node"
 
     def close(self) -> None:
@@ -168,7 +170,9 @@ def _ros_class(kind: Any) -> Any:
 def _to_ros(value: Any) -> Any:
     if is_dataclass(value):
         ros = _ros_class(value)()
+        kinds = ros.get_fields_and_field_types()
         for field in fields(value):
-            setattr(ros, field.name, _to_ros(getattr(value, field.name)))
+            given = getattr(value, field.name)
+            setattr(ros, field.name, bytes([given]) if kinds[field.name] == "octet" else _to_ros(given))
         return ros
     return [_to_ros(item) for item in value] if isinstance(value, list) else value

@@ -24,13 +24,15 @@ from rover_rl.sims.ros2.poses import heading, read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.sensor_report import SensorReport, SimulatedRover
+from rover_rl.sims.sensor_report import SensorReport, SimulatedRover, Variances
 from rover_rl.sims.settings import Connection
 
 TYPES_PERIOD = 1.0  # time between two looks at the types of the messages that others send, s
 COMMAND_LIFETIME = 0.5  # simulation time without a command after which the rover stops, as real rovers do, s
 RANGE_MIN = 0.15  # minimum range of the original's lidar, m
 NOT_MEASURED = -1.0  # first entry of a covariance that marks a quantity as not measured (sensor_msgs/Imu)
+UNKNOWN = 1e6  # variance of the numbers of a message that are 0 because nothing measures them
+EXACT = 1e-6  # least variance: a covariance of zeros would mean that it is unknown (sensor_msgs/Imu)
 
 _log = logging.getLogger(__name__)
 
@@ -67,6 +69,7 @@ class RobotNode:
         self._yaw = start[2]
         self._frames = RobotFrames(rover.robot, rover.devices, settings.lidar_yaw, is_localized)
         self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
+        self._spread = np.zeros((4, 4))  # covariance of that pose and of the scale factor of the velocities
         self._publishers: dict[str, Callable[[Any], None]] = {}
         self._types_checked = -math.inf
         self._log = ThrottledLogger(_log)
@@ -76,10 +79,10 @@ class RobotNode:
         transport.subscribe(connection.cmd_vel_topic, command, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
-        self._publish("/tf_static", self._frames.fixed(), latched=True)
-        self._publish("/robot_description", self._frames.description(), latched=True)
+        self._publish(settings.tf_static_topic, self._frames.fixed(), latched=True)
+        self._publish(settings.description_topic, self._frames.description(), latched=True)
         if world_map is not None:
-            self._publish("/map", world_map, latched=True)
+            self._publish(settings.map_topic, world_map, latched=True)
 
     def run(self, rate: float, stop: threading.Event) -> None:
         """Steps the rover until ``stop`` is set, at ``rate`` times real time."""
@@ -159,13 +162,13 @@ class RobotNode:
             self._publish(own or connection.points_topic, cloud)
         for own, ground in report.ground.items():
             self._publish(own or connection.elevation_topic, elevation_map_message(ground, stamp, WORLD))
-        self._publish("/clock", ros.Clock(ros.Time.from_seconds(report.time)))
+        self._publish(settings.clock_topic, ros.Clock(ros.Time.from_seconds(report.time)))
         self._publish(settings.pose_topic, ros.PoseArray(ros.Header(stamp, WORLD), [pose]))
-        self._publish(connection.imu_topic, self._imu(state, stamp, orientation))
-        odometry = self._wheel_odometry(state, stamp)
+        self._publish(connection.imu_topic, self._imu(state, stamp, orientation, report.variances))
+        odometry = self._wheel_odometry(state, stamp, report.variances)
         self._publish(settings.odometry_topic, odometry)
         if (moving := frames.moving(stamp, pose, odometry.pose.pose)) is not None:
-            self._publish("/tf", moving)
+            self._publish(settings.tf_topic, moving)
         if report.ranges is not None:  # last, as subscribers wait for it
             self._publish(connection.scan_topic, self._scan(report.ranges, scan_time))
 
@@ -175,21 +178,31 @@ class RobotNode:
             self._publishers[topic] = self._transport.publisher(topic, type(message), reliable=True, latched=latched)
         self._publishers[topic](message)
 
-    def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
+    def _wheel_odometry(self, state: RoverState, stamp: Any, variances: Variances) -> Any:
         speed, yaw_rate, dt = state.linear_velocity.item(), state.angular_velocity.item(), state.dt.item()
         x, y, yaw = self._odometry
         middle = yaw + yaw_rate * dt / 2
         x, y, yaw = x + speed * dt * math.cos(middle), y + speed * dt * math.sin(middle), yaw + yaw_rate * dt
         self._odometry = (x, y, yaw)
-        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), ros.Quaternion(*heading(yaw))))
-        twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
-        return ros.Odometry(ros.Header(stamp, ODOM), BASE, pose, twist)
+        self._spread[3, 3] = variances.scale
+        self._spread = _propagated(self._spread, speed * dt, yaw_rate * dt, middle, variances.noise)
+        place = np.diag([EXACT, EXACT, UNKNOWN, UNKNOWN, UNKNOWN, EXACT])
+        place[np.ix_([0, 1, 5], [0, 1, 5])] += self._spread[:3, :3]
+        relative = variances.noise + variances.scale
+        along, turn = (EXACT + relative * each * each for each in (speed, yaw_rate))
+        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), ros.Quaternion(*heading(yaw))), place.ravel())
+        twist = ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate))
+        spread = np.diag([along, EXACT, UNKNOWN, UNKNOWN, UNKNOWN, turn]).ravel()
+        return ros.Odometry(ros.Header(stamp, ODOM), BASE, pose, ros.TwistWithCovariance(twist, spread))
 
-    def _imu(self, state: RoverState, stamp: Any, orientation: Any) -> Any:
+    def _imu(self, state: RoverState, stamp: Any, orientation: Any, variances: Variances) -> Any:
         # The body turns more slowly than wheel odometry reports.
         yaw = yaw_of(state.orientation[0])
         yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / state.dt.item(), yaw
         imu = ros.Imu(ros.Header(stamp, IMU), orientation, angular_velocity=ros.Vector3(z=yaw_rate))
+        tilt, yaw_variance, turn = (EXACT + each for each in variances[:3])
+        imu.orientation_covariance = np.diag([tilt, tilt, yaw_variance]).ravel()
+        imu.angular_velocity_covariance = np.diag([UNKNOWN, UNKNOWN, turn]).ravel()
         imu.linear_acceleration_covariance[0] = NOT_MEASURED
         return imu
 
@@ -217,3 +230,16 @@ class RobotNode:
             range_max=self._lidar_range,
             ranges=readings,
         )
+
+
+def _propagated(spread: np.ndarray, way: float, turn: float, yaw: float, noise: float) -> np.ndarray:
+    """Returns the covariance of a dead reckoning after a step, ``[4, 4]``: of x, y, yaw and the scale of velocities.
+
+    Linearized (S. Thrun, W. Burgard, D. Fox, *Probabilistic Robotics*, 2005, section 7.2), for a ``way`` (m) along
+    ``yaw`` and a ``turn`` (rad), each with an error of relative variance ``noise``.
+    """
+    ahead, left = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
+    change, drawn = np.eye(4), np.zeros((4, 2))
+    change[:2, 2], change[:2, 3], change[2, 3] = way * left, way * ahead, turn
+    drawn[:2, 0], drawn[2, 1] = way * ahead, turn
+    return change @ spread @ change.T + noise * drawn @ drawn.T

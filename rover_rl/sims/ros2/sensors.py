@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -17,10 +18,10 @@ from torch.nn.functional import interpolate
 from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.ros2 import poses
 from rover_rl.sims.ros2.images import image_format
-from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, seconds_of
+from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, TFMessage, seconds_of
 from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.tf import TF_TOPIC, RobotPose
+from rover_rl.sims.ros2.tf import FrameTree, RobotPose
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.sensor_report import ImageKind
 from rover_rl.sims.settings import Connection
@@ -103,7 +104,10 @@ class Sensors:
     ) -> None:
         self.transport, self.pose_estimator, self._connection = transport, pose_estimator, connection
         self.messages, self.rejected_scans, self.pose_frame = LatestMessages(), 0, ""
-        self._control_dt = settings.control_dt
+        self._tf_topics, self._follows_tf = (settings.tf_topic, settings.tf_static_topic), False
+        base = settings.frame_id.strip("/") if settings.pose == "tf" else ""
+        self._tf = RobotPose(settings.map_frame.strip("/"), base)
+        self._control_dt, self._old = settings.control_dt, settings.step_timeout
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         # Stamp, position and orientation. Written by the transport's thread.
         self._poses: deque[tuple[float, Tensor, Tensor]] = deque(maxlen=POSES)
@@ -122,12 +126,20 @@ class Sensors:
         if settings.pose == "wheels":
             self.sources["odometry"].readers.update(self.sources.pop("pose").readers)
         if settings.pose == "tf":
-            self.sources["pose"] = Source(TF_TOPIC, pose_type, {"pose": read_pose})
-            self._tf = RobotPose(settings.map_frame.strip("/"), settings.frame_id.strip("/"))
-            transport.subscribe(f"{TF_TOPIC}_static", pose_type, self._receive_tf, reliable=True, latched=True)
+            self.sources["pose"] = Source(settings.tf_topic, pose_type, {"pose": read_pose})
+            self.follow_tf()
         for kind, source in self.sources.items():
-            receive = self._receive_tf if source.topic == TF_TOPIC else partial(self.receive, kind)
-            transport.subscribe(source.topic, source.message, receive)
+            if source.message is not TFMessage:
+                transport.subscribe(source.topic, source.message, partial(self.receive, kind))
+
+    def follow_tf(self) -> FrameTree:
+        """Returns the transforms of tf, as they are from the first call on."""
+        if not self._follows_tf:
+            self._follows_tf, (moving, fixed) = True, self._tf_topics
+            receive = partial(self._receive_tf, fixed=True)
+            self.transport.subscribe(fixed, TFMessage, receive, reliable=True, latched=True)
+            self.transport.subscribe(moving, TFMessage, self._receive_tf)
+        return self._tf.tree
 
     @property
     def pose(self) -> poses.MeasuredPose:
@@ -195,13 +207,13 @@ class Sensors:
             self._poses.append((stamp, *self.world_pose))
         return True
 
-    def _receive_tf(self, msg: Any) -> bool:
+    def _receive_tf(self, msg: Any, fixed: bool = False) -> bool:
         """Reads the pose after transforms. Returns whether they move the robot: other nodes move other frames."""
         try:
-            pose = self._tf.after(msg)
+            pose = self._tf.after(msg, fixed)
         except ValueError as error:
             self._rejections["pose"] = str(error)
-            self._throttled_log.warning("pose", "%s: ignored a message: %s", TF_TOPIC, error)
+            self._throttled_log.warning("tf", "%s: ignored a message: %s", self._tf_topics[0], error)
             return False
         return pose is not None and self.receive("pose", pose)
 
@@ -243,6 +255,15 @@ class Sensors:
     def forget_poses(self) -> None:
         """Forgets the poses of the past, which may be in another frame."""
         self._poses.clear()
+
+    def arrivals(self) -> dict[str, tuple[int, float, str]]:
+        """Returns the number of usable messages on each topic, the age of the last one (s), and words if it is old."""
+        found = {}
+        for kind, source in [*self.sources.items()]:
+            message = self.messages.latest(kind)
+            count, age = (0, math.inf) if message is None else (message.number, message.age)
+            found[source.topic] = (count, age, self.describe_silence(kind) if age > self._old else "")
+        return found
 
     def describe_silence(self, kind: str) -> str:
         if kind in self._rejections:

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from rover_rl.checks import check_topics
+from rover_rl.checks import NAME, check_topics
 from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "tf", "wheels"]
@@ -42,6 +42,24 @@ class Ros2Settings:
     each reset (docs/ros2.md)."""
     pose_topic: str = "/rover/pose_array"
     """Topic of the pose; unused with pose="wheels" and pose="tf"."""
+    tf_topic: str = "/tf"
+    """Topic of the transforms, a tf2_msgs/TFMessage."""
+    tf_static_topic: str = "/tf_static"
+    """Topic of the transforms that never change."""
+    clock_topic: str = "/clock"
+    """Topic of the time of a simulation, a rosgraph_msgs/Clock."""
+    description_topic: str = "/robot_description"
+    """Topic of the URDF of a simulated robot, a std_msgs/String."""
+    map_topic: str = "/map"
+    """Topic of the map of its world, a nav_msgs/OccupancyGrid."""
+    plan_topic: str = "/plan"
+    """Topic of the route that a policy plans, a nav_msgs/Path, for policies that plan one."""
+    seen_map_topic: str = "/seen_map"
+    """Topic of the map of what a policy has seen, a nav_msgs/OccupancyGrid, for policies with a map."""
+    movers_topic: str = "/tracked_movers"
+    """Topic of what a policy sees moving, a visualization_msgs/MarkerArray, for policies that track it."""
+    diagnostics_topic: str = "/diagnostics"
+    """Topic of rates, ages, decision times and the reason of a stop, a diagnostic_msgs/DiagnosticArray."""
     map_frame: str = "map"
     """Frame of tf that is that of the world, with pose="tf"."""
     command: Command = "twist"
@@ -89,14 +107,14 @@ class Ros2Settings:
     step_timeout: float = 1.0
     """Time without a usable scan after which the rover counts as lost, s. It is stopped earlier, after 0.25 s."""
     node: str = "rover_rl"
-    """Name of the node."""
+    """Name of the node, after its namespace if it has one: /robot1/rover_rl."""
     control_dt: float = CONTROL_DT
     """Duration of a control step in training, s. A scan that comes sooner than three quarters of it after the last one
     is skipped."""
 
     def __post_init__(self) -> None:
         check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})
-        if not (isinstance(self.node, str) and re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", self.node)):
+        if not (isinstance(self.node, str) and re.fullmatch(f"/?{NAME}(/{NAME})*", self.node)):
             raise ValueError(f"node must be letters, digits and _, and begin with no digit, got {self.node!r}")
         limits = "max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"
         for name in (*limits, "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"):

@@ -29,7 +29,6 @@ from rover_rl.worlds import World
 
 _log = logging.getLogger(__name__)
 
-CLOCK_TOPIC = "/clock"  # topic of the time of a simulation
 MIN_STEP = 0.75  # shortest time between the scans of two steps, in control steps; scans of faster lidars are skipped
 MAX_DT = 1.0  # longest time between two stamps, s; a longer time means that the clock has jumped
 BRAKE_TIMEOUT = 0.25  # time without a usable scan after which the rover is stopped, s; the step still waits for a scan
@@ -62,6 +61,7 @@ class Ros2Simulator(Simulator):
     Attributes:
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
+        on_command: function that is called in each step once the command is sent, before the wait for the next scan.
         tap: passes all messages that are sent and received to a function, such as
             :meth:`~rover_rl.algos.deploy.bags.DriveBag.add`.
     """
@@ -101,6 +101,7 @@ class Ros2Simulator(Simulator):
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
         self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
+        self.follow_tf, self.arrivals, self.on_command = self._sensors.follow_tf, self._sensors.arrivals, lambda: None
         self.wait_for_robot(connection.timeout)
 
     @property
@@ -113,8 +114,13 @@ class Ros2Simulator(Simulator):
 
     @property
     def pose_frame(self) -> str:
-        """Name of the frame of the pose; empty before the first one, and with ``pose="wheels"``."""
+        """Name of the frame of the pose; empty before the first one."""
         return self._sensors.pose_frame
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether another node drives, which wins."""
+        return self._commands.gives_way
 
     @property
     def field_of_view(self) -> float:
@@ -226,6 +232,7 @@ class Ros2Simulator(Simulator):
         else:
             self.stop()
         self.latency = 0.0 if self._scan is None else self._scan.age
+        self.on_command()
         self._take_next_scan(after=scans_before)
         return self.state()
 
@@ -260,14 +267,14 @@ class Ros2Simulator(Simulator):
         return position[None], orientation[None]
 
     def follow_clock(self) -> None:
-        self.transport.subscribe(CLOCK_TOPIC, Clock, self._sensors.receive_clock)
+        self.transport.subscribe(self.settings.clock_topic, Clock, self._sensors.receive_clock)
 
     def state_age(self) -> Tensor:
         """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""
         age = self._sensors.state_age()
         if age is None and self._scan is not None:
             text = "late sensors are not compensated: their stamps are neither of %s nor of the clock of this machine"
-            self._throttled_log.warning("age", text, CLOCK_TOPIC)
+            self._throttled_log.warning("age", text, self.settings.clock_topic)
         return torch.full((1, 1), age or 0.0)
 
     def _take_next_scan(self, after: int) -> None:

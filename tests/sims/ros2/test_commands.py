@@ -93,7 +93,7 @@ class Rviz:
 
     def __init__(self, wire, robot) -> None:
         self._wire, self._robot = wire, robot
-        self.refused = [(40.0, 0.0, "world"), (9.0, 9.0, "odom"), (math.nan, 0.0, "")]
+        self.refused = [(40.0, 0.0, "world"), (9.0, 9.0, "odm"), (math.nan, 0.0, "")]
         self.at_cancel: list[Twist] = []
         wire.rovers.append(self._while_driving)
 
@@ -129,7 +129,7 @@ def test_goals_come_one_by_one_from_a_topic_and_are_refused_replaced_and_cancele
     told = rviz.told
     assert told[0] == "waiting"
     assert told[1].startswith("refused 40.00 0.00: the goal 40 0 is outside of the bounds of maze")
-    assert told[2] == "refused 9.00 9.00: its frame_id must be 'world', the frame of the rover's pose, got 'odom'"
+    assert told[2] == "refused 9.00 9.00: no transform leads from 'world' to 'odm'"
     assert told[3] == "refused nan 0.00: it is not finite"
     assert told[4:] == ["driving to 9.00 9.00", "replaced", "driving to 9.00 8.00", "canceled"]
     assert rviz.at_cancel == [Twist(), Twist()]

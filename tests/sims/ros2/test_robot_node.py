@@ -6,11 +6,15 @@ import math
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pytest
+import torch
 
-from rover_rl import EnvConfig, LidarConfig, Terrain, World, box, cylinder
+from rover_rl import EnvConfig, LidarConfig, Randomization, Terrain, World, box, cylinder
+from rover_rl.envs.config import PoseConfig
 from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.served_rover import ServedRover
+from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.messages import Odometry, PoseStamped, Quaternion, Twist, Vector3
@@ -150,6 +154,57 @@ def test_a_rover_is_put_upright_on_the_ground_where_it_can_stand(robot, caplog, 
     assert robot.place == pytest.approx([x, y, 0.0], abs=0.01)
     assert robot.rover.env.rover_state.orientation[0, :2].abs().max() < 0.01
     assert not caplog.text
+
+
+def covariances(message) -> tuple[np.ndarray, np.ndarray]:
+    return message.pose.covariance.reshape(6, 6), message.twist.covariance.reshape(6, 6)
+
+
+def test_covariances_of_an_exact_robot_are_small_and_of_what_it_does_not_measure_large(robot, wire):
+    pose, twist = covariances(robot.run(5, Twist(Vector3(x=-0.5)))[-1])
+    for spread in (pose, twist):
+        np.testing.assert_array_equal(spread, np.diag([1e-6, 1e-6, 1e6, 1e6, 1e6, 1e-6]))
+    imu = wire.sent["/imu/data"][-1]
+    np.testing.assert_array_equal(imu.orientation_covariance.reshape(3, 3), 1e-6 * np.eye(3))
+    np.testing.assert_array_equal(imu.angular_velocity_covariance.reshape(3, 3), np.diag([1e6, 1e6, 1e-6]))
+    assert imu.linear_acceleration_covariance[0] == -1
+
+
+def test_covariances_are_those_of_the_noise(wire):
+    """Errors are as large as the covariances say: their mean square, in standard deviations, is about 1."""
+    noise = Randomization(odometry_noise=0.2, imu_noise=0.02)
+    rover = served(randomization=noise, pose=PoseConfig("localized", drift_heading=0.1, drift_time=0.2))
+    robot, headings = Robot(wire, rover), []
+    for _ in range(400):
+        robot.run(1, Twist(Vector3(x=0.3), Vector3(z=1.0)))
+        headings.append(quaternion_to_euler(rover.env.rover_state.orientation)[0].tolist())
+    imus, odometry = wire.sent["/imu/data"], wire.sent["/odometry/wheels"]
+    told = [
+        quaternion_to_euler(torch.tensor([vars(imu.orientation)[axis] for axis in "xyzw"])).tolist() for imu in imus
+    ]
+    errors = np.remainder(np.array(told) - np.array(headings) + math.pi, 2 * math.pi) - math.pi
+    spread = np.diag(imus[-1].orientation_covariance.reshape(3, 3))
+    np.testing.assert_allclose(np.square(errors).mean(0) / spread, 1.0, atol=0.4)
+    rates = (
+        np.array([imu.angular_velocity.z for imu in imus[1:]])
+        - np.diff(np.unwrap([yaw for *_, yaw in headings])) / 0.05
+    )
+    assert np.square(rates).mean() == pytest.approx(imus[-1].angular_velocity_covariance[8], rel=0.3)
+    speeds = np.array([each.twist.twist.linear.x for each in odometry[20:]])
+    assert speeds.var() == pytest.approx(np.mean([covariances(each)[1][0, 0] for each in odometry[20:]]), rel=0.3)
+    rover.close()
+
+
+def test_the_covariance_of_dead_reckoning_is_that_of_many_drives():
+    ends, spreads = [], []
+    rover = served(randomization=Randomization(odometry_noise=0.3, odometry_scale=(0.8, 1.2)))
+    for _ in range(40):  # a new node begins with a reset, which draws the scale
+        end = Robot(Wire(), rover).run(30, Twist(Vector3(x=-0.5), Vector3(z=0.8)))[-1]
+        place, turn = end.pose.pose.position, end.pose.pose.orientation
+        ends.append([place.x, place.y, 2 * math.atan2(turn.z, turn.w)])
+        spreads.append(np.diag(covariances(end)[0])[[0, 1, 5]])
+    rover.close()
+    np.testing.assert_allclose(np.var(ends, axis=0) / np.mean(spreads, axis=0), 1.0, atol=0.5)
 
 
 def test_a_robot_receives_stamped_commands_if_asked_and_names_others(wire, rover, monkeypatch, caplog):

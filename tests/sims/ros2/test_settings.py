@@ -73,7 +73,7 @@ def test_settings_override_the_limits_of_the_robot():
         (["reset", "transport"], ["later"], "must be one of"),
         (["lidar_yaw"], [math.nan], "must be a finite angle"),
         (["max_invalid"], [1.0], "must be at least 0 and less than 1"),
-        (["node"], ["my node", "/rover", "2rover", ""], "must be letters"),
+        (["node"], ["my node", "/rover/", "2rover", ""], "must be letters"),
     ],
 )
 def test_invalid_settings_are_rejected(names, values, message):

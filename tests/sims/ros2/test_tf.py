@@ -9,10 +9,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from rover_rl.algos.deploy.goals import GoalTopic
 from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.frames import RobotFrames
-from rover_rl.sims.ros2.tf import RobotPose, Transform
+from rover_rl.sims.ros2.tf import FrameTree, RobotPose, Transform
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import ALL, SimulatedRobot, Wire, drive, simulator, yaw_of
 
@@ -63,6 +64,63 @@ def test_transforms_that_tell_no_pose_are_told_in_words(messages: list, sentence
         assert robot.after(message) is None
     with pytest.raises(ValueError, match=sentence):
         robot.after(last)
+
+
+@pytest.fixture
+def tree() -> FrameTree:
+    """A robot that drives along x of ``odom``, 1 m/s from time 1 to 3, and a camera on it."""
+    tree = FrameTree()
+    for second in (1.0, 2.0, 3.0):
+        tree.read(moved("odom", "base_link", second, 0.0, 0.2 * second, stamp=second))
+    tree.read(moved("map", "odom", 10.0, 0.0, math.pi / 2, stamp=2.0))
+    tree.read(moved("base_link", "camera", 0.5, 0.0), fixed=True)
+    return tree
+
+
+@pytest.mark.parametrize(
+    ("root", "frame", "stamp", "expected"),
+    [
+        ("odom", "base_link", None, (3.0, 0.0, 0.6)),
+        ("odom", "base_link", 1.5, (1.0, 0.0, 0.2)),
+        ("odom", "base_link", 9.0, (3.0, 0.0, 0.6)),  # the last one holds
+        ("map", "odom", 1.0, (10.0, 0.0, math.pi / 2)),
+        ("map", "base_link", 2.0, (10.0, 2.0, math.pi / 2 + 0.4)),
+        ("world", "odom", None, (10.0, 0.0, math.pi / 2)),  # the same as map
+        ("odom", "map", None, (0.0, 10.0, -math.pi / 2)),
+        ("camera", "base_link", 1.5, (-0.5, 0.0, 0.0)),
+    ],
+)
+def test_frames_are_transformed_up_and_down_the_tree_at_a_stamp(tree, root, frame, stamp, expected) -> None:
+    found = tree.between(root, frame, stamp)
+    assert [*found.position[:2], found.rotation.as_euler("xyz")[2]] == pytest.approx([*expected])
+
+
+def test_what_tf_does_not_tell_is_told_in_words(tree) -> None:
+    with pytest.raises(ValueError, match="no transform leads from 'map' to 'gps'"):
+        tree.between("map", "gps")
+    with pytest.raises(ValueError, match="from 'lab' to 'map' in 'odom' in 'base_link' in 'camera'"):
+        tree.between("lab", "camera")
+    with pytest.raises(ValueError, match="where 'base_link' was at 0.4 s is not known, but from 1.0 s on"):
+        tree.between("map", "base_link", 0.4)
+    tree.read(moved("odom", "base_link", 0.0, 0.0, stamp=0.1))  # the simulation began again
+    assert tree.between("odom", "base_link", 2.0).position[0] == 0.0
+
+
+def test_goals_in_other_frames_are_transformed_at_their_stamp(wire: Wire, tree: FrameTree) -> None:
+    topic = GoalTopic(wire, "/goal", lambda goal: None, lambda: "map", tree)
+    waiting = topic.goals(lambda: None)
+
+    def received(x: float, y: float, frame: str, stamp: float = 0.0) -> list[float]:
+        header = ros.Header(ros.Time.from_seconds(stamp), frame)
+        wire.say("/goal", ros.PoseStamped(header, ros.Pose(ros.Point(x, y))), "rviz")
+        return [*next(waiting)]
+
+    assert received(1.0, 2.0, "odom") == pytest.approx([8.0, 1.0])
+    assert received(1.0, 2.0, "world") == pytest.approx([1.0, 2.0])
+    ahead = math.pi / 2 + 0.2
+    assert received(1.0, 0.0, "base_link", 1.0) == pytest.approx([10.0 + math.cos(ahead), 1.0 + math.sin(ahead)])
+    wire.say("/goal", ros.PoseStamped(ros.Header(frame_id="gps")), "rviz")
+    assert wire.sent["/goal/status"][-1].data == "refused 0.00 0.00: no transform leads from 'map' to 'gps'"
 
 
 def test_the_pose_of_a_rover_is_that_of_tf(wire: Wire) -> None:
