@@ -24,7 +24,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from rover_rl import make_env
 from rover_rl.algos.config import training_config
-from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.train import train
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.view import Viewer

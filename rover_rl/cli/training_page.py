@@ -70,7 +70,7 @@ class TrainingPage:
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
     """Opens the page of a run: the rovers of the training. A few others can be driven in its environment."""
-    from rover_rl.algos.experiments.run_files import RunFiles
+    from rover_rl.algos.experiments.runs import RunFiles
     from rover_rl.algos.train.live import ROVERS
     from rover_rl.envs.make import make_env
     from rover_rl.view.viewer import Viewer

@@ -88,7 +88,7 @@ class View:
         from rover_rl.view.viewer import Viewer
 
         check_address(self.host, self.port)
-        from rover_rl.algos.experiments.run_files import RunFiles
+        from rover_rl.algos.experiments.runs import RunFiles
         from rover_rl.envs.make import make_env
 
         run = RunFiles.find(Path(self.policy))

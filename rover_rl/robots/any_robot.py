@@ -17,7 +17,16 @@ from rover_rl.robots.drives import Ackermann, Drive, SkidSteer, Wheels
 from rover_rl.robots.robot import Robot
 from rover_rl.robots.shapes import Box, Frame, Mass, Shape, box_mass, nine_digits
 
-CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
+SIDES: dict[str, Any] = {
+    "left": ("front_left_wheel", "rear_left_wheel"),
+    "right": ("front_right_wheel", "rear_right_wheel"),
+}
+CAR: dict[str, Any] = {
+    "knuckles": ("front_left_knuckle", "front_right_knuckle"),
+    "front": ("front_left_wheel", "front_right_wheel"),
+    "rear": ("rear_left_wheel", "rear_right_wheel"),
+}
+"""Names of the joints of the robots of the package: skid-steer robots and cars."""
 FRICTION, GRAVITY = 0.5, 9.81
 """Friction of the ground, whose limit the motors exceed, and gravity, m/s^2."""
 
@@ -85,7 +94,7 @@ def any_robot(seed: int = 0) -> Robot:
     visuals = [Shape("box", Frame(np.array(box.center), np.eye(3)), box.size, "", BODY) for box in boxes]
     axle = Rotation.from_rotvec((math.pi / 2, 0, 0)).as_matrix()
     visuals += [Shape("cylinder", Frame(np.array(hub), axle), (radius, width), "", TIRE) for hub in hubs]
-    looks: dict[str, Any] = {"visuals": tuple(visuals), "order": tuple(f"{corner}_wheel" for corner in CORNERS)}
+    looks: dict[str, Any] = {"visuals": tuple(visuals), "order": CAR["front"] + CAR["rear"]}
     return Robot(name=f"any:{seed}", drive=drive, wheels=wheels, **numbers, **ranges, **looks)
 
 
@@ -103,8 +112,7 @@ def _skid_steer(draw: np.random.Generator, base: float, track: float, mass: floa
     # Effective distance of wheels at the corners of a rectangle that slip by Coulomb's law.
     separation = track * (1 + (base / track) ** 2) * draw.uniform(0.9, 1.1)
     return SkidSteer(
-        left=("front_left_wheel", "rear_left_wheel"),
-        right=("front_right_wheel", "rear_right_wheel"),
+        **SIDES,
         separation=separation,
         torque=draw.uniform(1.2, 2.5) * FRICTION * mass * GRAVITY / 4 * radius,
         max_linear_acceleration=draw.uniform(2.0, 5.0),
@@ -118,9 +126,7 @@ def _car(draw: np.random.Generator, base: float, track: float, mass: float, radi
     """Draws an Ackermann drive, which turns about a point beside the car."""
     sharpest = math.atan(base / (0.75 * track + 0.05))
     return Ackermann(
-        knuckles=("front_left_knuckle", "front_right_knuckle"),
-        front=("front_left_wheel", "front_right_wheel"),
-        rear=("rear_left_wheel", "rear_right_wheel"),
+        **CAR,
         max_steering=min(draw.uniform(0.4, 0.6), sharpest),
         max_steering_rate=_log_uniform(draw, 0.7, 4.0),
         torque=draw.uniform(1.2, 2.5) * FRICTION * mass * GRAVITY / 4 * radius,

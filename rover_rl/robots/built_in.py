@@ -10,15 +10,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from rover_rl.robots.any_robot import CAR, SIDES
 from rover_rl.robots.drives import Ackermann, Drive, SkidSteer
 from rover_rl.robots.robot import Robot
-
-_SIDES: dict = {"left": ("front_left_wheel", "rear_left_wheel"), "right": ("front_right_wheel", "rear_right_wheel")}
-_CAR: dict = {
-    "knuckles": ("front_left_knuckle", "front_right_knuckle"),
-    "front": ("front_left_wheel", "front_right_wheel"),
-    "rear": ("rear_left_wheel", "rear_right_wheel"),
-}
 
 
 def _skid_steer(track: float, torque: float, linear: float, angular: float, speed: float, turn: float) -> SkidSteer:
@@ -28,13 +22,13 @@ def _skid_steer(track: float, torque: float, linear: float, angular: float, spee
         "max_angular_acceleration": angular,
         "max_speed": speed,
     }
-    return SkidSteer(**_SIDES, separation=track, torque=torque, max_yaw_rate=turn, **limits)
+    return SkidSteer(**SIDES, separation=track, torque=torque, max_yaw_rate=turn, **limits)
 
 
 def _car(steering: float, rate: float, torque: float, linear: float, speed: float, turn: float) -> Ackermann:
     """Takes the limit of the steering angle, rad, and of its rate, the torque, N m, and further limits."""
     limits: dict[str, Any] = {"max_linear_acceleration": linear, "max_speed": speed, "max_yaw_rate": turn}
-    return Ackermann(**_CAR, max_steering=steering, max_steering_rate=rate, torque=torque, **limits)
+    return Ackermann(**CAR, max_steering=steering, max_steering_rate=rate, torque=torque, **limits)
 
 
 _TABLE: dict[str, tuple[Drive, dict[str, Any]]] = {

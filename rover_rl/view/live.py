@@ -14,8 +14,7 @@ from rover_rl.algos.policy.runner import Policy, PolicyRunner
 from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.view.controls import Pilot
-from rover_rl.view.page import HOST, PORT, Page
+from rover_rl.view.page import HOST, PORT, Page, Pilot
 from rover_rl.view.stage import Stage
 
 FRAMES = 15  # number of updates of the page, 1/s

@@ -23,11 +23,9 @@ from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.free_space.paths import PathDistances
-from rover_rl.view.cameras import LOOK_AT
-from rover_rl.view.controls import Recorder
-from rover_rl.view.page import HOST, PORT, Page, close_page, open_page
+from rover_rl.view.page import HOST, PORT, Page, Recorder, close_page, open_page
 from rover_rl.view.panels import Plot
-from rover_rl.view.stage import Stage
+from rover_rl.view.stage import LOOK_AT, Stage
 
 FRAMES = 20  # number of updates of the page, 1/s
 RATE = 10.0  # largest number of moments in a file, 1/s. Between two, the rovers go on in small steps

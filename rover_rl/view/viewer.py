@@ -21,7 +21,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from rover_rl.algos.config import RunConfig
-from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.policy.checkpoint import CHECKPOINT
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, RANDOM, make_baseline, resolve_policy
 from rover_rl.algos.policy.runner import Policy
@@ -31,10 +31,8 @@ from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.native.threads import single_threaded
 from rover_rl.robots import ROBOTS
-from rover_rl.view.controls import Pilot, Recorder
-from rover_rl.view.page import HOST, PORT, Page, check_address
-from rover_rl.view.panels import Panels, episode_table
-from rover_rl.view.runs import LiveMoment, Load, TrainingPanel
+from rover_rl.view.page import HOST, PORT, Page, Pilot, Recorder, check_address
+from rover_rl.view.panels import LiveMoment, Load, Panels, TrainingPanel, episode_table
 from rover_rl.view.stage import MAP, Stage
 from rover_rl.worlds import world_names
 

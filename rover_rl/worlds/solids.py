@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 
@@ -287,7 +288,8 @@ def box(
     if yaw == pitch == roll == 0:
         return boxes([center], [size])
     corners = _BOX_CORNERS * np.asarray(size)
-    return hull(corners @ _rotation(roll, pitch, yaw).T + np.asarray(center))
+    turn = Rotation.from_euler("xyz", (roll, pitch, yaw))
+    return hull(turn.apply(corners) + np.asarray(center))
 
 
 def cylinder(center: tuple[float, float, float], radius: float, height: float, sides: int = 16) -> Solids:
@@ -313,14 +315,3 @@ def even_directions(count: int, turn: float = 0.0) -> np.ndarray:
     k = np.arange(count) + 0.5
     polar, azimuth = np.arccos(1 - 2 * k / count), math.pi * (1 + math.sqrt(5)) * k + turn
     return np.stack((np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)), -1)
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

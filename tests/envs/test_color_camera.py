@@ -14,8 +14,7 @@ from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.cameras import ColorCamera, Seen, SegmentationCamera
 from rover_rl.robots import get_robot
 from rover_rl.rotations import rotate
-from rover_rl.sims.rendering.camera import FIELD_OF_VIEW, Camera, Sight
-from rover_rl.sims.rendering.renderer import Renderer
+from rover_rl.sims.rendering.renderer import FIELD_OF_VIEW, Camera, Renderer, Sight
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 
 VIEW = {"size": (32, 40), "pitch": 0.1, "mount": (0.3, 0.1, 0.5)}

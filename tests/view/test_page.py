@@ -11,9 +11,8 @@ import pytest
 import torch
 from PIL import Image
 
-from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.view import controls
 from rover_rl.view.live import LivePage
 from tests.view.conftest import settle, training_in, until
 
@@ -139,7 +138,7 @@ def test_what_the_page_shows_is_saved_as_a_picture_and_as_a_film(open_viewer, op
     # Not of one color.
     assert len(picture.convert("RGB").resize((32, 18)).getcolors(32 * 18)) > 20
     # Software draws small films soon.
-    monkeypatch.setattr(controls, "SIZE", (96, 160))
+    monkeypatch.setattr("rover_rl.view.page.SIZE", (96, 160))
     page.get_by_role("button", name="Record a film").click()
     button = page.get_by_role("button", name="Stop and save the film")
     button.wait_for()

@@ -20,7 +20,7 @@ from tensordict import TensorDictBase
 from rover_rl import ActionConfig, RoverEnv, Terrain, World, make_env
 from rover_rl.algos.config import default_config
 from rover_rl.algos.config_files import write_config
-from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.pretrained import FOLDER
 from rover_rl.algos.video.recording import Recording, record_endless
@@ -32,9 +32,8 @@ from rover_rl.envs.sensors.heights import HeightScan
 from rover_rl.view import Viewer
 from rover_rl.view.live import LivePage
 from rover_rl.view.page import check_address
-from rover_rl.view.panels import lidar_picture, reward_bars, sensor_picture, spread_bars
+from rover_rl.view.panels import lidar_picture, reward_bars, sensor_picture, spread_bars, watch_training
 from rover_rl.view.replay import ReplayPage, write_replay
-from rover_rl.view.runs import watch_training
 from rover_rl.view.stage import CUT, without_high_walls
 from rover_rl.worlds import box, get_world
 from tests.view.conftest import settle, training_in, until

@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from tensordict import TensorDictBase
 
-from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.config import PPOConfig, TrainingConfig, with_settings
 from rover_rl.algos.config_files import SEED_SUFFIX, differing_settings, experiments, run_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS
-from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
-from rover_rl.algos.train.run_folder import default_name
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.progress import EPISODE_STEPS, TIME, read_progress
+from rover_rl.algos.train.run_folder import STATE, default_name, load_state
+from rover_rl.envs.config import EnvConfig
 
 Against: TypeAlias = Literal["steps", "minutes"]
 """Quantity that the progress of a run is measured against: environment steps of all rovers, or minutes of training."""
@@ -29,16 +32,21 @@ PROGRESS = "progress.csv"
 EVALUATION = "evaluation.json"
 WINDOW = 1 / 12  # width of the averaging window of a curve, as a fraction of the run
 _POINTS = 480  # number of points at which a curve is searched for a level
+_SHOWN = 400  # number of points of a curve of RunFiles at most: a long run has more rows
 
 
 @dataclass(frozen=True)
 class Run:
-    """Record of a training run: numerators and denominators of each measure in each row of its table, ``[rows]``."""
+    """Record of a training run: numerators and denominators of each measure in each row of its table, ``[rows]``.
+
+    ``shares`` are those of the time, by their columns.
+    """
 
     folder: Path
     config: TrainingConfig
     x: dict[str, np.ndarray]
     measures: dict[str, tuple[np.ndarray, np.ndarray]]
+    shares: dict[str, np.ndarray]
 
     @classmethod
     def read(cls, folder: str | Path) -> Run:
@@ -51,7 +59,8 @@ class Run:
         success = columns["attempts_reached"], columns["attempts"]
         goals = columns["goals_per_2000_steps"] * full_episodes, full_episodes
         x = {"steps": columns["steps"], "minutes": columns["minutes"]}
-        return cls(folder, config, x, {"success": success, "goals": goals})
+        shares = {name: values for name, values in columns.items() if name.startswith(TIME)}
+        return cls(folder, config, x, {"success": success, "goals": goals}, shares)
 
     def end(self, against: Against) -> float:
         return float(self.x[against][-1])
@@ -187,3 +196,56 @@ def continued(config: TrainingConfig) -> tuple[TrainingConfig, Path | None]:
             f"there is a run {folder} already, with other settings of {', '.join(others)}; choose another --name"
         )
     return saved, folder
+
+
+class RunFiles:
+    """Folder of a run, which may still be training."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def find(cls, path: Path) -> RunFiles | None:
+        return cls(path) if (path / SETTINGS).is_file() else None
+
+    @property
+    def env(self) -> EnvConfig:
+        return run_config(self.folder).env
+
+    def policies(self) -> list[Path]:
+        """Returns the files of the policies, first to last: the snapshots, then the checkpoint."""
+        last = self.folder / CHECKPOINT
+        return [*sorted((self.folder / "snapshots").glob("*.pt")), *([last] if last.is_file() else [])]
+
+    def critic(self) -> Callable[[TensorDictBase], float] | None:
+        """Returns the function that estimates the value of an observation ``[1]``, as of the last checkpoint.
+
+        ``None`` if the run has none: before the first checkpoint, with SAC, or if it reads what a policy does not see.
+        """
+        config, path = run_config(self.folder), self.folder / STATE
+        if not isinstance(config.algorithm, PPOConfig) or config.network.privileged_critic or not path.is_file():
+            return None
+        learner = PPOLearner(with_settings(config, device=None, imitation=0.0))
+        learner.load_state_dict(load_state(path)["learner"])
+        critic, scale = learner.critic, config.algorithm.reward_scale
+        return lambda observation: critic(observation.select(*critic.in_keys))["state_value"].item() / scale
+
+    def curves(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Returns the steps, ``[points]``, and curves over them; empty before the first row.
+
+        They are the success rate, the goals in 2,000 steps, and the shares of the time, as :data:`TIME` and a name.
+        """
+        try:
+            run = Run.read(self.folder)
+        except (OSError, ValueError):
+            return np.zeros(0), {}
+        rows, end = len(run.x["steps"]), run.end("steps")
+        # The last row is always among the points.
+        shown = slice((rows - 1) % (step := -(-rows // _SHOWN)), None, step)
+        steps, width = run.x["steps"][shown], max(WINDOW, 1 / rows) * end
+        measures: dict[str, Measure] = {"success rate": "success", "goals in 2000 steps": "goals"}
+        curves = {
+            title: np.nan_to_num(run.curve(measure, "steps", steps - width / 2, width))
+            for title, measure in measures.items()
+        }
+        return steps, {**curves, **{name: values[shown] for name, values in run.shares.items()}}

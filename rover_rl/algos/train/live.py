@@ -1,7 +1,7 @@
 """Some rovers of a training, live, for pages: a file in the folder of the run, written only while somebody watches.
 
 The page touches ``live/watched``, and the training then writes ``live/rovers.pt`` ten times a second. Neither waits for
-the other. :mod:`rover_rl.view.runs` reads it.
+the other. :mod:`rover_rl.view.panels` reads it.
 """
 
 from __future__ import annotations

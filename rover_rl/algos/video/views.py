@@ -24,8 +24,7 @@ from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.robots import Robot
 from rover_rl.rotations import quaternion_to_euler, rotate
 from rover_rl.sims.movers.draw import parts_from_above
-from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
-from rover_rl.sims.rendering.renderer import Renderer
+from rover_rl.sims.rendering.renderer import FREE_FRACTION, Camera, Renderer
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.movers.part_kernels import cast_at_movers

@@ -13,10 +13,8 @@ import numpy as np
 from rover_rl.robots.drives import Ackermann, Drive, Wheels
 from rover_rl.robots.options import RobotOptions
 from rover_rl.robots.shapes import WEIGHTLESS, Box, Mass, Shape, Vector, nine_digits
-from rover_rl.robots.urdf.body import Corners, boxes_of, check_mass, check_size, split_mass
-from rover_rl.robots.urdf.description import Description, Joint, Piece
-from rover_rl.robots.urdf.meshes import readable_mesh
-from rover_rl.robots.urdf.motion import CASTER, make_drive
+from rover_rl.robots.urdf.body import CASTER, Corners, boxes_of, check_mass, check_size, make_drive, split_mass
+from rover_rl.robots.urdf.description import Description, Joint, Piece, readable_mesh
 from rover_rl.robots.urdf.wheels import FoundWheels, Layout, RoundLink, decide, find_wheels, forward_turn, round_link
 
 Mount: TypeAlias = str | Vector

@@ -14,7 +14,7 @@ from rover_rl.rotations import rotation_forms
 from rover_rl.sims.bullet import BulletSettings, rover
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
 from rover_rl.sims.bullet.lidar import BulletLidar, BulletScanner
-from rover_rl.sims.bullet.movers import MoverBodies
+from rover_rl.sims.bullet.rover import MoverBodies
 from rover_rl.sims.movers.near import NearParts, fastest_point
 from rover_rl.sims.rover_state import Force, beam_angles
 from rover_rl.sims.world_groups import GroupedSimulator, WorldGroup

@@ -44,8 +44,7 @@ class RendererCache:
         """
         check_at_least(1, MAX_SIDE, width=width, height=height)
         # Importing them compiles nothing, but takes a second.
-        from rover_rl.sims.rendering.camera import Camera
-        from rover_rl.sims.rendering.renderer import Renderer
+        from rover_rl.sims.rendering.renderer import Camera, Renderer
 
         if world not in self._renderers:
             self._renderers[world] = Renderer(world, self._robot)

@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from rover_rl.sims.rendering.camera import Sight
+from rover_rl.sims.rendering.renderer import Sight
 from rover_rl.sims.rendering.scenery import GROUND, HORIZON, SUN, ZENITH
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface
 from rover_rl.worlds import World

@@ -1,7 +1,10 @@
-"""Renderer: a ray tracer in NVIDIA Warp, which needs neither a display nor a GPU."""
+"""Renderer: a ray tracer in NVIDIA Warp, which needs neither a display nor a GPU, and cameras that follow a rover."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from itertools import product
 from threading import Lock
 
 import torch
@@ -9,15 +12,106 @@ from torch import Tensor
 
 from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
+from rover_rl.rotations import quaternion_to_euler
+from rover_rl.sims.base import View
 from rover_rl.sims.rendering import kernels
-from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
-from rover_rl.sims.rendering.scenes import DEVICE, TracedShapes, TracedWorld, launch
+from rover_rl.sims.rendering.scenes import DEVICE, TracedShapes, TracedWorld, array, launch
 from rover_rl.sims.rendering.surfaces import forms_of, post_surface, robot_surface
-from rover_rl.worlds import World
+from rover_rl.worlds import Solids, World
 from rover_rl.worlds.movers.parts import Parts
 
+FIELD_OF_VIEW = 60.0
+"""Vertical field of view, degrees."""
+NEAR = 0.05
+"""Distance of the near plane from the camera, m."""
+_TOP_HEIGHT = 12.0
+"""Height of the top view's camera above the rover, m."""
+_CHASE_DISTANCES = torch.tensor((2.55, 1.7, 1.1), dtype=torch.float64)
+"""Distances of the chase view's camera from the rover, m. It comes nearer where none of the angles will do."""
+_ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=torch.float64)
+"""Elevation angles of the chase view, rad. The camera uses the first at which no obstacle hides the rover."""
+_BODY_POINTS = torch.tensor(list(product((-0.3, 0.3), (-0.3, 0.3), (0.1, 0.3))), dtype=torch.float64)
+"""Points of the rover that should be visible, forward, left and up from its origin, m."""
+FREE_FRACTION = 0.98
+"""Fraction of a line of sight that must be free, less than 1 because its end may lie on an obstacle."""
 ROBOT, POST = 0, 1
 """Numbers of the first shapes."""
+
+
+class Sight:
+    """Tells which points the obstacles of a world hide. The ground hides nothing."""
+
+    def __init__(self, world: World) -> None:
+        self._mesh: wp.Mesh | None = None
+        if world.obstacles:
+            solids = Solids.of(world.obstacles)
+            faces = solids.faces.flatten().int().numpy()
+            self._mesh = wp.Mesh(array(solids.vertices.numpy(), wp.vec3), array(faces, int))
+
+    def hidden(self, eye: Tensor, points: Tensor) -> Tensor:
+        """Returns whether an obstacle lies between ``eye [..., 3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
+        eye, points = torch.broadcast_tensors(eye, points)
+        hidden = torch.zeros(points.shape[:-1], dtype=torch.uint8)
+        if self._mesh is not None and hidden.numel():
+            ends = [array(part.reshape(-1, 3).numpy(), wp.vec3) for part in (eye, points)]
+            flags = wp.from_torch(hidden.view(-1))
+            launch(kernels.find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
+        return hidden.bool()
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Camera at ``eye`` that looks at ``target`` (m), with a direction ``up``: float64 ``[3]`` each."""
+
+    eye: Tensor
+    target: Tensor
+    up: Tensor
+    sight: Sight
+
+    @classmethod
+    def on(cls, position: Tensor, orientation: Tensor, sight: Sight, view: View) -> Camera:
+        """Creates the camera behind (``"chase"``) or above (``"top"``) a rover with a quaternion (x, y, z, w).
+
+        The chase camera moves up when an obstacle hides a part of the rover, and nearer, such as below a low ceiling.
+        If that does not help, it sees as much as it can. Raises ``ValueError`` for an unknown view.
+        """
+        position, up = position.double(), torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
+        if view == "top":
+            north = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
+            return cls(position + _TOP_HEIGHT * up, position, north, sight)
+        if view != "chase":
+            raise ValueError(f"unknown view {view!r}; use 'chase' or 'top'")
+        yaw = quaternion_to_euler(orientation)[2].item()
+        ahead = torch.tensor((math.cos(yaw), math.sin(yaw), 0.0), dtype=torch.float64)
+        toward = _ELEVATIONS.sin()[:, None] * up - _ELEVATIONS.cos()[:, None] * ahead
+        eyes = position + (_CHASE_DISTANCES[:, None, None] * toward).flatten(0, 1)
+        body = position + _BODY_POINTS @ torch.stack((ahead, torch.linalg.cross(up, ahead), up))
+        # The first of those that hide least.
+        best = int(sight.hidden(eyes[:, None], body).sum(-1).argmin())
+        return cls(eyes[best], position + 0.8 * ahead + 0.15 * up, up, sight)
+
+    @property
+    def axes(self) -> Tensor:
+        """Directions that point right and down in the image, and forward: unit vectors ``[3, 3]``."""
+        forward = torch.nn.functional.normalize(self.target - self.eye, dim=0)
+        right = torch.nn.functional.normalize(torch.linalg.cross(forward, self.up), dim=0)
+        return torch.stack((right, torch.linalg.cross(forward, right), forward))
+
+    def see(self, points: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+        """Projects ``points [..., 3]`` (m) into an image, and returns their pixels and whether they are visible.
+
+        Pixels are ``[..., 2]`` (right, down), NaN behind the near plane. Obstacles hide points, the ground does not.
+        """
+        points = points.double()
+        offset, depth = ((points - self.eye) @ self.axes.T).split((2, 1), -1)
+        depth = depth.masked_fill(depth < NEAR, math.nan)
+        visible = (depth.squeeze(-1) > 0) & ~self.sight.hidden(self.eye, points)
+        return torch.tensor((width / 2, height / 2)) + focal_length(height) * offset / depth, visible
+
+
+def focal_length(height: int) -> float:
+    """Focal length of images of a height, both in pixels."""
+    return height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
 
 
 class Renderer:

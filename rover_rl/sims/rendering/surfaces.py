@@ -17,7 +17,7 @@ from trimesh.graph import smooth_shade
 
 from rover_rl.robots import Robot
 from rover_rl.robots.shapes import Frame, Shape
-from rover_rl.robots.urdf.meshes import load_mesh
+from rover_rl.robots.urdf.description import load_mesh
 from rover_rl.sims.rendering import scenery
 from rover_rl.sims.rendering.scenery import Look, looks_of
 from rover_rl.worlds import Terrain, World
@@ -116,16 +116,12 @@ def forms_of(world: World, parts: Parts) -> list[Form]:
 
 @lru_cache(maxsize=512)
 def part_surface(form: Form) -> Surface:
-    length, width, height = form.size
+    length, _, height = form.size
     if form.look.is_figure:
         return _figure(length / 2, height, form.look.color)
-    if form.kind == "box":
-        solid = trimesh.creation.box((length, width, height))
-    elif form.kind == "cylinder":
-        solid = trimesh.creation.cylinder(length / 2, height, sections=SEGMENTS)
-    else:
-        solid = trimesh.creation.capsule(height - length, length / 2, (SEGMENTS, SEGMENTS // 2))
-    return Surface.of_solid(solid, form.look.color)
+    # The length of a capsule is that of its cylinder.
+    sizes = {"box": form.size, "cylinder": (length / 2, height), "capsule": (length / 2, height - length)}
+    return Surface.of_solid(_primitive(form.kind, sizes[form.kind]), form.look.color)
 
 
 def _figure(radius: float, height: float, color: Sequence[float]) -> Surface:
@@ -165,17 +161,20 @@ def _parts(shape: Shape) -> list[Surface]:
     """Creates the surfaces of a shape. A mesh file may hold several of different colors."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = shape.frame.rotation, shape.frame.position
-    meshes = load_mesh(Path(shape.file), shape.sizes) if shape.kind == "mesh" else [_primitive(shape)]
+    meshes = load_mesh(Path(shape.file), shape.sizes) if shape.kind == "mesh" else [_primitive(shape.kind, shape.sizes)]
     return [Surface.of_solid(mesh.apply_transform(matrix), shape.color or _own_color(mesh)) for mesh in meshes]
 
 
-def _primitive(shape: Shape) -> trimesh.Trimesh:
-    if shape.kind == "box":
-        return trimesh.creation.box(shape.sizes)
-    if shape.kind == "cylinder":
-        radius, length = shape.sizes
-        return trimesh.creation.cylinder(radius, length, sections=SEGMENTS)
-    return trimesh.creation.icosphere(subdivisions=3, radius=shape.sizes[0])
+def _primitive(kind: str, sizes: Sequence[float]) -> trimesh.Trimesh:
+    """Creates a box by its sides, a sphere by its radius, or a cylinder or a capsule by radius and length, m."""
+    if kind == "box":
+        return trimesh.creation.box(sizes)
+    if kind == "sphere":
+        return trimesh.creation.icosphere(subdivisions=3, radius=sizes[0])
+    radius, length = sizes
+    if kind == "capsule":
+        return trimesh.creation.capsule(length, radius, (SEGMENTS, SEGMENTS // 2))
+    return trimesh.creation.cylinder(radius, length, sections=SEGMENTS)
 
 
 def _own_color(mesh: trimesh.Trimesh) -> tuple[float, ...]:

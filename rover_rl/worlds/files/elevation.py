@@ -21,16 +21,12 @@ from rover_rl.worlds.files.options import MAX_SIZE, TIFF_SUFFIXES, ImportOptions
 MAX_PIXELS = 36_000_000
 FAR = 1000.0
 """Distance from the origin beyond which a georeferenced grid is moved to the origin, m."""
-PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS, DOUBLES = 33550, 33922, 34264, 34735, 34736
+PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
 METADATA, NO_DATA = 42112, 42113
 """Codes of the tags of the GeoTIFF standard, and of GDAL's own."""
-MODEL, RASTER, GEOGRAPHIC, PROJECTED, UNIT, UNIT_SIZE = 1024, 1025, 2048, 3072, 3076, 3077
-VERTICAL, VERTICAL_UNIT = 4096, 4099
-"""Codes of the keys in the tag :data:`KEYS`."""
-USER_DEFINED = 32767
+UNDEFINED = (0, 32767)
+"""EPSG's codes of what a file leaves undefined, or defines itself."""
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
-UNITS: dict[float, float] = {0: 1.0, USER_DEFINED: 1.0, 9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT}
-"""Units of length by EPSG's codes, m. What the file leaves undefined is meters."""
 UNIT_NAMES = {
     1.0: ("m", "metre", "metres", "meter", "meters"),
     FOOT: ("ft", "foot", "feet", "foot (international)", "international foot", "international feet"),
@@ -185,7 +181,7 @@ def _read_tiff(path: Path) -> Elevations:
             _check_pixels(path, page.shape)
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands = np.moveaxis(page.asarray(), page.axes.index("S"), 0) if "S" in page.axes else [page.asarray()]
-            values, meaning = bands[0], _read_tags(path.name, tags)
+            values, meaning = bands[0], _read_tags(path.name, tags, page.geotiff_tags or {})
             hidden = _is_missing(values, tags)
             extra = zip(bands[::-1], page.extrasamples[::-1], strict=False)
             alphas = [band for band, kind in extra if kind in (1, 2)]
@@ -226,11 +222,11 @@ def _is_missing(values: np.ndarray, tags: dict[int, Any]) -> np.ndarray:
     return missing
 
 
-def _read_tags(name: str, tags: dict[int, Any]) -> GeoTags | None:
-    """Returns the meaning of the values of a TIFF, by its name and its tags. ``None`` if it is no GeoTIFF."""
+def _read_tags(name: str, tags: dict[int, Any], keys: dict[str, Any]) -> GeoTags | None:
+    """Returns the meaning of the values of a TIFF, by its name, its tags and its keys. ``None`` if it is no GeoTIFF."""
     if not tags.keys() & {PIXEL_SCALE, TRANSFORMATION, KEYS}:
         return None
-    keys, items = _keys(tags), dict[str, str]()
+    items = dict[str, str]()
     if METADATA in tags:
         elements = parse_xml(str(tags[METADATA]).strip(" \0").encode()).iter("Item")
         items = {item.get("role", ""): text_of(item) for item in elements if item.get("sample") == "0"}
@@ -251,10 +247,10 @@ def _read_tags(name: str, tags: dict[int, Any]) -> GeoTags | None:
         reproject = f"gdalwarp -dstalpha -t_srs EPSG:{zone} {name} meters.tif"
         return found._replace(no_meters=f"is in degrees, not in meters: reproject it with {reproject}")
     notes = (*_about("lengths", unit), *found.notes)
-    if unit != 1 and not (items.get("unittype") or keys.keys() & {VERTICAL, VERTICAL_UNIT}):
+    if unit != 1 and not (items.get("unittype") or keys.keys() & {"VerticalCSTypeGeoKey", "VerticalUnitsGeoKey"}):
         notes += ("ground: the file says no unit of its heights, and they are taken as meters",)
-    # Key RASTER: 2 means that a value belongs to a point, otherwise to the area of a pixel.
-    half = 0.0 if keys.get(RASTER) == 2 else 0.5
+    # 2 means that a value belongs to a point, otherwise to the area of a pixel.
+    half = 0.0 if keys.get("GTRasterTypeGeoKey") == 2 else 0.5
     placed = TRANSFORMATION in tags or TIE_POINT in tags
     corner = (unit * (x + half * dx), unit * (y + half * dy)) if placed else None
     return found._replace(cell=(unit * dx, -unit * dy), corner=corner, notes=notes)
@@ -262,18 +258,6 @@ def _read_tags(name: str, tags: dict[int, Any]) -> GeoTags | None:
 
 def _about(what: str, unit: float) -> tuple[str, ...]:
     return () if unit == 1 else (f"ground: {what} in the file are in units of {unit:.9g} m",)
-
-
-def _keys(tags: dict[int, Any]) -> dict[int, float]:
-    directory, doubles = [*tags.get(KEYS, ())], np.ravel(tags.get(DOUBLES, ()))
-    found = {}
-    for k in range(4, len(directory) - 3, 4):
-        key, place, _, value = directory[k : k + 4]
-        if place == 0:
-            found[key] = float(value)
-        elif place == DOUBLES and value < len(doubles):
-            found[key] = float(doubles[value])
-    return found
 
 
 def _transform(tags: dict[int, Any]) -> np.ndarray | None:
@@ -287,32 +271,34 @@ def _transform(tags: dict[int, Any]) -> np.ndarray | None:
     return matrix.reshape(4, 4)[:2, [0, 1, 3]] if matrix.size == 16 else None
 
 
-def _unit(keys: dict[int, float]) -> float | None:
+def _unit(keys: dict[str, Any]) -> float | None:
     """Returns the unit of the coordinates, m. ``None``: degrees."""
-    if keys.get(MODEL) == 2 or (GEOGRAPHIC in keys and not keys.keys() & {MODEL, PROJECTED}):
+    model, system = keys.get("GTModelTypeGeoKey"), keys.get("ProjectedCSTypeGeoKey")
+    if model == 2 or (model is None and system is None and "GeographicTypeGeoKey" in keys):
         return None
-    if UNIT in keys:
-        return keys[UNIT_SIZE] if keys[UNIT] == USER_DEFINED and UNIT_SIZE in keys else _unit_of_code(keys[UNIT])
-    return _unit_of_system(keys.get(PROJECTED, 0))
+    if (unit := keys.get("ProjLinearUnitsGeoKey")) is None:
+        return _unit_of_system(system or 0)
+    return _unit_of_code(unit) if unit not in UNDEFINED else float(keys.get("ProjLinearUnitSizeGeoKey", 1.0))
 
 
-def _height_unit(keys: dict[int, float], name: str) -> float:
+def _height_unit(keys: dict[str, Any], name: str) -> float:
     named = next((unit for unit, names in UNIT_NAMES.items() if name.lower() in names), None)
-    if named is None and keys.get(VERTICAL, 0) not in UNITS:
-        named = _unit_of_system(keys[VERTICAL])
-    return _unit_of_code(keys.get(VERTICAL_UNIT, 0)) if named is None else named
+    if named is None and (system := keys.get("VerticalCSTypeGeoKey", 0)) not in UNDEFINED:
+        named = _unit_of_system(system)
+    return _unit_of_code(keys.get("VerticalUnitsGeoKey", 0)) if named is None else named
 
 
-def _unit_of_code(code: float) -> float:
-    if code in UNITS:
-        return UNITS[code]
+def _unit_of_code(code: int) -> float:
+    """Returns the unit of length with EPSG's code, m: meters if there is none."""
+    if code in UNDEFINED:
+        return 1.0
     units = optional("pyproj.database").get_units_map("EPSG", "linear", allow_deprecated=True).values()
-    return next((unit.conv_factor for unit in units if unit.code == f"{code:.0f}"), 1.0)
+    return next((unit.conv_factor for unit in units if unit.code == f"{code:d}"), 1.0)
 
 
-def _unit_of_system(code: float) -> float | None:
+def _unit_of_system(code: int) -> float | None:
     """Returns the unit of a coordinate system by EPSG's code, m: meters if there is none, ``None`` for degrees."""
-    if code not in UNITS:
+    if code not in UNDEFINED:
         pyproj = optional("pyproj")
         with suppress(pyproj.exceptions.CRSError):
             system = pyproj.CRS.from_epsg(int(code))

@@ -15,7 +15,7 @@ from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_conf
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.experiments.run_files import RunFiles
+from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.progress import TIME
 from rover_rl.algos.train.run import TrainingSummary

@@ -19,7 +19,7 @@ from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides, lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.envs.config import EnvConfig
-from rover_rl.sims.rendering.camera import Camera, Sight
+from rover_rl.sims.rendering.renderer import Camera, Sight
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import straight

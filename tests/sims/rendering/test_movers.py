@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
-from rover_rl.sims.rendering.camera import Camera, Sight
+from rover_rl.sims.rendering.renderer import Camera, Sight
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Box, Capsule, Mover, Person, Shape, Waypoints
 

@@ -12,7 +12,7 @@ from rover_rl.robots import get_robot
 from rover_rl.rotations import quaternion_product, rotate
 from rover_rl.sims.rendering import scenes
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.rendering.camera import Camera, Sight
+from rover_rl.sims.rendering.renderer import Camera, Sight
 from rover_rl.sims.rendering.scenery import SUN
 from rover_rl.worlds import Terrain, World, box
 
