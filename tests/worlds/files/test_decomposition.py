@@ -155,6 +155,10 @@ def test_open_rooms_stay_empty_whatever_side_their_walls_face():
         shut = [not any(normal @ np.array(side) > 0.9 for side in open_sides) for normal in room.face_normals]
         for faces in (room.faces[shut], room.faces[shut][:, ::-1]):
             assert holds(parts_of(trimesh.Trimesh(room.vertices, faces, process=False)), (0.0, 0.0, 0.0)) == [False]
+    # A crate without a bottom is solid.
+    crate = trimesh.creation.box((1, 1, 1))
+    bottomless = trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 2] > -0.5], process=False)
+    assert holds(parts_of(bottomless), (0.0, 0.0, 0.0)) == [True]
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -188,7 +192,7 @@ def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
     assert [note for note in world.notes if "foil/l/c has no volume" in note]
 
 
-def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, cache):
+def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, own_cache):
     mesh = prism(*frame((1, 0.6), 0.1), 0.4)
     mesh.export(tmp_path / "u.stl")
     places = [("1 1 1", f"{3 * k} {k} 0 {0.3 * k} 0.1 {k}") for k in range(3)]
@@ -196,7 +200,7 @@ def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, cache):
     shape = "<mesh><uri>u.stl</uri><scale>{}</scale></mesh>"
     body = "".join(model(link(shape.format(scale), pose), f"m{k}") for k, (scale, pose) in enumerate(places))
     world = world_of(tmp_path, body)
-    assert len([*(cache / "convex_parts").rglob("*.npz")]) == 2
+    assert len([*(own_cache / "convex_parts").rglob("*.npz")]) == 2
     assert len(world.obstacles) == 6 * 3
     assert volume_of(world.obstacles) == pytest.approx((4 + 2 * 6) * mesh.volume, rel=1e-3)
     # In the middle of the bottom of the U and in its gap, of the mirror image and of a stretched copy.

@@ -267,20 +267,6 @@ def test_an_inclined_plane_is_ground(tmp_path):
     assert heights_at(world, (-3.0, 0.0), (3.0, 0.0)) == pytest.approx([0.0, 0.6], abs=0.01)
 
 
-def test_what_walls_enclose_is_the_spawn_area(tmp_path):
-    places = ("0 5 1 0 0 0", "0 -5 1 0 0 0", "5 0 1 0 0 1.5707963", "-5 0 1 0 0 1.5707963")
-    walls = [link("<box><size>10 0.2 2</size></box>", pose, f"l{k}") for k, pose in enumerate(places)]
-    shut = model("".join(walls))
-    world = world_of(tmp_path, shut)
-    assert world.spawn_range == (pytest.approx((-4.55, 4.55), abs=0.12),) * 2
-    assert any("enclosed ground" in note for note in world.notes)
-    world = world_of(tmp_path, model("".join(walls[:3])))
-    assert any("open ground" in note for note in world.notes)
-    areas = {"spawn_range": ((-1, 1), (-2, 2)), "goal_range": ((0, 3), (0, 3)), "bounds": ((-4, 4), (-4, 4))}
-    given = world_of(tmp_path, shut, **areas)
-    assert {name: getattr(given, name) for name in areas} == areas
-
-
 def test_merged_includes_share_their_frames(tmp_path):
     included(tmp_path, model(link("<empty/>", "1 0 0 0 0 0", "inner")))
     body = model(
