@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from rover_rl.robots import Robot
 from rover_rl.sims import RoverState, Simulator
-from rover_rl.sims.settings import Connection
 from rover_rl.worlds import World
 
 DT = 0.05
@@ -44,14 +43,7 @@ class ScriptedBackend:
 
     contacts: bool = False
 
-    def make(
-        self,
-        *,
-        worlds: Sequence[World],
-        robot: Robot,
-        connection: Connection | None = None,
-        device: torch.device | None = None,
-    ) -> ScriptedSimulator:
+    def make(self, *, worlds: Sequence[World], **_: object) -> ScriptedSimulator:
         return ScriptedSimulator(worlds, self.contacts)
 
 
@@ -102,10 +94,11 @@ class ScriptedSimulator(Simulator):
 
     def state(self) -> RoverState:
         moments = self.moments()
+        angles = [(m.roll, m.pitch, m.yaw) for m in moments]
         contact = {"contact": torch.tensor([[m.contact] for m in moments])} if self._contacts else {}
         return RoverState.pack(
             position=torch.tensor([(m.x, m.y, m.z) for m in moments], dtype=torch.float32),
-            orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in moments], dtype=torch.float32),
+            orientation=torch.from_numpy(Rotation.from_euler("xyz", angles).as_quat()).float(),
             linear_velocity=torch.tensor([[m.v] for m in moments], dtype=torch.float32),
             angular_velocity=torch.tensor([[m.w] for m in moments], dtype=torch.float32),
             dt=torch.full((self.num_envs, 1), DT),
@@ -130,14 +123,3 @@ class ScriptedScanner:
     def scan(self, rows: Tensor | None = None) -> Tensor:
         ranges = [torch.as_tensor(moment.ranges, dtype=torch.float32) for moment in self._simulator.moments()]
         return torch.stack([each.expand(len(self.angles)) for each in ranges])
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion (x, y, z, w) of rotations by roll, pitch and yaw about the fixed axes x, y and z, in this order."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
