@@ -92,7 +92,7 @@ def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground():
     assert world.terrain.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
-@pytest.mark.parametrize("name", ["moon", "maze"])
+@pytest.mark.parametrize("name", ["inspect", "moon", "maze"])
 def test_spawn_poses_are_upright_with_a_clear_lidar(name):
     world = get_world(name)
     lidar, rotation = lidar_poses(world, 300)
