@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from rover_rl.rng import to_unit
 from rover_rl.worlds import box, get_world, movers
 from rover_rl.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, Person, SocialForce, Wander, Waypoints
-from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, walk, yard
+from tests.pages import ROOT, definitions
+from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, rovers_at, walk, yard
 
 MOTIONS = [Wander(), Cross(), SocialForce(), Orca()]
 CENTER = ((-4.0, 4.0), (-3.0, 3.0))
@@ -132,35 +132,24 @@ def test_the_edge_of_a_door_stays_at_the_hinge() -> None:
     assert [angles[29], angles[39], angles[-1]] == pytest.approx([-1.2, -1.2, 0.3], abs=1e-5)
 
 
+PAGE: dict[str, Any] = {}
+exec(definitions((ROOT / "docs" / "movers.md").read_text(encoding="utf-8"), "Circle"), PAGE)
+
+
 @dataclass(frozen=True)
-class Circle(Motion):
-    """Goes around a point, from a random place on. Its goal is the direction away from the nearest wall."""
+class Circle(PAGE["Circle"]):  # type: ignore[name-defined,misc]
+    """The motion of ``docs/movers.md``. Its goal is the direction away from the nearest wall."""
 
     has_walls: ClassVar[bool] = True
 
-    radius: float = 2.0
-    speed: float = 1.0
-
-    @classmethod
-    def begin(cls, inputs: movers.MotionInput) -> movers.MoverState:
-        # The clock keeps the angle at which the episode begins.
-        return cls.at(inputs, 2 * math.pi * to_unit(inputs.bits(1)[..., 0]))
-
-    @classmethod
-    def advance(cls, inputs: movers.MotionInput) -> movers.MoverState:
-        return cls.at(inputs, inputs.state.clock)
-
     @classmethod
     def at(cls, inputs: movers.MotionInput, first: Tensor) -> movers.MoverState:
-        radius = inputs.settings["radius"]
-        angle = first + inputs.time * inputs.settings["speed"] / radius
-        out = torch.stack((angle.cos(), angle.sin()), -1)
-        position = radius[..., None] * out
-        return replace(inputs.state, position=position, yaw=angle, clock=first, goal=inputs.walls.at(position)[1])
+        state = super().at(inputs, first)
+        return replace(state, goal=inputs.walls.at(state.position)[1])
 
 
 def test_an_own_motion_moves_beside_those_of_the_package_with_its_own_random_numbers() -> None:
-    three = [Mover(Circle(3.0, 0.5)), Mover(SocialForce(), Cylinder(0.3)), Mover(Circle())]
+    three = [Mover(Circle(radius=3.0, speed=0.5)), Mover(SocialForce(), Cylinder(0.3)), Mover(Circle())]
     field = begun([yard(three), yard(three[1:])], rovers=torch.full((2, 2), 8.0))
     points = walk(field, 100)[:, 0, 0]
     assert points.norm(dim=-1).tolist() == pytest.approx([3.0] * 100, abs=1e-4)
@@ -198,3 +187,57 @@ def test_wrong_settings_are_told_in_a_sentence(motion: Any, arguments: dict[str,
 def test_a_fixed_start_inside_an_obstacle_is_refused() -> None:
     with pytest.raises(ValueError, match="'mover' of world 'yard' starts at .* inside an obstacle"):
         yard([Mover(Cross(start=(0.0, 0.0)))], obstacles=[box((0.0, 0.0, 0.5), (1.0, 1.0, 1.0))])
+
+
+# Independence, to the last bit
+
+
+RESTLESS = [
+    Wander(turn_time=1.0),
+    Cross(patience=1.0, pause=0.3),
+    SocialForce(patience=1.0, pause=0.3),
+    Orca(patience=1.0, pause=0.3),
+    Waypoints.there_and_back((0.0, 0.0), (4.0, 3.0), random_start=True),
+]
+PILLARS = [box((x, y, 0.5), (2.0, 1.0, 1.0)) for x in (-3.0, 3.0) for y in (-2.5, 2.5)]
+
+
+def circling(rows: int, seed: int, step: int) -> Tensor:
+    """Points of rovers that depend on the seed of the row and on the step, ``[rows, 2]``."""
+    turn = torch.arange(seed, seed + rows) + 0.02 * step
+    # Powers of the angle: sines may differ in the last bit.
+    return torch.stack((torch.remainder(turn, 6) - 3, torch.remainder(0.5 * turn, 4) - 2), -1)
+
+
+@pytest.mark.parametrize("motion", RESTLESS, ids=lambda motion: type(motion).__name__)
+def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion) -> None:
+    # Some rows fill the processor's vectors, and the last one is left over.
+    rows = 33
+    world = yard([Mover(motion, Cylinder(0.3))] * 5, 12.0, PILLARS)
+    # Other rows have more movers, of other motions, too.
+    crowded = yard([Mover(Waypoints([(0.0, 1.0, 1.0, 0.0)])), *[Mover(motion, Cylinder(0.2))] * 7], 14.0)
+    row = rows - 3
+    alone = begun([world], seed=row, rovers=circling(1, row, 0))
+    batch = begun([crowded if k != row and k % 3 else world for k in range(rows)], rovers=circling(rows, 0, 0))
+    again = (torch.arange(rows) % 2 == 0)[:, None]
+    again[row] = False
+    for step in range(80):
+        if step == 40:
+            batch.reset(again, torch.arange(rows)[:, None], circling(rows, 0, step))
+        alone.advance(None, rovers_at(circling(1, row, step)))
+        batch.advance(None, rovers_at(circling(rows, 0, step)))
+    for name in ("position", "yaw", "velocity", "goal", "clock", "draws"):
+        assert torch.equal(getattr(alone.state, name)[0], getattr(batch.state, name)[row, :5]), name
+    assert torch.equal(alone.parts.position[0], batch.parts.position[row, :5])
+
+
+@pytest.mark.parametrize("motion", RESTLESS, ids=lambda motion: type(motion).__name__)
+def test_rows_in_which_no_time_passes_stay_and_all_movers_are_elsewhere(motion: Motion) -> None:
+    field = begun([yard([Mover(motion)] * 3)] * 2)
+    before = field.state.position
+    for _ in range(30):
+        field.advance(torch.tensor([[True], [False]]), rovers_at(torch.zeros(2, 2)))
+    assert torch.equal(field.state.position[1], before[1])
+    assert not torch.equal(field.state.position[0], before[0])
+    points = walk(field, 20)[-1].reshape(-1, 2)
+    assert len(points.unique(dim=0)) == 6
