@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).parents[1]
 _MARKDOWN = MarkdownIt("commonmark").enable("table")
+_DEFINITIONS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef)
 # Blocks that start with such a comment are compiled and not run.
 NEEDS = "# needs "
 
@@ -50,6 +52,15 @@ def blocks(text: str, language: str) -> list[Block]:
         for token in tokens(text)
         if token.type == "fence" and token.info == language and token.map
     ]
+
+
+def definitions(text: str, name: str) -> str:
+    """Returns the imports, functions and classes of the first Python block that defines a name."""
+    for block in blocks(text, "python"):
+        found = [node for node in ast.parse(block.code).body if isinstance(node, _DEFINITIONS)]
+        if name in {getattr(node, "name", None) for node in found}:
+            return ast.unparse(ast.Module(found, []))
+    raise LookupError(name)
 
 
 def inline(text: str, kind: str) -> Iterator[Token]:
