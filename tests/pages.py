@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
@@ -61,6 +61,13 @@ def definitions(text: str, name: str) -> str:
         if name in {getattr(node, "name", None) for node in found}:
             return ast.unparse(ast.Module(found, []))
     raise LookupError(name)
+
+
+def documented(page: str, name: str) -> Any:
+    """Returns the class or function that a page in ``docs/`` defines."""
+    names: dict[str, Any] = {"__name__": __name__}
+    exec(definitions((ROOT / "docs" / page).read_text(encoding="utf-8"), name), names)
+    return names[name]
 
 
 def inline(text: str, kind: str) -> Iterator[Token]:

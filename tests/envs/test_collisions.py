@@ -12,8 +12,7 @@ from rover_rl import TaskConfig
 from rover_rl.envs.task import StepEvent
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import COLLISION_MARGIN, collision_ranges
-from tests.envs.contract.scripted_env import bare, play, rewards, scripted, step_events
-from tests.envs.scripted import Moment, ScriptedBackend
+from tests.envs.scripted import Moment, ScriptedBackend, bare, play, rewards, scripted, step_events
 
 BEAMS = 32
 LEFT, BACK = 8, 16

@@ -18,8 +18,7 @@ from rover_rl.envs.sensors.standard import LidarPooling
 from rover_rl.envs.stages import HeadingController
 from rover_rl.envs.task import target_info
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import FAR_GOAL, assert_same_angle, bare, pairs, play, scripted
-from tests.envs.scripted import Moment
+from tests.envs.scripted import FAR_GOAL, Moment, assert_same_angle, bare, pairs, play, scripted
 
 ARGUMENTS = {"size": (64, 64), "length": 2000, "scan_topic": "/scan", "imu_topic": "/imu/data"}
 ARGUMENTS |= {"cmd_vel_topic": "/cmd_vel", "camera_topic": "/camera/image_raw", "world_n": "inspect"}

@@ -13,8 +13,7 @@ import torch
 
 from rover_rl import RewardConfig, TaskConfig
 from rover_rl.envs.task import EVENTS, PositionHistory, StepEvent, compute_terminations
-from tests.envs.contract.scripted_env import CPU, OBSERVATION, bare, moving, pairs, play, rewards, scripted, step_events
-from tests.envs.scripted import Moment
+from tests.envs.scripted import CPU, OBSERVATION, Moment, bare, moving, pairs, play, rewards, scripted, step_events
 
 NEAR = Moment(ranges=0.1)
 """In collision."""

@@ -13,9 +13,8 @@ from torch import Tensor
 from rover_rl import RoverEnv, TaskConfig, World, make_env
 from rover_rl.worlds import Terrain
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import AREA, bare, scripted
 from tests.envs.contract.witness import NAME_OF_PHASE, Witness, check_witnessed, witness
-from tests.envs.scripted import Moment
+from tests.envs.scripted import AREA, Moment, bare, scripted
 
 
 def test_scripts_of_every_kind_give_what_the_transcription_says():

@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 
 from rover_rl.envs.task import StepEvent
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import OBSERVATION, assert_same_angle, bare
+from tests.envs.scripted import OBSERVATION, assert_same_angle, bare
 
 NAME_OF_PHASE = {event: event.name.lower() for event in StepEvent if StepEvent.FLIP <= event <= StepEvent.DENSE}
 
