@@ -45,6 +45,15 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of the package in a cache on disk that no other test uses."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    return folder / "rover_rl"
+
+
+@pytest.fixture
 def guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
     """Import path of the backend that ``docs/backends.md`` builds, in a module of its own."""
     page, *_ = blocks((ROOT / "docs" / "backends.md").read_text(), "python")

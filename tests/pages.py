@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
 ROOT = Path(__file__).parents[1]
 _MARKDOWN = MarkdownIt("commonmark").enable("table")
+_DEFINITIONS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef)
 # Blocks that start with such a comment are compiled and not run.
 NEEDS = "# needs "
 
@@ -50,6 +52,22 @@ def blocks(text: str, language: str) -> list[Block]:
         for token in tokens(text)
         if token.type == "fence" and token.info == language and token.map
     ]
+
+
+def definitions(text: str, name: str) -> str:
+    """Returns the imports, functions and classes of the first Python block that defines a name."""
+    for block in blocks(text, "python"):
+        found = [node for node in ast.parse(block.code).body if isinstance(node, _DEFINITIONS)]
+        if name in {getattr(node, "name", None) for node in found}:
+            return ast.unparse(ast.Module(found, []))
+    raise LookupError(name)
+
+
+def documented(page: str, name: str) -> Any:
+    """Returns the class or function that a page in ``docs/`` defines."""
+    names: dict[str, Any] = {"__name__": __name__}
+    exec(definitions((ROOT / "docs" / page).read_text(encoding="utf-8"), name), names)
+    return names[name]
 
 
 def inline(text: str, kind: str) -> Iterator[Token]:

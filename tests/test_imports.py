@@ -13,60 +13,39 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "rover_rl"
 VAGUE_NAMES = {"utils", "helpers", "common"}
 
-LAYERS = (
-    (
-        "checks",
-        "files",
-        "names",
-        "option_names",
-        "plain",
-        "progress",
-        "registry",
-        "rng",
-        "tensordicts",
-        "tiny_xml",
-        "rotations",
-        "native",
-    ),
-    ("worlds", "robots"),
-    ("sims.rover_state", "sims.sensor_report", "sims.settings"),
-    (
-        "sims.base",
-        "sims.command_limiter",
-        "sims.free_space",
-        "sims.movers",
-        "sims.rays",
-        "sims.rendering",
-        "sims.world_groups",
-        "sims.scenes",
-    ),
-    ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
-    ("sims.backends", "sims.effective_track"),
-    ("sims.__init__",),
-    ("envs",),
-    ("tasks",),
-    ("algos.archives", "algos.config", "algos.config_files", "algos.workers"),
-    ("algos.policy", "algos.pretrained"),
-    ("algos.driving",),
-    ("algos.train",),
-    ("algos.evaluation",),
-    ("algos.benchmarks", "algos.calibration", "algos.deploy", "algos.experiments", "algos.video"),
-    ("algos.__init__",),
-    ("view",),
-    ("cli",),
-    ("__init__",),
-)
+LAYERS = [
+    layer.split()
+    for layer in """
+    checks files names option_names plain progress registry rng tensordicts tiny_xml rotations native
+    worlds robots
+    sims.rover_state sims.sensor_report sims.settings
+    sims.base sims.command_limiter sims.free_space sims.movers sims.rays sims.rendering sims.scenes sims.world_groups
+    sims.bullet sims.mujoco sims.ros2 sims.warp
+    sims.backends sims.effective_track
+    sims.__init__
+    envs
+    tasks
+    algos.archives algos.config algos.config_files algos.workers
+    algos.policy algos.pretrained
+    algos.driving
+    algos.train
+    algos.evaluation
+    algos.benchmarks algos.calibration algos.deploy algos.experiments algos.video
+    algos.__init__
+    view
+    cli
+    __init__
+    """.strip().splitlines()
+]
 """Layers of the package, bottom first. A module imports from its own layer and from layers below.
 
 A name stands for a module or for a package with everything in it; ``sims.__init__`` stands for that file alone.
 """
 
+SIMULATORS = ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp")
 SEPARATE = {
-    "sims.bullet": ("sims.mujoco", "sims.ros2", "sims.warp"),
-    "sims.mujoco": ("sims.bullet", "sims.ros2", "sims.warp"),
-    "sims.ros2": ("sims.bullet", "sims.mujoco", "sims.warp"),
-    "sims.warp": ("sims.bullet", "sims.mujoco", "sims.ros2"),
-    "envs": ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
+    **{name: tuple({*SIMULATORS} - {name}) for name in SIMULATORS},
+    "envs": SIMULATORS,
     "robots": ("sims", "worlds"),
     "worlds": ("sims", "robots"),
 }

@@ -1,7 +1,8 @@
-"""No command writes over a file that rover-rl did not make, and each writes over its own."""
+"""Files: no command writes over one that rover-rl did not make, each writes over its own, and all of it or nothing."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from pathlib import Path
@@ -16,8 +17,9 @@ from rover_rl.algos.evaluation.report import write_rows
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.cli import main
-from rover_rl.files import MADE_BY, check_outputs, write_json, written_whole
+from rover_rl.files import MADE_BY, check_outputs, errors_name, write_json, written_whole
 from tests.algos.benchmarks.mini import write_barn_folder
+from tests.full_disk import largest_file
 
 MAP = "image: lab.png\nresolution: 0.1\norigin: [-3, -3, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
 EPISODES = ["--world", "maze", "--count", "2", "--seconds", "0.2"]
@@ -164,3 +166,44 @@ def test_tables_and_json_are_known_by_their_mark_and_not_by_their_names(tmp_path
     (tmp_path / "runs.csv").write_text('"run","success"\n"a",0.5\n')
     with pytest.raises(FileExistsError):
         check_outputs(tmp_path / "runs.csv")
+
+
+# Files are written whole, and errors name them
+
+
+def test_an_interrupted_write_keeps_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "data.json"
+    path.write_text("old")
+
+    def fail() -> None:
+        with written_whole(path) as temporary:
+            temporary.write_text("ne")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_write_errors_name_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "data.json"
+    with largest_file(10), pytest.raises(OSError, match="too large") as failure:
+        write_json(path, [*range(1000)])
+    assert failure.value.filename == str(path)
+    with pytest.raises(IsADirectoryError) as is_folder:
+        write_json(tmp_path, [])
+    assert is_folder.value.filename == str(tmp_path)
+    # A file in the place of a folder is named as it is.
+    path.touch()
+    with pytest.raises(OSError, match=r"data\.json'$"):
+        write_json(path / "more.json", [])
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_other_errors_are_unchanged(tmp_path: Path) -> None:
+    other = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), "elsewhere")
+    for error in (ConnectionError("no cluster"), other):
+        with pytest.raises(OSError) as raised, errors_name(tmp_path):
+            raise error
+        assert raised.value is error

@@ -1,4 +1,4 @@
-"""A package of the user's with parts of every kind, used from the command line."""
+"""A package of the user's with parts of every kind, most of ``docs/extending.md``, used from the command line."""
 
 from __future__ import annotations
 
@@ -14,33 +14,12 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
 from rover_rl.robots import get_robot
 from tests.fork_server import quick_workers
-from tests.pages import ROOT, blocks
+from tests.pages import ROOT, definitions
 
-PACKAGE = """
+SLOW = """
 from dataclasses import dataclass
 
-import torch
-
-from rover_rl import RewardComponent, Terrain, World, box, contract_reward
 from rover_rl.sims import make_simulator
-
-
-def canyon(seed):
-    generator = torch.Generator().manual_seed(seed)
-    places = torch.rand(5, 2, generator=generator) * 8 - 4
-    boxes = [box((x, y, 0.5), (0.6, 0.6, 1.0)) for x, y in places.tolist()]
-    return World(f"canyon-{seed}", Terrain.flat((12, 12)), boxes)
-
-
-class TiltPenalty(RewardComponent):
-    name = "tilt"
-
-    def value(self, outcome, observation):
-        return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
-
-
-def gentle():
-    return [*contract_reward(), TiltPenalty()]
 
 
 @dataclass(frozen=True)
@@ -82,24 +61,6 @@ class Tracks(Drive):
     def matrix(self, wheels):
         return torch.tensor([[1.0, -self.width / 2], [1.0, self.width / 2]]) / wheels.radius
 """
-DROP_FINDER = """
-from dataclasses import dataclass
-
-from rover_rl.envs.sensors.base import Sensor
-from rover_rl.envs.specs import Bounds
-
-
-@dataclass(frozen=True, kw_only=True)
-class DropFinder(Sensor):
-    name: str = "drop"
-
-    @property
-    def bounds(self):
-        return Bounds((0.0,), (3.0,))
-
-    def read(self, inputs):
-        return inputs.scan((0.4, 0.0, 0.3), [(0.0, 0.0, -1.0)])
-"""
 ROBOT = """
 from pathlib import Path
 
@@ -112,14 +73,13 @@ WHEELS = ("front_left_wheel", "rear_left_wheel"), ("front_right_wheel", "rear_ri
 def scout():
     drive = Tracks(left=WHEELS[0], right=WHEELS[1], torque=5.0)
     urdf = Path(__file__).with_name("scout.urdf")
-    return Robot.from_urdf(urdf, name="scout", drive=drive, sensors=("my_package.drop:DropFinder",))
+    return Robot.from_urdf(urdf, name="scout", drive=drive, sensors=("my_package.sensors:RangeFinder(name='drop')",))
 """
 PARTS = [
-    *("--world", "my_package.parts:canyon:3", "--robot", "my_package.robot:scout"),
-    *("--reward", "my_package.parts:gentle", "--backend", "my_package.parts:Slow"),
+    *("--world", "my_package.worlds:canyon:3", "--robot", "my_package.robot:scout"),
+    *("--reward", "my_package.rewards:gentle", "--backend", "my_package.slow:Slow"),
 ]
 SENSOR = "my_package.sensors:RangeFinder"
-"""The sensor of docs/extending.md."""
 OBSERVATION = ["lidar", "imu", "target", "velocities", "drop", "range"]
 
 
@@ -129,11 +89,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_package").mkdir()
     (folder / "my_package" / "__init__.py").touch()
-    for name, text in {"parts": PACKAGE, "drive": DRIVE, "drop": DROP_FINDER, "robot": ROBOT}.items():
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    files = {"slow": SLOW, "drive": DRIVE, "robot": ROBOT}
+    files |= {"worlds": definitions(page, "canyon"), "rewards": definitions(page, "gentle")}
+    files |= {"sensors": definitions(page, "RangeFinder")}
+    for name, text in files.items():
         (folder / "my_package" / f"{name}.py").write_text(text)
     (folder / "my_package" / "scout.urdf").write_bytes(get_robot("rover_zero").urdf.read_bytes())
-    page = blocks((ROOT / "docs" / "extending.md").read_text(encoding="utf-8"), "python")
-    (folder / "my_package" / "sensors.py").write_text(next(b.code for b in page if "my_package/sensors.py" in b.code))
     size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
     size += ["--lidar.points", "16", "--sensors", SENSOR, "--observation", *OBSERVATION, "--name", "own"]
     with pytest.MonkeyPatch.context() as patch, quick_workers():
@@ -161,10 +123,10 @@ def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = "runs/own"
-    assert main(["evaluate", run, "--count", "2", "--seconds", "0.2", "--backend", "my_package.parts:Slow"]) == 0
+    assert main(["evaluate", run, "--count", "2", "--seconds", "0.2", "--backend", "my_package.slow:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
     assert evaluation["env"]["robot"] == "my_package.robot:scout"
-    assert evaluation["env"]["backend"] == "my_package.parts:Slow"
+    assert evaluation["env"]["backend"] == "my_package.slow:Slow"
     assert evaluation["env"]["sensors"] == [SENSOR]
     small = ["--seconds", "0.5", "--width", "80", "--height", "60"]
     assert main(["film", run, "--out", "own.gif", *small, "--rewards", "rewards.png"]) == 0

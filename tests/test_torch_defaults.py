@@ -11,6 +11,7 @@ import torch
 from rover_rl import Randomization, RewardConfig, make_env
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.native.threads import kernel_threads, single_threaded
 
 ACTION = torch.tensor([[0.5, 0.3], [0.7, -0.2]])
 REWARD = RewardConfig(clearance_penalty=-0.1, action_rate_penalty=-0.01, risk_penalty=-0.1)
@@ -85,3 +86,14 @@ def test_actions_of_other_types_and_with_gradients_are_taken(kind):
         results.append(env.step(env.reset().set("action", each))["next"])
     assert torch.equal(results[0]["velocities"], results[1]["velocities"])
     assert not results[0]["reward"].requires_grad
+
+
+def test_kernels_keep_the_threads_that_pytorch_gives_up():
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        with single_threaded(), single_threaded():
+            assert (torch.get_num_threads(), kernel_threads()) == (1, 3)
+        assert (torch.get_num_threads(), kernel_threads()) == (3, 3)
+    finally:
+        torch.set_num_threads(before)

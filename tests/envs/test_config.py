@@ -22,8 +22,10 @@ from rover_rl.envs import config as settings_of
 from rover_rl.envs.config import (
     ActionConfig,
     EnvConfig,
+    GuardConfig,
     HeadingGains,
     LidarConfig,
+    PoseConfig,
     Randomization,
     TaskConfig,
     env_from_plain,
@@ -131,9 +133,36 @@ def test_arguments_that_do_not_go_together_are_refused(make: Any, config: Any, a
         (lambda: Randomization(friction=(1, 2, 3)), "friction must be two numbers"),
         (lambda: HeadingGains(kp=np.ones(1)), "kp must be a number"),
         (lambda: BulletSettings(substeps=2.5), "substeps must be a whole number, got 2.5"),
+        (lambda: Randomization(friction=(1.5, 0.5)), "friction must be a range .* of positive factors"),
+        (lambda: Randomization(chassis_mass=(0.0, 1.0)), "chassis_mass must be a range .* of positive factors"),
+        (lambda: Randomization(motor_torque=(1.0, math.inf)), "motor_torque must be a range .* of positive factors"),
+        (lambda: Randomization(latency=(-1, 2)), "latency must be a range .* of control steps"),
+        (lambda: Randomization(latency=(0.5, 1.5)), "latency must be two whole numbers"),
+        (lambda: Randomization(range_noise=-0.1), "range_noise must be at least 0 and at most 1e.30, got -0.1"),
+        (lambda: Randomization(imu_noise=math.nan), "imu_noise must be at least 0 and at most 1e.30, got nan"),
+        (lambda: Randomization(dropout=1.0), "dropout must be at least 0 and less than 1, got 1.0"),
+        (
+            lambda: Randomization(lidar_view=(3.0, 2.0)),
+            r"^lidar_view must be a range .* of at most 2 pi rad, got \(3.0, 2.0\)$",
+        ),
+        (lambda: Randomization(lidar_view=(1.0, 7.0)), "^lidar_view must be a range"),
+        (lambda: Randomization(dead_sectors=-1), "^dead_sectors must be at least 0 and at most 16, got -1$"),
+        (
+            lambda: Randomization(dead_sector_width=(-0.1, 0.2)),
+            r"^dead_sector_width must be a range .* got \(-0.1, 0.2\)$",
+        ),
+        (
+            lambda: Randomization(lidar_min_range=(0.3, 0.2)),
+            r"^lidar_min_range must be a range .* of distances, m, got \(0.3, 0.2\)$",
+        ),
+        (lambda: PoseConfig(source="gps"), "source must be one of .*'odometry'.*, got 'gps'"),
+        (lambda: PoseConfig(drift=-1.0), "drift must be at least 0"),
+        (lambda: PoseConfig(drift_time=0.0), "drift_time must be positive"),
+        (lambda: PoseConfig(jump_rate=math.nan), "jump_rate must be at least 0"),
+        (lambda: GuardConfig(approach=-1.0), "approach must be at least 0"),
     ],
 )
-def test_values_of_another_type_are_refused_at_once(make: Any, said: str) -> None:
+def test_values_of_another_type_and_out_of_range_are_refused_at_once(make: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         make()
 

@@ -13,8 +13,7 @@ from rover_rl import RewardConfig, contract_reward, make_env
 from rover_rl.envs import rewards
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from tests.envs.contract.scripted_env import pairs, play, scripted
-from tests.envs.scripted import Moment
+from tests.envs.scripted import Moment, pairs, play, scripted
 
 RATE = RewardConfig(action_rate_penalty=-1.0)
 

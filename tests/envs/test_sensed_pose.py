@@ -95,17 +95,3 @@ def test_the_target_is_that_of_the_sensed_pose_and_events_are_of_the_true_one():
     # The goal is within reach of the true pose, and not of the sensed one.
     td = env.step(td.set("action", torch.zeros(1, 2)))["next"]
     assert td["outcome", "goal_reached"].item()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"source": "gps"}, "source must be one of .*'odometry'.*, got 'gps'"),
-        ({"drift": -1.0}, "drift must be at least 0"),
-        ({"drift_time": 0.0}, "drift_time must be positive"),
-        ({"jump_rate": math.nan}, "jump_rate must be at least 0"),
-    ],
-)
-def test_settings_out_of_range_raise(settings, message):
-    with pytest.raises(ValueError, match=message):
-        PoseConfig(**settings)

@@ -20,26 +20,17 @@ from rover_rl.envs.sensors.base import SensorInput
 from rover_rl.envs.sensors.suite import register_sensor
 from tests.envs.scripted import ScriptedBackend, ScriptedSimulator
 from tests.extras import BACKENDS
+from tests.pages import documented
 
 FLAT = World("flat", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 2.0, 1.0))])
 
 
 @dataclass(frozen=True, kw_only=True)
-class RangeFinder(Sensor):
-    """Looks down and forward from a point ahead of the rover."""
+class RangeFinder(documented("extending.md", "RangeFinder")):  # type: ignore[misc]
+    """The sensor of the page, which looks down and forward from a point ahead of the rover."""
 
-    name: str = "range"
     noise: float = 0.0
-    max_range: float = 4.0
     mirror_signs = (-1.0,)
-
-    @property
-    def bounds(self) -> Bounds:
-        return Bounds((0.0,), (self.max_range,))
-
-    def read(self, inputs: SensorInput) -> Tensor:
-        ranges = inputs.scan((0.3, 0.0, 0.25), [(1.0, 0.0, -1.0)])
-        return ranges + self.noise * inputs.normal(self, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,18 +75,6 @@ def test_the_lidar_sees_the_world_that_was_drawn() -> None:
     assert len({id(world) for world in env.worlds}) > 1
 
 
-def test_a_row_is_the_same_alone_and_among_others_in_other_worlds() -> None:
-    from rover_rl.sims.warp import WarpSettings
-
-    actions = drawn_actions(30, 40)
-    batch = rollout(make(30, seed=7, backend=WarpSettings(threads=2)), actions)
-    for row in (0, 21):
-        alone = rollout(make(1, seed=7 + row), actions[:, row : row + 1])
-        for key in OBSERVED:
-            assert torch.equal(alone[key][:, 0], batch[key][:, row]), key
-    assert len(batch["outcome", "world"][:, 21].unique()) > 1
-
-
 def eventful_rollout(env: RoverEnv, actions: torch.Tensor, resets: torch.Tensor) -> TensorDictBase:
     """Results of 40 steps with partial resets ``[steps, N, 1]``, other weights after 12 steps, and a close after 26."""
     td, records = env.reset(), []

@@ -94,7 +94,9 @@ class Step:
     terminated: bool
     truncated: bool
     steps: int
+    total_steps: int
     margin: float
+    observation: dict[str, list[float]]
 
 
 def normalize(angle: float) -> float:
@@ -280,7 +282,9 @@ class ContractRover:
             terminated=ended,
             truncated=not ended and self.steps >= self.length,
             steps=self.steps,
+            total_steps=self.total_steps,
             margin=min(abs(abs(delta) - MIN_DELTA), abs(alignment)),
+            observation=self.observation(),
         )
 
     def _too_far_away(self) -> bool:

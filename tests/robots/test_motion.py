@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.coulomb import GRAVITY, steady_motion
-from rover_rl.robots import ROBOTS, Robot, get_robot
+from rover_rl.robots import ROBOTS, Robot, get_robot, get_robots
 from rover_rl.robots.fleet import Fleet
 from rover_rl.robots.kinematics import Kinematics
 from rover_rl.rotations import quaternion_to_euler
@@ -28,7 +28,7 @@ SECOND = round(1 / DT)
 class Drive:
     """Poses of rovers that follow commands ``[T, N, 2 or 3]``: positions ``[T + 1, N, 2]`` and yaws ``[T + 1, N]``."""
 
-    def __init__(self, backend: str, robot: Robot, commands: Tensor) -> None:
+    def __init__(self, backend: str, robot: Robot | Fleet, commands: Tensor) -> None:
         simulator = placed(backend, FLAT, torch.zeros(commands.shape[1], 3), robot)
         states = [simulator.state(), *(simulator.step(command) for command in commands)]
         simulator.close()
@@ -226,3 +226,20 @@ def test_no_drive_depends_on_its_company(backend, tmp_path):
         among = Drive(backend, robot, held(back, command, command, steps=8))
         assert torch.equal(alone.position[:, 0], among.position[:, 1])
         assert torch.equal(alone.yaw[:, 0], among.yaw[:, 1])
+
+
+def test_robots_of_the_family_any_reach_their_speed_and_turn_in_place_or_on_their_smallest_radius():
+    robots = get_robots("any:0-31")
+    count, cars = len(robots), torch.tensor([not robot.drive.turns_in_place for robot in robots])
+    speeds = torch.tensor([robot.drive.max_speed for robot in robots])
+    straight = [(speed, 0.0) for speed in speeds.tolist()]
+    turning = [(0.0, 0.8) if robot.drive.turns_in_place else (0.3, 3.0) for robot in robots]
+    driven = Drive("warp", Fleet(robots, torch.arange(count).repeat(2)), held(*straight, *turning, steps=70))
+    assert driven.last.position[:, 2].abs().max() < 0.02
+    speed, rate, _ = driven.twist().unbind(-1)
+    assert ((speed[:count] / speeds - 1).abs() < 0.02).all()
+    assert (rate[:count].abs() < 0.02).all()
+    # A controller knows the slip of its wheels up to a tenth.
+    assert ((rate[count:] / 0.8 - 1).abs()[~cars] < 0.2).all()
+    radius = torch.tensor([robot.drive.min_radius(robot.wheels) for robot in robots])
+    assert ((0.3 / rate[count:] / radius - 1).abs()[cars] < 0.05).all()

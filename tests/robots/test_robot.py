@@ -1,4 +1,4 @@
-"""Validation of a robot's parameters, and its footprint."""
+"""Validation of a robot's parameters, its footprint, and registration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.robots import Robot, get_robot
+from rover_rl.robots import Robot, get_robot, register_robot, robot_names
 from rover_rl.robots.drives import SkidSteer
 from rover_rl.robots.fleet import MassTable
 from rover_rl.robots.footprint import covering_discs
@@ -160,3 +160,37 @@ def test_mass_and_inertia_of_all_parts_are_about_the_common_center():
     chassis = 0.1567 + 7.486 * ((-0.004 - center[0, 0]) ** 2)
     wheels = sum(0.005645 + 1.25 * ((x - center[0, 0]) ** 2 + y**2) for x, y, _ in ROVER.wheels.hubs)
     assert inertia[0, 2, 2].item() == pytest.approx(float(chassis + wheels))
+
+
+# Registration
+
+
+SLOW_ROVER = replace(ROVER, name="slow", drive=replace(ROVER.drive, max_speed=0.2))
+registers = pytest.mark.usefixtures("own_registries")
+
+
+def make_slow():
+    return SLOW_ROVER
+
+
+@registers
+@pytest.mark.parametrize("part", [SLOW_ROVER, make_slow, f"{__name__}:SLOW_ROVER", f"{__name__}:make_slow"])
+def test_a_registered_robot_function_or_import_path(part):
+    register_robot("registered-robot", part)
+    assert "registered-robot" in robot_names()
+    assert get_robot("registered-robot") == get_robot(SLOW_ROVER) == SLOW_ROVER
+    if isinstance(part, str):
+        assert get_robot(part) == SLOW_ROVER
+
+
+@registers
+def test_anything_else_than_a_robot_and_other_names_raise():
+    register_robot("registered-number", 4)
+    with pytest.raises(ValueError, match="^robot 'registered-number' must be a Robot or a function .*, got int$"):
+        get_robot("registered-number")
+    with pytest.raises(
+        ValueError, match=r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a URDF file, a Robot"
+    ):
+        get_robot("tank")
+    with pytest.raises(ValueError, match="^a robot named 'rover_zero' already exists"):
+        register_robot("rover_zero", SLOW_ROVER)

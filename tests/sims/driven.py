@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from rover_rl.robots import Robot, get_robot
+from rover_rl.robots.fleet import Fleet
 from rover_rl.sims import RoverState, Simulator, make_simulator
 from rover_rl.worlds import Terrain, World, box
 
@@ -25,7 +26,7 @@ def all_rows(count: int) -> Tensor:
     return torch.ones(count, dtype=torch.bool)
 
 
-def placed(backend: Any, worlds: World | Sequence[World], poses: Any, robot: Robot = ROVER) -> Simulator:
+def placed(backend: Any, worlds: World | Sequence[World], poses: Any, robot: Robot | Fleet = ROVER) -> Simulator:
     """Returns a simulator with a rover at each of ``poses`` (x, y, yaw), in one world or in a world for each."""
     poses = torch.as_tensor(poses, dtype=torch.float32)
     worlds = [worlds] * len(poses) if isinstance(worlds, World) else worlds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import pytest
@@ -56,3 +57,11 @@ def test_a_preset_is_selected_by_name_and_has_a_control_rate_of_20_hz(name: str)
     assert settings.control_dt == settings.substep * settings.substeps == 0.05
     env.rollout(3)
     env.close()
+
+
+def test_missing_mujoco_raises_with_install_command(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("rover_rl.sims.mujoco.", "rover_rl.native."))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"backend='mujoco' needs MuJoCo: pip install 'rover_rl\[mujoco\]'"):
+        RoverEnv(backend="mujoco")

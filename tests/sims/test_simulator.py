@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,8 +11,10 @@ from torchrl.envs.utils import check_env_specs
 
 from rover_rl import make_env
 from rover_rl.sims import RoverState, Simulator, make_scanner
+from rover_rl.sims.mujoco import MujocoSettings
+from rover_rl.sims.warp import WarpSettings
 from rover_rl.worlds import Terrain, World, box, get_world
-from tests.extras import BACKENDS
+from tests.extras import BACKENDS, needs_mujoco
 from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed, slope
 
 WARP_AND_MUJOCO = BACKENDS[1:]
@@ -80,12 +83,12 @@ def test_a_scan_depends_on_the_pose_alone_and_is_renewed_for_the_given_rows(back
 
 
 def test_no_time_passes_for_inactive_rows(backend):
-    simulator = placed(backend, FLAT, [[0.0, 0, 0], [3.0, 0, 0]])
+    simulator, alone = (placed(backend, FLAT, [[3.0 * k, 0, 0] for k in range(rows)]) for rows in (2, 1))
     before = drive(simulator, (1.0, 0.0), 10)[-1]
     for _ in range(10):
         held = simulator.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
     assert differences(held, before, 1, 1) == []
-    assert held.stamp[0] > before.stamp[0]
+    assert differences(held, drive(alone, (1.0, 0.0), 20)[-1], 0, 0) == []
     assert held.position[0, 0] > before.position[0, 0] + 0.4
     (after,) = drive(simulator, (1.0, 0.0), 1)
     # It continues at its previous speed.
@@ -121,6 +124,28 @@ def test_results_do_not_depend_on_held_steps(backend):
         held.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
         (state,) = drive(free, (0.5, 0.5), 1)
     assert torch.equal(held.state().position[1], state.position[0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "worlds", "rows"),
+    [
+        (WarpSettings(), ["inspect", "maze", "moon", "plaza"], 100),
+        (WarpSettings.preset("planar"), ["maze:0-9", "plaza"], 100),
+        pytest.param(MujocoSettings(), ["inspect", "maze", "moon", "plaza"], 16, marks=needs_mujoco),
+    ],
+    ids=["warp", "planar", "mujoco"],
+)
+def test_results_do_not_depend_on_the_number_of_threads(settings, worlds, rows):
+    rollouts = []
+    for threads in (1, 2, 3):
+        backend = replace(settings, threads=threads)
+        env = make_env(backend=backend, world_n=worlds, num_envs=rows, seed=1, length=15)
+        torch.manual_seed(0)
+        rollouts.append(env.rollout(25, break_when_any_done=False))
+        env.close()
+    assert rollouts[0]["next", "done"].any()
+    for other in rollouts[1:]:
+        assert (rollouts[0] == other).all()
 
 
 @pytest.mark.parametrize("backend", WARP_AND_MUJOCO)

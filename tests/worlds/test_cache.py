@@ -12,13 +12,7 @@ from rover_rl.worlds import cache
 from rover_rl.worlds.cache import FOLDERS, code_key, load_arrays, store_arrays
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path
-
-
-def test_arrays_are_loaded_as_they_were_stored(folder: Path) -> None:
+def test_arrays_are_loaded_as_they_were_stored(own_cache: Path) -> None:
     stored = {"cells": np.eye(9, dtype=bool), "one": np.array(3), "none": np.zeros((0, 2), np.float32)}
     assert load_arrays("test", "aa") is None
     store_arrays("test", "aa", stored)
@@ -29,25 +23,25 @@ def test_arrays_are_loaded_as_they_were_stored(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: data[:60] + b"?" + data[61:]])
-def test_a_damaged_file_is_as_none(damage, folder: Path) -> None:
+def test_a_damaged_file_is_as_none(damage, own_cache: Path) -> None:
     store_arrays("test", "aa", {"noise": np.random.default_rng(0).random(99)})
-    (file,) = folder.rglob("aa.npz")
+    (file,) = own_cache.rglob("aa.npz")
     file.write_bytes(damage(file.read_bytes()))
     assert load_arrays("test", "aa") is None
 
 
-def test_the_oldest_files_of_a_folder_are_deleted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_files_of_a_folder_are_deleted(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(0).integers(0, 256, 9000, dtype=np.uint8)
     for age, name in enumerate(("aa1", "aa2", "aa3", "bb1")):
         store_arrays("test", name, {"noise": noise[:1000]})
-        (file,) = folder.rglob(f"{name}.npz")
+        (file,) = own_cache.rglob(f"{name}.npz")
         # "aa3" is the oldest one.
         os.utime(file, (1e9 - age, 1e9 - age))
     monkeypatch.setattr(cache, "KEPT_BYTES", FOLDERS * 3.5 * file.stat().st_size)
     store_arrays("test", "aa4", {"noise": noise[:1000]})
-    assert sorted(path.stem for path in folder.rglob("*.npz")) == ["aa1", "aa2", "aa4", "bb1"]
+    assert sorted(path.stem for path in own_cache.rglob("*.npz")) == ["aa1", "aa2", "aa4", "bb1"]
     store_arrays("test", "aa5", {"noise": noise})
-    assert sorted(path.stem for path in folder.rglob("*.npz")) == ["aa5", "bb1"]
+    assert sorted(path.stem for path in own_cache.rglob("*.npz")) == ["aa5", "bb1"]
     assert load_arrays("test", "aa5") is not None
 
 

@@ -65,15 +65,6 @@ def test_starts_and_goals_lie_in_the_regions_of_a_world():
     assert half.spawn_cells[:, 0].max() < 2
 
 
-def test_a_world_file_keeps_regions(tmp_path):
-    world = World("halls", FLOOR, spawn_region=Region.polygon(L_SHAPE), goal_range=((0, 8), (0, 8)))
-    world.save(tmp_path / "halls.world.npz")
-    read = World.from_file(tmp_path / "halls.world.npz")
-    assert read.goal_region is None
-    assert torch.equal(read.spawn_region.mask, world.spawn_region.mask)
-    assert (read.spawn_region.cell, read.spawn_region.origin) == (world.spawn_region.cell, world.spawn_region.origin)
-
-
 @pytest.mark.parametrize(("world", "is_flat"), [(get_world("moon"), False), (World("plain", FLOOR), True)])
 def test_a_map_has_the_limits_of_its_area_the_obstacles_and_a_scale_of_elevation(world, is_flat):
     ax = Figure().add_subplot()

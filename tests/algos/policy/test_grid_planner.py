@@ -16,7 +16,6 @@ from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
 from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from tests.algos.policy.crossings import reached
-from tests.fleet import racer
 
 ROBOT = get_robot("rover_zero")
 OPEN = torch.full((64,), 12.0)
@@ -75,7 +74,7 @@ def test_a_late_scan_counts_where_it_was_taken() -> None:
     assert act(lidar, scan_pose=scan_pose)[0] < 0.5 < act(lidar)[0]
 
 
-@pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(racer, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("make", [lambda: ROBOT, pytest.param(lambda: get_robot("racer"), marks=pytest.mark.slow)])
 def test_it_reaches_goals_in_mazes_without_a_contact(make) -> None:
     robot = make()
     assert reached(GridPlanner(robot), "maze:9000-9005", 6, 40.0, robot) >= 5

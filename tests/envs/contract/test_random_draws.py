@@ -12,8 +12,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_index, to_unit
-from tests.envs.contract.scripted_env import CPU, bare, scripted
-from tests.envs.scripted import Moment
+from tests.envs.scripted import CPU, Moment, bare, scripted
 
 
 def test_draws_are_the_same_in_a_batch_of_any_size():

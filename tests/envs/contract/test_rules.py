@@ -13,8 +13,7 @@ import torch
 
 from rover_rl import RewardConfig, TaskConfig
 from rover_rl.envs.task import EVENTS, PositionHistory, StepEvent, compute_terminations
-from tests.envs.contract.scripted_env import CPU, OBSERVATION, bare, moving, pairs, play, rewards, scripted, step_events
-from tests.envs.scripted import Moment
+from tests.envs.scripted import CPU, OBSERVATION, Moment, bare, moving, pairs, play, rewards, scripted, step_events
 
 NEAR = Moment(ranges=0.1)
 """In collision."""
@@ -201,9 +200,10 @@ def test_a_partial_reset_leaves_the_other_rows_as_they_are():
         assert after["terminated"].flatten().tolist() == [False, k == 10]
 
 
-def test_a_start_or_goal_of_the_wrong_shape_or_not_finite_raises():
-    env = scripted([Moment()], reward="task")
-    with pytest.raises(ValueError, match="goal must be finite"):
-        env.reset(goal=torch.zeros(2, 2))
-    with pytest.raises(ValueError, match="start must be finite"):
-        env.reset(start=torch.tensor([[0.0, 0.0, math.nan]]))
+def test_a_done_row_that_is_held_stays_done():
+    env = scripted(moving(9), [Moment(), Moment(roll=2.0)])
+    td = play(env, 1)[-1].clone()
+    td.update({"action": pairs((0.0, 0.0), 2), "_step": torch.tensor([True, False])})
+    after = env.step(td)["next"]
+    for flags in (after["terminated"], after["done"], after["outcome", "flipped"]):
+        assert flags.flatten().tolist() == [False, True]

@@ -13,8 +13,7 @@ from rover_rl.robots import get_robot
 from rover_rl.worlds import get_world
 from rover_rl.worlds.table import WorldTable
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import CPU, WORLD_NAMES, play, scripted
-from tests.envs.scripted import Moment
+from tests.envs.scripted import CPU, WORLD_NAMES, Moment, play, scripted
 
 
 @pytest.mark.parametrize("name", WORLD_NAMES)

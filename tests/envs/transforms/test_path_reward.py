@@ -3,7 +3,6 @@ from __future__ import annotations
 import pytest
 import torch
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv, Terrain, World, box, make_env
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
@@ -15,10 +14,6 @@ WALL = World("wall", Terrain.flat((10, 10)), [box((0, 0, 0.5), (0.4, 4, 1))])
 def make(weight: float = 2.0, rows: int = 1) -> EnvBase:
     env = make_env(world_n=WALL, num_envs=rows, seed=0).append_transform(ActionRepeat(4))
     return env.append_transform(PathReward(env.base_env, weight))
-
-
-def test_the_environment_stays_one_by_its_specs() -> None:
-    check_env_specs(make(rows=3))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import torch
-from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -18,8 +17,3 @@ def test_the_clock_goes_with_the_data() -> None:
     # Each step is longer than what the simulator does in it, and so is the reset before the first.
     assert (environment.diff(dim=1) > simulator.diff(dim=1)).all()
     assert (environment > simulator).all()
-
-
-def test_the_environment_stays_one_by_its_specs() -> None:
-    base = RoverEnv(world_n="maze", num_envs=2, seed=0)
-    check_env_specs(base.append_transform(StepClock(base)), check_dtype=True)

@@ -1,7 +1,10 @@
-"""Groups of rovers as a multi-agent environment of TorchRL."""
+"""Groups of rovers as a multi-agent environment of TorchRL, and as a ``ParallelEnv`` of PettingZoo."""
 
 from __future__ import annotations
 
+import sys
+
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -10,6 +13,7 @@ from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv, Terrain, World, make_env
 from rover_rl.envs.wrappers.groups import GroupedRovers
+from tests.extras import needs_pettingzoo
 
 FLAT = World("flat", Terrain.flat((24.0, 24.0)))
 
@@ -100,3 +104,67 @@ def test_transforms_go_inside_and_around() -> None:
 def test_one_rover_without_a_batch_is_refused() -> None:
     with pytest.raises(ValueError, match="GroupedRovers needs a batch of rovers"):
         GroupedRovers(RoverEnv(world_n=FLAT, backend="warp", num_envs=None))
+
+
+# PettingZoo
+
+
+def parallel(num_envs: int = 3, **settings):
+    from rover_rl.envs.wrappers.pettingzoo import RoverParallelEnv
+
+    defaults = {"world_n": FLAT, "agents": 3, "backend": "warp", "lidar_beams": 64, "seed": 0}
+    return RoverParallelEnv(RoverEnv(num_envs=num_envs, **{**defaults, **settings}))
+
+
+@needs_pettingzoo
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_it_passes_the_test_of_pettingzoo() -> None:
+    from pettingzoo.test import parallel_api_test
+
+    parallel_api_test(parallel(length=40, end_on_goal=True), num_cycles=100)
+
+
+@needs_pettingzoo
+def test_seeds_repeat_and_rovers_leave_when_they_are_done() -> None:
+    env = parallel(length=30, end_on_goal=True)
+    places = {
+        "start": np.array([[0.0, 0, 0], [0.0, 4.0, 0], [0.0, -4.0, 0]]),
+        "goal": np.array([[6.0, 0], [0.55, 4.0], [6, -4]]),
+    }
+    first, _ = env.reset(seed=3)
+    again, _ = env.reset(seed=3)
+    assert all(np.array_equal(first[agent]["lidar"], again[agent]["lidar"]) for agent in env.possible_agents)
+    env.reset(options=places)
+    sizes = []
+    while env.agents:
+        driving = env.agents
+        observations, rewards, terminated, truncated, infos = env.step({agent: [1.0, 0.0] for agent in driving})
+        assert [*observations] == [*rewards] == [*terminated] == [*truncated] == [*infos] == driving
+        if terminated.get("rover_1"):
+            assert infos["rover_1"]["is_success"]
+            assert rewards["rover_1"] > 50
+        sizes.append(len(env.agents))
+    assert sizes[0] == 3
+    assert 2 in sizes
+    assert len(sizes) == 30
+    assert all(truncated.values())
+    assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+@needs_pettingzoo
+def test_wrong_use_is_told() -> None:
+    with pytest.raises(ValueError, match="one group, got num_envs=6 and agents=3"):
+        parallel(6)
+    env = parallel()
+    env.reset()
+    with pytest.raises(ValueError, match=r"each agent needs an action, \['rover_1', 'rover_2'\] have none"):
+        env.step({"rover_0": [1.0, 0.0]})
+    with pytest.raises(ValueError, match="the action of 'rover_0' must have shape"):
+        env.step({agent: [1.0] for agent in env.agents})
+
+
+def test_without_pettingzoo_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pettingzoo", None)
+    monkeypatch.delitem(sys.modules, "rover_rl.envs.wrappers.pettingzoo", raising=False)
+    with pytest.raises(ImportError, match="multiagent"):
+        import rover_rl.envs.wrappers.pettingzoo  # noqa: F401

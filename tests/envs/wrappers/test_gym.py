@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RecordEpisodeStatistics
 from torchrl.envs import CatTensors, TransformedEnv
 
 from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.gym import RoverEnv
+from tests.envs.contract.test_interface import ARGUMENTS, REWARD, TASK
+from tests.envs.transcription import HeadingPid
 
 
 @pytest.fixture(scope="module")
@@ -229,14 +230,12 @@ def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
 
 
 def test_heading_controller_is_the_contracts_pid(env):
-    def pid(desired, current, last=0.0):
-        error = math.atan2(math.sin(desired - current), math.cos(desired - current))
-        return max(-7.0, min(7.0, 2.0 * error + 0.1 * (error - last) / 0.05))
-
     for desired, current in [(0.3, 0.0), (-0.2, 0.1), (3.0, -3.0), (math.pi, 0.0), (0.0, 0.0)]:
-        assert env.heading_controller(desired, current) == pytest.approx(pid(desired, current), abs=1e-4)
+        assert env.heading_controller(desired, current) == pytest.approx(HeadingPid()(desired, current), abs=1e-4)
     env.step([0.0, 0.2])
-    assert env.heading_controller(0.5, 0.0) == pytest.approx(pid(0.5, 0.0, last=0.2), abs=1e-4)
+    pid = HeadingPid()
+    pid(0.2, 0.0)
+    assert env.heading_controller(0.5, 0.0) == pytest.approx(pid(0.5, 0.0), abs=1e-4)
     assert type(env.heading_controller(np.float32(0.1), 0)) is float
 
 
@@ -263,25 +262,16 @@ def test_gymnasium_shows_it_in_a_window(monkeypatch):
 
 
 def test_attributes_have_the_names_of_the_original_environment(env):
-    expected = {"size": (64, 64), "length": 2000, "_length": 2000, "world_n": "maze", "lidar_points": 32}
+    expected = {name: ARGUMENTS[name] for name in ("size", "length", "lidar_points", "max_lidar_range")}
+    expected |= {"_length": 2000, "world_n": "maze"}
     for axis in "xy":
         expected |= {f"rand_{axis}_range": (-4, 4), f"rand_goal_{axis}_range": (-4, 4)}
         expected |= {f"too_far_away_low_{axis}": -30, f"too_far_away_high_{axis}": 30}
-    expected |= {
-        "max_lidar_range": 12.0,
-        "too_far_away_penilty": -10.0,
-        "stuck_penilty": -25.0,
-        "general_penility": -20.0,
-        "collision_penalty": -0.5,
-        "goal_reward": 100.0,
-        "distance_delta_scale": 0.3,
-        "final_reward_multiplier": 1.5,
-        "success_distance": 0.5,
-        "collision_threshold": 0.3,
-        "collision_window": 15,
-        "stuck_window": 600,
-        "stuck_threshold": 0.001,
-    }
+    expected |= {"too_far_away_penilty": -10.0, "stuck_penilty": -25.0, "general_penility": -20.0}
+    rewarded = ("goal_reward", "distance_delta_scale", "final_reward_multiplier", "collision_penalty")
+    expected |= {name: REWARD[name] for name in rewarded}
+    thresholds = ("success_distance", "collision_threshold", "collision_window", "stuck_window", "stuck_threshold")
+    expected |= {name: TASK[name] for name in thresholds}
     assert {name: getattr(env, name) for name in expected} == expected
 
 
@@ -344,14 +334,3 @@ def test_the_reward_can_be_chosen(env):
     assert rewards_of(configured) == [-1.5] * 4 != contract
     assert configured.distance_delta_scale == 0.3
     assert rewards_of(make(reward=contract_reward())) == contract
-
-
-def test_gymnasium_make_builds_it():
-    env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=4)
-    assert isinstance(env.unwrapped, RoverEnv)
-    env = RecordEpisodeStatistics(env)
-    env.reset(seed=0)
-    for _ in range(4):
-        _, _, terminated, _, info = env.step(env.action_space.sample())
-    assert terminated
-    assert info["episode"]["l"] == 4

@@ -1,4 +1,4 @@
-"""Meshes and convex hulls as Bullet shapes."""
+"""Meshes and convex hulls as shapes of Bullet, and its clients."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import torch
 
 from rover_rl.native.bullet import disconnect, pybullet
 from rover_rl.sims.bullet.geometry import make_hull, make_mesh
 from rover_rl.worlds import Terrain
+from tests.sims.driven import FLAT, drive, placed
 
 
 @pytest.fixture
@@ -75,3 +77,22 @@ def test_concurrent_threads_create_correct_shapes():
                 np.testing.assert_allclose(sizes, side, atol=0.01)
     finally:
         sys.setswitchinterval(interval)
+
+
+def connected() -> set[int]:
+    """Returns the connected Bullet clients of this process."""
+    gc.collect()
+    return {client for client in range(1024) if pybullet.isConnected(client)}
+
+
+def test_a_closed_or_deleted_simulator_leaves_only_the_clients_of_others_connected():
+    other = placed("bullet", FLAT, torch.zeros(1, 3))
+    before = connected()
+    closed, deleted = (placed("bullet", FLAT, torch.zeros(1, 3)) for _ in range(2))
+    assert len(connected()) == len(before) + 2
+    closed.close()
+    closed.close()
+    assert len(connected()) == len(before) + 1
+    del deleted
+    assert connected() == before
+    drive(other, (0.0, 0.0), 1)

@@ -92,7 +92,7 @@ def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground():
     assert world.terrain.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
-@pytest.mark.parametrize("name", ["moon", "maze"])
+@pytest.mark.parametrize("name", ["inspect", "moon", "maze"])
 def test_spawn_poses_are_upright_with_a_clear_lidar(name):
     world = get_world(name)
     lidar, rotation = lidar_poses(world, 300)
@@ -189,10 +189,9 @@ def yard(side: float = 1.0) -> World:
     return World("yard", Terrain.flat((8, 8)), [box((0, 1, 0.5), (side, 1, 1)), box((2, -1, 0.5), (1, 1, 1))])
 
 
-def test_free_space_is_kept_on_disk_for_each_world_and_robot_and_damaged_files_are_replaced(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def test_free_space_is_kept_on_disk_for_each_world_and_robot_and_damaged_files_are_replaced(own_cache, monkeypatch):
     first = free_space(yard(), ROVER)
-    (file,) = (tmp_path / "rover_rl" / "free_space").rglob("*.npz")
+    (file,) = (own_cache / "free_space").rglob("*.npz")
 
     def assert_is_first(other: FreeSpace) -> None:
         for name, value in vars(first).items():
@@ -209,9 +208,8 @@ def test_free_space_is_kept_on_disk_for_each_world_and_robot_and_damaged_files_a
     assert len([*file.parents[1].rglob("*.npz")]) == 3
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    (tmp_path / "rover_rl").write_text("a file where the folder would be")
+def test_a_cache_that_cannot_be_written_is_no_error(own_cache):
+    own_cache.write_text("a file where the folder would be")
     assert isinstance(free_space(yard(), ROVER), FreeSpace)
 
 

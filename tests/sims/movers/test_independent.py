@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 from torch import Tensor
 
-from rover_rl.sims.mujoco import MujocoSettings
-from rover_rl.sims.warp import WarpSettings
-from tests.extras import needs_mujoco
 from tests.sims.movers.scenes import act, crowd, opened, place
 
 ROWS, STEPS = 66, 10
@@ -41,14 +37,6 @@ def test_rows_do_not_depend_on_other_rows(backend):
     together = driven(backend, slice(0, ROWS))
     assert together[..., 8].any()
     assert torch.equal(together[62:], driven(backend, slice(62, 66)))
-
-
-@pytest.mark.parametrize(
-    "settings", [WarpSettings, pytest.param(MujocoSettings, marks=needs_mujoco)], ids=["warp", "mujoco"]
-)
-def test_rows_do_not_depend_on_the_number_of_threads(settings):
-    rows = slice(0, 16)
-    assert torch.equal(driven(settings(threads=1), rows), driven(settings(threads=2), rows))
 
 
 def test_an_episode_does_not_depend_on_earlier_ones_and_no_time_passes_in_held_rows(backend):

@@ -106,17 +106,6 @@ def test_beams_meet_movers_beside_walls_on_uneven_ground(backend):
     assert np.mean(meet) > 0.1
 
 
-def test_a_lidar_that_scans_every_third_step_keeps_its_scan_in_between(backend):
-    lidar = LidarConfig(beams=BEAMS, period=3)
-    with opened(flat(MOVERS), STARTS, backend=backend, lidar=lidar) as env:
-        last = env.scan
-        for step in range(1, 7):
-            act(env, torch.zeros(2, 2))
-            assert torch.equal(env.scan, last) == (step % 3 != 0)
-            last = env.scan
-        assert shares_within_1_cm(last[0], expected(env, 0, torch.full((BEAMS,), math.inf))).mean() >= 0.995
-
-
 def test_a_lidar_inside_a_mover_returns_0(backend):
     inside = Mover(Waypoints([(0, 0, 0, 0), (1, 4, 0, 0)], repeat="once"), Cylinder(0.6, 2.0))
     with opened(flat([inside]), [(0.0, 0.0, 0.0), (5.0, 5.0, 0.0)], backend=backend) as env:

@@ -121,12 +121,3 @@ def test_agrees_with_bullet_rays(name):
     assert wrong.mean() <= 0.001
     # Some poses are inside an obstacle or below the ground; both lidars agree on which.
     assert ((found == 0).all(1) == (expected == 0).all(1)).all()
-
-
-def test_ranges_do_not_depend_on_the_number_of_beams():
-    world = get_world("moon")
-    position, rotation = poses(world, 64)
-    few, many = (warp_scan(world, position, rotation, count) for count in (20, 160))
-    reach = ROVER.lidar_range
-    wrong = np.abs(np.minimum(few, reach) - np.minimum(many[:, ::8], reach)) > 0.01
-    assert wrong.mean() <= 0.001

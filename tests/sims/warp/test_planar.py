@@ -123,22 +123,6 @@ def test_the_lidar_reads_what_the_full_engine_reads(name):
     assert ((scans[0] - scans[1])[outside].abs() < 0.01).float().mean() > 0.999
 
 
-def test_a_row_does_not_depend_on_its_company_or_on_threads():
-    rollouts = []
-    for count, threads in ((33, 1), (100, 3)):
-        settings = replace(PLANAR, threads=threads)
-        env = make_env(backend=settings, world_n=["maze:0-9", "plaza"], num_envs=count, seed=0, length=15)
-        generator = torch.Generator().manual_seed(0)
-        actions = torch.rand(20, 100, 2, generator=generator)[:, :count]
-        td, steps = env.reset(), []
-        for action in actions:
-            step, td = env.step_and_maybe_reset(td.set("action", action))
-            steps.append(step["next", "lidar"][:33])
-        rollouts.append(torch.stack(steps))
-        env.close()
-    assert rollouts[0].equal(rollouts[1])
-
-
 def test_movers_push_a_rover_as_in_the_full_engine():
     touched = []
     for physics in ("planar", "full"):

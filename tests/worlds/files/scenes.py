@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 import trimesh
+from trimesh.creation import extrude_triangulation
 from trimesh.transformations import concatenate_matrices, rotation_matrix, translation_matrix
 
-from rover_rl.worlds import World
+from rover_rl.worlds import Terrain, World
 
 
 def inside(world: World, *points: tuple[float, float, float]) -> list[bool]:
@@ -21,34 +22,18 @@ def heights_at(world: World, *points: tuple[float, float]) -> list[float]:
 def hills(points: int = 65, side: float = 16.0) -> trimesh.Trimesh:
     """An open surface of smooth hills, on a grid of 0.25 m."""
     axis = np.linspace(-side / 2, side / 2, points)
-    x, y = np.meshgrid(axis, axis)
-    index = np.arange(points**2).reshape(points, points)
-    a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, :-1].ravel(), index[1:, 1:].ravel()
-    vertices = np.column_stack((x.ravel(), y.ravel(), hill_height(x, y).ravel()))
-    # The diagonal of a terrain's cells.
-    faces = np.concatenate((np.column_stack((a, b, c)), np.column_stack((b, d, c))))
-    return trimesh.Trimesh(vertices, faces, process=False)
+    vertices, faces = Terrain(hill_height(*np.meshgrid(axis, axis)), side / (points - 1)).mesh()
+    return trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False)
 
 
 def hill_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 0.4 * np.sin(x / 2) * np.cos(y / 3)
 
 
-def prism(outline: list[tuple[float, float]], triangles: list[tuple[int, int, int]], height: float) -> trimesh.Trimesh:
-    """A closed prism over a polygon with the given triangulation."""
-    count = len(outline)
-    points = [(x, y, z) for z in (0.0, height) for x, y in outline]
-    faces = [face[::-1] for face in triangles] + [tuple(k + count for k in face) for face in triangles]
-    for k in range(count):
-        other = (k + 1) % count
-        faces += [(k, other, other + count), (k, other + count, k + count)]
-    return trimesh.Trimesh(points, faces, process=False)
-
-
 def corner_wall() -> trimesh.Trimesh:
     """A wall with the plan of an L, 2 m long, 0.3 m thick, 1 m high: closed and not convex."""
     outline = [(0.0, 0.0), (2.0, 0.0), (2.0, 0.3), (0.3, 0.3), (0.3, 2.0), (0.0, 2.0)]
-    return prism(outline, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)], 1.0)
+    return extrude_triangulation(outline, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)], 1.0)
 
 
 def yard() -> trimesh.Scene:

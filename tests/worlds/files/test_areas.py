@@ -15,6 +15,7 @@ from rover_rl.sims.free_space import free_space
 from rover_rl.worlds import World
 from tests.extras import needs_worlds
 from tests.worlds.files.test_maps import write_map
+from tests.worlds.files.test_sdf import link, model, world_of
 
 pytestmark = needs_worlds
 Wall = tuple[float, float, float, float]
@@ -30,15 +31,15 @@ def rectangle(x: float, y: float, width: float, depth: float, door: float = 0.0)
 
 def building(folder: Path, *walls: Wall, **options) -> World:
     """World of walls 0.2 m thick, each from a point to another, on an infinite plane."""
-    parts = "".join(
-        f"<collision name='c{k}'><pose>{(a + c) / 2} {(b + d) / 2} 1 0 0 {math.atan2(d - b, c - a)}</pose><geometry>"
-        f"<box><size>{math.hypot(c - a, d - b)} 0.2 2</size></box></geometry></collision>"
+    links = (
+        link(
+            f"<box><size>{math.hypot(c - a, d - b)} 0.2 2</size></box>",
+            f"{(a + c) / 2} {(b + d) / 2} 1 0 0 {math.atan2(d - b, c - a)}",
+            f"l{k}",
+        )
         for k, (a, b, c, d) in enumerate(walls)
     )
-    plane = "<collision name='p'><geometry><plane><size>9 9</size></plane></geometry></collision>"
-    model = f"<model name='m'><static>1</static><link name='l'>{plane}{parts}</link></model>"
-    (folder / "building.sdf").write_text(f"<sdf version='1.9'><world name='default'>{model}</world></sdf>")
-    return World.from_file(folder / "building.sdf", **options)
+    return world_of(folder, model("".join(links)), size="9 9", **options)
 
 
 HOUSE = [(0, 0), (8, 0), (8, 6), (0, 6)]
@@ -77,6 +78,12 @@ def test_without_any_they_are_on_the_largest_ground(tmp_path, walls):
     world = building(tmp_path, *walls)
     assert any("areas: open ground" in note for note in world.notes)
     assert world.spawn_range[0][0] < walls[0][0] - 2
+
+
+def test_areas_that_are_given_are_kept(tmp_path):
+    areas = {"spawn_range": ((-1, 1), (-2, 2)), "goal_range": ((0, 3), (0, 3)), "bounds": ((-4, 4), (-4, 4))}
+    world = building(tmp_path, *rectangle(-5, -5, 10, 10), **areas)
+    assert {name: getattr(world, name) for name in areas} == areas
 
 
 def test_a_point_is_the_free_ground_around_it(tmp_path):

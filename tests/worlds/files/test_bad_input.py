@@ -114,7 +114,6 @@ CASES: dict[str, Case] = {
         ),
         "is relative to itself",
     ),
-    "no such model": (sdf("<include><uri>model://no</uri></include>"), "not here: model://no is not found"),
     "tilted heightmap": (
         lambda folder: (
             np.save(folder / "h.npy", np.eye(4)),

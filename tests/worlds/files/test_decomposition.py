@@ -7,12 +7,12 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial import ConvexHull
+from trimesh.creation import extrude_triangulation
 
 from rover_rl.worlds.files.contents import Piece
 from rover_rl.worlds.files.convex import obstacles_of
 from rover_rl.worlds.files.triangles import distances, is_closed, random_points, simplify, split
 from tests.extras import needs_worlds
-from tests.worlds.files.scenes import prism
 from tests.worlds.files.test_sdf import link, model, world_of
 
 pytestmark = needs_worlds
@@ -93,7 +93,7 @@ def test_a_room_with_thin_walls_stays_empty_and_its_door_open(t, error):
 @pytest.mark.parametrize(
     ("mesh", "inside"),
     [
-        (prism(*frame((2, 1), 0.02), 0.5), (1.0, 0.5, 0.2)),
+        (extrude_triangulation(*frame((2, 1), 0.02), 0.5), (1.0, 0.5, 0.2)),
         (trimesh.creation.annulus(r_min=0.48, r_max=0.5, height=1, sections=32), (0.0, 0.0, 0.0)),
         (hollow(trimesh.creation.box((2, 2, 2)), trimesh.creation.box((1.9, 1.9, 1.9))), (0.0, 0.0, 0.0)),
         (
@@ -155,6 +155,10 @@ def test_open_rooms_stay_empty_whatever_side_their_walls_face():
         shut = [not any(normal @ np.array(side) > 0.9 for side in open_sides) for normal in room.face_normals]
         for faces in (room.faces[shut], room.faces[shut][:, ::-1]):
             assert holds(parts_of(trimesh.Trimesh(room.vertices, faces, process=False)), (0.0, 0.0, 0.0)) == [False]
+    # A crate without a bottom is solid.
+    crate = trimesh.creation.box((1, 1, 1))
+    bottomless = trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 2] > -0.5], process=False)
+    assert holds(parts_of(bottomless), (0.0, 0.0, 0.0)) == [True]
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -188,15 +192,15 @@ def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
     assert [note for note in world.notes if "foil/l/c has no volume" in note]
 
 
-def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, cache):
-    mesh = prism(*frame((1, 0.6), 0.1), 0.4)
+def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, own_cache):
+    mesh = extrude_triangulation(*frame((1, 0.6), 0.1), 0.4)
     mesh.export(tmp_path / "u.stl")
     places = [("1 1 1", f"{3 * k} {k} 0 {0.3 * k} 0.1 {k}") for k in range(3)]
     places += [("-1 1 1", "0 6 0 0 0 0"), *(("1 2 3", f"{3 * k} -6 0 0 0 {k}") for k in range(2))]
     shape = "<mesh><uri>u.stl</uri><scale>{}</scale></mesh>"
     body = "".join(model(link(shape.format(scale), pose), f"m{k}") for k, (scale, pose) in enumerate(places))
     world = world_of(tmp_path, body)
-    assert len([*(cache / "convex_parts").rglob("*.npz")]) == 2
+    assert len([*(own_cache / "convex_parts").rglob("*.npz")]) == 2
     assert len(world.obstacles) == 6 * 3
     assert volume_of(world.obstacles) == pytest.approx((4 + 2 * 6) * mesh.volume, rel=1e-3)
     # In the middle of the bottom of the U and in its gap, of the mirror image and of a stretched copy.

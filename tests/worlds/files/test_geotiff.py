@@ -151,11 +151,10 @@ def test_scale_and_offset_of_the_band(tmp_path):
     assert found(feet)[:2] == pytest.approx((91 * FOOT, 109 * FOOT))
 
 
-@pytest.mark.parametrize("kind", ["uint16"])
-def test_unsigned_integers_of_a_geotiff_are_meters_and_those_of_a_picture_have_no_height(tmp_path, kind):
-    values = HEIGHTS.astype(kind)
+def test_unsigned_integers_of_a_geotiff_are_meters_and_those_of_a_picture_have_no_height(tmp_path):
+    values = HEIGHTS.astype(np.uint16)
     assert found(write(tmp_path, values, *NORTH_UP)) == USUAL
-    white = np.iinfo(kind).max
+    white = np.iinfo(np.uint16).max
     assert found(tmp_path / "dem.tif", height=10.0)[:2] == pytest.approx((910 / white, 1090 / white))
     with pytest.raises(ValueError, match=r"dem\.tif does not say how high it is; give height"):
         World.from_file(write(tmp_path, values), pixel=2.0)
@@ -197,6 +196,13 @@ def test_rows_and_columns_run_where_the_file_says(tmp_path, values, tags):
     world = World.from_file(write(tmp_path, values.astype(np.float32), *tags))
     assert world.terrain.extent == ((-19.0, 61.0), (-35.0, 29.0))
     np.testing.assert_array_equal(world.terrain.heights.numpy(), HEIGHTS[::-1])
+
+
+def test_a_model_far_away_is_moved_to_the_origin(tmp_path):
+    far = (33922, "d", 6, (0.0, 0.0, 0.0, 500_000.0, 5_500_000.0, 0.0), True)
+    world = World.from_file(write(tmp_path, HEIGHTS.astype(np.float32), SCALE, far))
+    assert world.terrain.extent == ((-40.0, 40.0), (-32.0, 32.0))
+    assert any("500041" in note for note in world.notes)
 
 
 def test_a_turned_grid_is_refused_and_helped_by_pixel(tmp_path):

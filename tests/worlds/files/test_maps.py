@@ -15,34 +15,10 @@ from scipy.spatial import Delaunay
 from rover_rl.worlds import World
 from rover_rl.worlds.files import occupancy
 from rover_rl.worlds.files.rectangles import cover, slanted_cover
-from tests.extras import needs_worlds
 from tests.worlds.files.scenes import heights_at, inside
 
 SLOPE = 0.1 * np.mgrid[0:9, 0:9][1] - 0.05 * np.mgrid[0:9, 0:9][0]
 """Heights that rise by 0.1 m a column, and fall by 0.05 m a row."""
-
-
-def write_tiff(path: Path, values: np.ndarray, corner: tuple[float, float] | None = None, **tags) -> None:
-    import tifffile
-
-    extra = [(33550, "d", 3, (0.5, 0.5, 0.0), True)]
-    if corner is not None:
-        extra.append((33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0), True))
-        extra.append((34735, "H", 8, (1, 1, 0, 1, 1025, 0, 1, tags.get("raster", 1)), True))
-    if "no_data" in tags:
-        extra.append((42113, "s", 0, tags["no_data"], True))
-    tifffile.imwrite(path, values, extratags=extra)
-
-
-@needs_worlds
-def test_a_geotiff_far_away_is_moved_to_the_origin_and_holes_are_filled(tmp_path):
-    values = SLOPE.astype(np.float32)
-    values[4, 4] = -9999
-    write_tiff(tmp_path / "utm.tif", values, (500_000.0, 5_500_000.0), no_data="-9999")
-    world = World.from_file(tmp_path / "utm.tif")
-    assert world.terrain.extent == ((-2.0, 2.0), (-2.0, 2.0))
-    assert heights_at(world, (0.0, 0.0))[0] == pytest.approx(0.2, abs=0.11)
-    assert any("500002.25" in note for note in world.notes)
 
 
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "npy"])
@@ -189,11 +165,8 @@ def test_pictures_of_all_kinds(tmp_path, write):
     assert is_wall(World.from_file(path, unknown="wall"), *POINTS) == [True, False, True, False, True]
 
 
-def test_a_picture_is_found_by_its_name(tmp_path):
+def test_a_picture_is_found_by_its_name_or_that_of_a_renamed_map(tmp_path):
     assert is_wall(World.from_file(write_map(tmp_path, image="/home/someone/maps/map.pgm")), *POINTS)[0]
-
-
-def test_a_renamed_map_finds_its_picture(tmp_path):
     world = World.from_file(write_map(tmp_path, image="old.pgm"))
     assert any("old.pgm does not exist, and map.pgm is taken" in note for note in world.notes)
 

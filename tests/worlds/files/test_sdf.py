@@ -128,17 +128,18 @@ def included(folder: Path, body: str, name: str = "post", file: str = "model.sdf
     (folder / name / file).write_text(f"<sdf version='1.7'>{body}</sdf>")
 
 
-@pytest.mark.parametrize("place", ["beside", "models", "sibling", "option", "variable"])
+@pytest.mark.parametrize("place", ["beside", "models", "sibling", "option", "variable", "name"])
 def test_includes_are_found(tmp_path, monkeypatch, place):
     home = tmp_path / "worlds"
     home.mkdir()
     elsewhere = tmp_path / "elsewhere"
-    folders = {"beside": home, "models": home / "models", "sibling": tmp_path / "models"}
+    folders = {"beside": home, "models": home / "models", "sibling": tmp_path / "models", "name": home / "deep/down"}
     included(folders.get(place, elsewhere), model(link(POST)))
     if place == "variable":
         monkeypatch.setenv("GAZEBO_MODEL_PATH", f"/nowhere:{elsewhere}")
     options = {"model_paths": [str(elsewhere)]} if place == "option" else {}
-    body = "<include><uri>model://post</uri><pose>3 2 0 0 0 0</pose></include>"
+    uri = "file:///opt/other/models/post" if place == "name" else "model://post"
+    body = f"<include><uri>{uri}</uri><pose>3 2 0 0 0 0</pose></include>"
     world = world_of(home, body, **options)
     assert inside(world, (3.0, 2.0, 1.0), (0.0, 0.0, 1.0)) == [True, False]
 
@@ -267,20 +268,6 @@ def test_an_inclined_plane_is_ground(tmp_path):
     assert heights_at(world, (-3.0, 0.0), (3.0, 0.0)) == pytest.approx([0.0, 0.6], abs=0.01)
 
 
-def test_what_walls_enclose_is_the_spawn_area(tmp_path):
-    places = ("0 5 1 0 0 0", "0 -5 1 0 0 0", "5 0 1 0 0 1.5707963", "-5 0 1 0 0 1.5707963")
-    walls = [link("<box><size>10 0.2 2</size></box>", pose, f"l{k}") for k, pose in enumerate(places)]
-    shut = model("".join(walls))
-    world = world_of(tmp_path, shut)
-    assert world.spawn_range == (pytest.approx((-4.55, 4.55), abs=0.12),) * 2
-    assert any("enclosed ground" in note for note in world.notes)
-    world = world_of(tmp_path, model("".join(walls[:3])))
-    assert any("open ground" in note for note in world.notes)
-    areas = {"spawn_range": ((-1, 1), (-2, 2)), "goal_range": ((0, 3), (0, 3)), "bounds": ((-4, 4), (-4, 4))}
-    given = world_of(tmp_path, shut, **areas)
-    assert {name: getattr(given, name) for name in areas} == areas
-
-
 def test_merged_includes_share_their_frames(tmp_path):
     included(tmp_path, model(link("<empty/>", "1 0 0 0 0 0", "inner")))
     body = model(
@@ -306,12 +293,6 @@ def test_meshes_are_found_by_their_name(tmp_path, uri, place):
     world = world_of(home, model(link(f"<mesh><uri>{uri}</uri></mesh>")), model_paths=[str(elsewhere)])
     assert inside(world, (0.0, 0.0, 1.0), (0.5, 0.5, 1.0)) == [True, False]
     assert any(f"{uri} is taken from" in note for note in world.notes)
-
-
-def test_models_are_found_by_their_name(tmp_path):
-    included(tmp_path / "deep" / "down", model(link(POST)))
-    world = world_of(tmp_path, "<include><uri>file:///opt/other/models/post</uri></include>")
-    assert inside(world, (0.0, 0.0, 1.0)) == [True]
 
 
 def test_movers_that_stand_still_are_told(tmp_path):

@@ -10,10 +10,22 @@ import pytest
 import torch
 from torch import Tensor
 
-from rover_rl.rng import to_unit
-from rover_rl.worlds import box, get_world, movers
-from rover_rl.worlds.movers import Cross, Cylinder, Motion, Mover, Orca, Person, SocialForce, Wander, Waypoints
-from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, walk, yard
+from rover_rl.worlds import Terrain, World, box, get_world, movers
+from rover_rl.worlds.movers import (
+    Cross,
+    Cylinder,
+    Motion,
+    Mover,
+    Orca,
+    Person,
+    Rovers,
+    SocialForce,
+    Walk,
+    Wander,
+    Waypoints,
+)
+from tests.pages import documented
+from tests.worlds.movers.crowds import DT, ROVER_RADIUS, begun, rovers_at, walk, yard
 
 MOTIONS = [Wander(), Cross(), SocialForce(), Orca()]
 CENTER = ((-4.0, 4.0), (-3.0, 3.0))
@@ -133,34 +145,19 @@ def test_the_edge_of_a_door_stays_at_the_hinge() -> None:
 
 
 @dataclass(frozen=True)
-class Circle(Motion):
-    """Goes around a point, from a random place on. Its goal is the direction away from the nearest wall."""
+class Circle(documented("movers.md", "Circle")):  # type: ignore[misc]
+    """The motion of ``docs/movers.md``. Its goal is the direction away from the nearest wall."""
 
     has_walls: ClassVar[bool] = True
 
-    radius: float = 2.0
-    speed: float = 1.0
-
-    @classmethod
-    def begin(cls, inputs: movers.MotionInput) -> movers.MoverState:
-        # The clock keeps the angle at which the episode begins.
-        return cls.at(inputs, 2 * math.pi * to_unit(inputs.bits(1)[..., 0]))
-
-    @classmethod
-    def advance(cls, inputs: movers.MotionInput) -> movers.MoverState:
-        return cls.at(inputs, inputs.state.clock)
-
     @classmethod
     def at(cls, inputs: movers.MotionInput, first: Tensor) -> movers.MoverState:
-        radius = inputs.settings["radius"]
-        angle = first + inputs.time * inputs.settings["speed"] / radius
-        out = torch.stack((angle.cos(), angle.sin()), -1)
-        position = radius[..., None] * out
-        return replace(inputs.state, position=position, yaw=angle, clock=first, goal=inputs.walls.at(position)[1])
+        state = super().at(inputs, first)
+        return replace(state, goal=inputs.walls.at(state.position)[1])
 
 
 def test_an_own_motion_moves_beside_those_of_the_package_with_its_own_random_numbers() -> None:
-    three = [Mover(Circle(3.0, 0.5)), Mover(SocialForce(), Cylinder(0.3)), Mover(Circle())]
+    three = [Mover(Circle(radius=3.0, speed=0.5)), Mover(SocialForce(), Cylinder(0.3)), Mover(Circle())]
     field = begun([yard(three), yard(three[1:])], rovers=torch.full((2, 2), 8.0))
     points = walk(field, 100)[:, 0, 0]
     assert points.norm(dim=-1).tolist() == pytest.approx([3.0] * 100, abs=1e-4)
@@ -198,3 +195,150 @@ def test_wrong_settings_are_told_in_a_sentence(motion: Any, arguments: dict[str,
 def test_a_fixed_start_inside_an_obstacle_is_refused() -> None:
     with pytest.raises(ValueError, match="'mover' of world 'yard' starts at .* inside an obstacle"):
         yard([Mover(Cross(start=(0.0, 0.0)))], obstacles=[box((0.0, 0.0, 0.5), (1.0, 1.0, 1.0))])
+
+
+# Independence, to the last bit
+
+
+RESTLESS = [
+    Wander(turn_time=1.0),
+    Cross(patience=1.0, pause=0.3),
+    SocialForce(patience=1.0, pause=0.3),
+    Orca(patience=1.0, pause=0.3),
+    Waypoints.there_and_back((0.0, 0.0), (4.0, 3.0), random_start=True),
+]
+PILLARS = [box((x, y, 0.5), (2.0, 1.0, 1.0)) for x in (-3.0, 3.0) for y in (-2.5, 2.5)]
+
+
+def circling(rows: int, seed: int, step: int) -> Tensor:
+    """Points of rovers that depend on the seed of the row and on the step, ``[rows, 2]``."""
+    turn = torch.arange(seed, seed + rows) + 0.02 * step
+    # Powers of the angle: sines may differ in the last bit.
+    return torch.stack((torch.remainder(turn, 6) - 3, torch.remainder(0.5 * turn, 4) - 2), -1)
+
+
+@pytest.mark.parametrize("motion", RESTLESS, ids=lambda motion: type(motion).__name__)
+def test_a_row_alone_is_as_it_is_in_a_batch(motion: Motion) -> None:
+    # Some rows fill the processor's vectors, and the last one is left over.
+    rows = 33
+    world = yard([Mover(motion, Cylinder(0.3))] * 5, 12.0, PILLARS)
+    # Other rows have more movers, of other motions, too.
+    crowded = yard([Mover(Waypoints([(0.0, 1.0, 1.0, 0.0)])), *[Mover(motion, Cylinder(0.2))] * 7], 14.0)
+    row = rows - 3
+    alone = begun([world], seed=row, rovers=circling(1, row, 0))
+    batch = begun([crowded if k != row and k % 3 else world for k in range(rows)], rovers=circling(rows, 0, 0))
+    again = (torch.arange(rows) % 2 == 0)[:, None]
+    again[row] = False
+    for step in range(80):
+        if step == 40:
+            batch.reset(again, torch.arange(rows)[:, None], circling(rows, 0, step))
+        alone.advance(None, rovers_at(circling(1, row, step)))
+        batch.advance(None, rovers_at(circling(rows, 0, step)))
+    for name in ("position", "yaw", "velocity", "goal", "clock", "draws"):
+        assert torch.equal(getattr(alone.state, name)[0], getattr(batch.state, name)[row, :5]), name
+    assert torch.equal(alone.parts.position[0], batch.parts.position[row, :5])
+
+
+@pytest.mark.parametrize("motion", RESTLESS, ids=lambda motion: type(motion).__name__)
+def test_rows_in_which_no_time_passes_stay_and_all_movers_are_elsewhere(motion: Motion) -> None:
+    field = begun([yard([Mover(motion)] * 3)] * 2)
+    before = field.state.position
+    for _ in range(30):
+        field.advance(torch.tensor([[True], [False]]), rovers_at(torch.zeros(2, 2)))
+    assert torch.equal(field.state.position[1], before[1])
+    assert not torch.equal(field.state.position[0], before[0])
+    points = walk(field, 20)[-1].reshape(-1, 2)
+    assert len(points.unique(dim=0)) == 6
+
+
+# Reactive motions: what their papers show
+
+
+RADIUS = 0.3
+AWAY = torch.tensor([[0.0, 9.0]])
+
+
+def pairwise_gap(points: Tensor) -> float:
+    """Returns the least distance between the surfaces of movers at ``points [steps, M, 2]``, m."""
+    return (torch.cdist(points, points) + 10 * torch.eye(points.shape[1])).min().item() - 2 * RADIUS
+
+
+@pytest.mark.parametrize(("motion", "least"), [(Orca, 0.0), (SocialForce, -0.02)])
+def test_two_that_meet_head_on_pass(motion: type[Walk], least: float) -> None:
+    ends = [(-4.0, 0.0), (4.0, 0.0)]
+    movers = [Mover(motion(start=a, goal=b), Cylinder(RADIUS)) for a, b in (ends, ends[::-1])]
+    field = begun([yard(movers)], rovers=AWAY)
+    points = walk(field, 200, lambda _: rovers_at(AWAY))[:, 0]
+    assert pairwise_gap(points) > least
+    assert (points - torch.tensor(ends[::-1])).norm(dim=-1).min(0).values.max() < 0.21
+
+
+def test_eight_on_a_circle_reach_the_other_side_without_contact() -> None:
+    angles = [2 * math.pi * k / 8 for k in range(8)]
+    starts = [(5 * math.cos(angle), 5 * math.sin(angle)) for angle in angles]
+    movers = [Mover(Orca(start=(x, y), goal=(-x, -y)), Cylinder(RADIUS)) for x, y in starts]
+    points = walk(begun([yard(movers)], 1, AWAY), 300, lambda _: rovers_at(AWAY))[:, 0]
+    assert pairwise_gap(points) > 0.0
+    assert (points + torch.tensor(starts)).norm(dim=-1).min(0).values.max() < 0.21
+
+
+def oncoming(step: int) -> Rovers:
+    """Returns a rover that drives from x = 5 toward -x at 1 m/s."""
+    return rovers_at(torch.tensor([[5.0 - step * DT, 0.05]]), torch.tensor([[-1.0, 0.0]]))
+
+
+def rover_gap(motion: Walk) -> float:
+    """Returns the least distance between the surfaces of a mover that walks toward +x and the oncoming rover, m."""
+    field = begun([yard([Mover(motion, Cylinder(RADIUS))])], rovers=AWAY)
+    points = walk(field, 160, oncoming)[:, 0, 0]
+    rovers = torch.cat([oncoming(step + 1).position[0] for step in range(160)])
+    return (points - rovers).norm(dim=-1).min().item() - RADIUS - ROVER_RADIUS
+
+
+@pytest.mark.parametrize("motion", [Orca, SocialForce])
+def test_movers_evade_the_rover_that_they_see(motion: type[Walk]) -> None:
+    assert rover_gap(motion(start=(-4.0, 0.0), goal=(4.0, 0.0))) > -1e-3
+    assert rover_gap(motion(start=(-4.0, 0.0), goal=(4.0, 0.0), sees_rover=False)) < -0.3  # type: ignore[call-arg]
+
+
+def lane_order(points: Tensor, directions: Tensor, length: float) -> float:
+    """Returns the mean of ``((same - others) / (same + others))^2`` over walkers, 1 in perfect lanes.
+
+    ``same`` and ``others`` count those in the same and in the opposite direction within 0.8 m to the sides and 6 m
+    ahead and behind (as M. Rex and H. Loewen, "Lane formation in oppositely charged colloids driven by an electric
+    field", Physical Review E 75 (2007) 051402).
+    """
+    offset = points[..., :, None, :] - points[..., None, :, :]
+    x = torch.remainder(offset[..., 0] + length / 2, length) - length / 2
+    near = (offset[..., 1].abs() < 0.8) & (x.abs() < 6.0) & ~torch.eye(len(directions), dtype=torch.bool)
+    same = (near & (directions[:, None] == directions)).sum(-1)
+    others = near.sum(-1) - same
+    return ((same - others) / (same + others).clamp(min=1)).square().mean().item()
+
+
+def test_lanes_form_in_a_corridor_with_two_directions() -> None:
+    """As in figure 2 of Helbing and Molnar (1995): 0.3 persons per m^2 in a periodic corridor."""
+    length, width, count = 40.0, 5.0, 60
+    start = ((-length / 2, length / 2), (-width / 2 + 0.4, width / 2 - 0.4))
+    motions = [
+        SocialForce(speed=1.34, start=start, goal=((300 * s, 300 * s + 1), (-width / 2, width / 2)), patience=1e5)
+        for s in (1.0, -1.0)
+    ]
+    movers = [Mover(motion, Cylinder(0.23)) for motion in motions for _ in range(count // 2)]
+    corridor = World("corridor", Terrain.flat((length + 20, width)), movers=movers, spawn_range=start)
+    away = torch.full((2, 2), 1000.0)
+    field = begun([corridor] * 2, rovers=away)
+    directions = torch.tensor([1.0, -1.0]).repeat_interleave(count // 2)
+    before = lane_order(field.state.position, directions, length)
+    slow = float(0)
+    for step in range(800):
+        field.advance(None, rovers_at(away))
+        if step == 100:
+            slow = (field.state.velocity[..., 0] * directions).mean().item()
+        x, y = field.state.position.unbind(-1)
+        x = torch.remainder(x + length / 2, length) - length / 2
+        field.state = replace(field.state, position=torch.stack((x, y), -1))
+    assert before < 0.3
+    assert lane_order(field.state.position, directions, length) > 0.6
+    # In lanes, they walk faster than while the directions are mixed.
+    assert (field.state.velocity[..., 0] * directions).mean().item() > max(slow, 1.2)
