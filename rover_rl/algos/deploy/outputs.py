@@ -104,7 +104,8 @@ class DriveOutputs:
         latencies, self._latencies = self._latencies, []
         times = {"decision_time": fmean(latencies), "longest_decision_time": max(latencies)} if latencies else {}
         shown = {name: f"{1000 * seconds:.1f} ms" for name, seconds in times.items()}
-        found = [_status("drive", *self._state(is_driving=bool(latencies)), **shown)]
+        level, message = self._state(is_driving=bool(latencies))
+        found = [_status("drive", level, message, **shown)]
         for topic, (count, age, silence) in self._rover.arrivals().items():
             rate = f"{(count - self._counts.get(topic, 0)) / elapsed:.1f} Hz"
             self._counts[topic] = count
