@@ -158,15 +158,21 @@ def test_late_subscribers_get_what_a_robot_has_told_once(robot, teleop, domain):
     assert [each.child_frame_id for each in moving[-1].transforms] == ["base_link", "odom"]
 
 
-def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, tmp_path, monkeypatch):
+def test_a_node_of_rclpy_sends_goals_and_cancels_them_and_hears_of_the_plan(
+    robot, teleop, in_domain, tmp_path, monkeypatch
+):
     monkeypatch.setattr("rover_rl.cli.drive.SENSOR_TIMEOUT", 60.0)  # on a busy machine
     pose, told, stopped = "geometry_msgs/msg/PoseStamped", [], []
-    ended = threading.Event()
+    ended, outputs = threading.Event(), dict[str, list[dict]]()
+    kinds = {"/plan": "nav_msgs/msg/Path", "/seen_map": "nav_msgs/msg/OccupancyGrid"}
+    for topic, kind in kinds.items():
+        teleop.subscribe(topic, kind, True, True)
+    teleop.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     teleop.subscribe("/goal_pose/status", "std_msgs/msg/String", True, True)
 
     def is_told(status: str) -> bool:
         told.extend(one["data"] for one in teleop.received("/goal_pose/status"))
-        return status in told
+        return any(one.startswith(status) for one in told)
 
     def send(topic: str, kind: str, fields: dict, status: str) -> None:
         """Sends a message, again each second, as the first ones of a new publisher may be lost."""
@@ -181,9 +187,13 @@ def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, 
     def send_goals() -> None:
         try:
             until(lambda: is_told("waiting"))
-            for x, status in ((9.0, "driving to 9.00 0.00"), (-9.0, "driving to -9.00 0.00")):
-                send("/goal_pose", pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}}}, status)
+            for x, frame, status in ((9.0, "map", "driving to 9.00 0.00"), (-9.0, "odom", "driving to -")):
+                send("/goal_pose", pose, {"header": {"frame_id": frame}, "pose": {"position": {"x": x}}}, status)
             until(lambda: robot.twists[-1] != (0.0, 0.0))
+            for topic in (*kinds, "/diagnostics"):
+                until(
+                    lambda topic=topic: outputs.setdefault(topic, []).extend(teleop.received(topic)) or outputs[topic]
+                )
             send("/goal_pose/cancel", "std_msgs/msg/Empty", {}, "canceled")
             until(lambda: robot.twists[-1] == (0.0, 0.0))
             stopped.append(True)
@@ -194,11 +204,15 @@ def test_a_node_of_rclpy_sends_goals_and_cancels_them(robot, teleop, in_domain, 
     sender = threading.Thread(target=send_goals)
     sender.start()
     options = ["--goal-topic", "/goal_pose", "--pose", "tf", "--seconds", "600", "--timeout", "60"]
-    code = main(["drive", "scripted", "--world", "maze", *options, "--bag", str(tmp_path / "drive.mcap")])
+    code = main(["drive", "gridplanner", "--world", "maze", *options, "--bag", str(tmp_path / "drive.mcap")])
     ended.set()
     sender.join()
     assert code == 130
     assert stopped
+    assert {outputs[topic][0]["header"]["frame_id"] for topic in kinds} == {"map"}
+    assert outputs["/plan"][0]["poses"]
+    assert outputs["/seen_map"][0]["info"]["width"] == 128
+    assert "rover_rl: /scan" in {status["name"] for status in outputs["/diagnostics"][0]["status"]}
 
 
 def test_messages_are_exchanged_unchanged_with_a_node_of_rclpy(teleop, domain):

@@ -78,6 +78,8 @@ def _endpoint(info: Any) -> list[str]:
 def _fields(value: Any) -> Any:
     if hasattr(value, "get_fields_and_field_types"):
         return {name: _fields(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return [*value]
     if hasattr(value, "tolist"):
         return value.tolist()
     return [_fields(item) for item in value] if isinstance(value, (list, tuple)) else value
