@@ -162,3 +162,19 @@ def measure_clearance(
                 if off_x * off_x + off_y * off_y < bound * bound:
                     distance = distance_to_outline(xs[i], y, outlines, starts[n], starts[n + 1])
                     clearance[j, i] = wp.min(clearance[j, i], distance)
+
+
+@wp.kernel
+def measure_distances(mesh: wp.uint64, points: wp.array[wp.vec3], distances: wp.array[float]):
+    """Distance of each point from the nearest triangle of a mesh, m."""
+    k = wp.tid()
+    nearest = wp.mesh_query_point_no_sign(mesh, points[k], 1.0e6)
+    distances[k] = wp.length(wp.mesh_eval_position(mesh, nearest.face, nearest.u, nearest.v) - points[k])
+
+
+@wp.kernel
+def measure_rays(mesh: wp.uint64, points: wp.array[wp.vec3], distances: wp.array[float], direction: wp.vec3):
+    """Distance from each point to a mesh along a direction, m, NaN if the ray meets no triangle."""
+    k = wp.tid()
+    hit = wp.mesh_query_ray(mesh, points[k], direction, 1.0e6)
+    distances[k] = wp.where(hit.result, hit.t, wp.nan)

@@ -11,7 +11,7 @@ from rover_rl.worlds.files.contents import Piece
 from rover_rl.worlds.files.options import optional
 from rover_rl.worlds.solids import Solids, even_directions, hull
 
-VERSION = "3"
+VERSION = "4"
 """Changes when the same mesh would give other parts."""
 FEW_VERTICES = 256
 """Number of vertices of a convex solid up to which all are kept."""
@@ -42,8 +42,6 @@ SAME_PLANE = 1e-4
 """Largest difference of the unit normals of neighboring triangles in one plane."""
 MAX_CAP = 2000
 """Largest number of triangles of the outline of a prism that are merged."""
-SEEN = 20
-"""Largest number of points of a face from which the thickness behind it is measured."""
 
 
 def obstacles_of(piece: Piece, error: float) -> list[Solids]:
@@ -128,7 +126,7 @@ def _is_near(
     if up is None and not CONVEX < hull.volume / volume <= NEARLY_CONVEX:
         return bool(hull.volume <= CONVEX * volume)
     samples, facets = tri.random_points(hull.points, hull.simplices, MAX_SAMPLES // 10)
-    far = tri.distances(samples, points, faces, error) > error
+    far = tri.distances(samples, points, faces) > error
     return not far.any() if up is None else bool((hull.equations[facets[far], :3] @ up < -0.9).all())
 
 
@@ -215,7 +213,7 @@ def _fits(vertices: np.ndarray, faces: np.ndarray, parts: list[np.ndarray], volu
                 planes = hulls[other].equations
                 hidden[~hidden] = (points[~hidden] @ planes[:, :3].T + planes[:, 3] <= 1e-3).all(1)
         outer.append(points[~hidden])
-    return float(np.quantile(tri.distances(np.concatenate(outer), vertices, faces, error), 0.99)) <= error
+    return float(np.quantile(tri.distances(np.concatenate(outer), vertices, faces), 0.99)) <= error
 
 
 def _prisms_of(points: np.ndarray, faces: np.ndarray, volume: float, slack: float) -> list[np.ndarray] | None:
@@ -271,7 +269,9 @@ def _shells_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None
             outside[outside] = (samples[outside] @ solid[:, :3].T + solid[:, 3]).max(1) > 1e-4
         if not outside.any():
             continue
-        depth = _depth_behind(samples[:: -(-len(samples) // SEEN)], normal, points[faces])
+        # Not from the face itself, which a ray would meet.
+        behind = tri.ray_distances(samples - THINNEST / 2 * normal, -normal, points, faces)
+        depth = np.nanmin(behind, initial=np.inf) + THINNEST / 2
         for polygon in tri.merge_triangles(_flattened(points, normal), faces[group]):
             part = np.concatenate((points[polygon], points[polygon] - depth * normal))
             hull = tri.convex_hull(part) if np.isfinite(depth) else None
@@ -281,22 +281,6 @@ def _shells_of(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray] | None
         if len(found) > MAX_PARTS:
             return None
     return found or None
-
-
-def _depth_behind(samples: np.ndarray, normal: np.ndarray, triangles: np.ndarray) -> float:
-    """Returns the least distance to the triangles ``[F, 3, 3]`` behind points of a face, against its normal."""
-    a, b, c = triangles.swapaxes(0, 1)
-    side, other = b - a, c - a
-    across = np.cross(-normal, other)
-    scale = (side * across).sum(1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        offset = samples[:, None] - a
-        u = (offset * across).sum(-1) / scale
-        turned = np.cross(offset, side)
-        v = -(turned @ normal) / scale
-        depth = (turned * other).sum(-1) / scale
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > 1e-6)
-    return float(depth[hit].min(initial=np.inf))
 
 
 def _normal(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import torch
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from rover_rl.worlds.files.contents import Grid, Piece, Plane
-from rover_rl.worlds.files.triangles import convex_hull, face_normals, is_closed, signed_volume, surface_heights
+from rover_rl.worlds.files.triangles import convex_hull, face_normals, is_closed, ray_distances, signed_volume
 from rover_rl.worlds.solids import hull
 from rover_rl.worlds.terrain import Terrain
 
@@ -66,8 +66,11 @@ class Surface:
         up = normal[:, 2] if closed else np.abs(normal[:, 2])
         return cls(piece, vertices, faces[(length > 1e-12) & (up > STEEPEST * length)])
 
-    def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
-        return surface_heights(self.vertices, self.faces, origin, cell, shape)
+    def heights(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Returns the lowest height at each of some points, m, NaN where there is no triangle."""
+        bottom = self.vertices[:, 2].min() - 1.0
+        starts = np.stack((x, y, np.full_like(x, bottom)), -1).reshape(-1, 3)
+        return bottom + ray_distances(starts, (0.0, 0.0, 1.0), self.vertices, self.faces).reshape(x.shape)
 
     @property
     def covers(self) -> bool:
@@ -102,7 +105,8 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     cell = float((high - low).max()) / COMPARED
     columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
     origin = (float(low[0]) + cell / 2, float(low[1]) + cell / 2)
-    heights = [surface.heights(origin, cell, (rows, columns)) for surface in candidates]
+    points = _points(origin, cell, (rows, columns))
+    heights = [surface.heights(*points) for surface in candidates]
     lowest = np.fmin.reduce(heights)
     least = max(LEAST_AREA, LEAST_COVER * scene) if has_base else 0.0
     chosen, covered = [], np.zeros((rows, columns), dtype=bool)
@@ -169,11 +173,10 @@ class Ground:
     grids: list[Grid]
     surfaces: list[Surface]
 
-    def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
-        """Returns the heights at the points of a grid, the highest of all ground: ``[rows, columns]``, m, or NaN."""
-        x, y = np.meshgrid(origin[0] + cell * np.arange(shape[1]), origin[1] + cell * np.arange(shape[0]))
+    def heights(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Returns the heights at some points, the highest of all ground, m, or NaN."""
         layers = [_grid_heights(grid, x, y) for grid in self.grids]
-        layers += [surface.heights(origin, cell, shape) for surface in self.surfaces]
+        layers += [surface.heights(x, y) for surface in self.surfaces]
         for plane in self.planes:
             slope = plane.normal[:2] / plane.normal[2]
             layers.append(plane.point[2] - slope[0] * (x - plane.point[0]) - slope[1] * (y - plane.point[1]))
@@ -266,12 +269,11 @@ def _sampled(ground: Ground, low: np.ndarray, high: np.ndarray, cell: float) -> 
             f"{_least_cell(low, high):.2g} m"
         )
     origin = (float(low[0]), float(low[1]))
-    heights = ground.heights(origin, cell, (rows, columns))
+    heights = ground.heights(*_points(origin, cell, (rows, columns)))
     terrain = Terrain(torch.from_numpy(_filled(heights)), cell, origin)
-    middle = (origin[0] + cell / 2, origin[1] + cell / 2)
-    truth = ground.heights(middle, cell, (rows - 1, columns - 1))
-    x, y = np.meshgrid(middle[0] + cell * np.arange(columns - 1), middle[1] + cell * np.arange(rows - 1))
-    errors = np.abs(terrain.height_at(torch.from_numpy(np.stack((x, y), -1))).numpy() - truth)
+    middles = _points((origin[0] + cell / 2, origin[1] + cell / 2), cell, (rows - 1, columns - 1))
+    truth = ground.heights(*middles)
+    errors = np.abs(terrain.height_at(torch.from_numpy(np.stack(middles, -1))).numpy() - truth)
     errors = errors[np.isfinite(truth)] if np.isfinite(truth).any() else np.zeros(1)
     error, most = float(np.quantile(errors, 0.99)), 100 * errors.max()
     notes = [f"ground: cell {cell:g} m, error {100 * error:.1f} cm for 99 % of the surface, {most:.1f} cm at most"]
@@ -279,6 +281,12 @@ def _sampled(ground: Ground, low: np.ndarray, high: np.ndarray, cell: float) -> 
     if holes > 0.01:
         notes.append(f"ground: {100 * holes:.0f} % of the grid has no ground and takes the height of the nearest")
     return terrain, notes, error
+
+
+def _points(origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns x and y of the points of a grid, ``[rows, columns]``, m."""
+    x, y = (low + cell * np.arange(count) for low, count in zip(origin, shape[::-1], strict=True))
+    return np.meshgrid(x, y)
 
 
 def _filled(heights: np.ndarray) -> np.ndarray:

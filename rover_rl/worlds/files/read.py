@@ -16,7 +16,6 @@ from rover_rl.worlds.files.areas import find_areas
 from rover_rl.worlds.files.contents import Contents, Piece, Plane, listed
 from rover_rl.worlds.files.convex import obstacles_of
 from rover_rl.worlds.files.elevation import read_elevation
-from rover_rl.worlds.files.mesh_files import read_mesh
 from rover_rl.worlds.files.occupancy import read_map
 from rover_rl.worlds.files.options import (
     ELEVATION_SUFFIXES,
@@ -28,7 +27,7 @@ from rover_rl.worlds.files.options import (
     make_options,
 )
 from rover_rl.worlds.files.sdf import read_sdf
-from rover_rl.worlds.files.triangles import split
+from rover_rl.worlds.files.triangles import read_mesh, split
 from rover_rl.worlds.solids import Solids
 
 MAX_PIECES = 50_000

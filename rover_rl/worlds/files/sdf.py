@@ -19,9 +19,9 @@ from rover_rl.tiny_xml import is_true, numbers, parse_xml, read_xml, text_of
 from rover_rl.worlds.files.contents import Contents, Grid, Piece, Plane, listed
 from rover_rl.worlds.files.elevation import read_elevations
 from rover_rl.worlds.files.locate import Locator
-from rover_rl.worlds.files.mesh_files import read_mesh
 from rover_rl.worlds.files.options import MAX_SIZE, MESH_SUFFIXES, TIFF_SUFFIXES, ImportOptions
 from rover_rl.worlds.files.shapes import KINDS, prisms, solid_points
+from rover_rl.worlds.files.triangles import read_mesh
 from rover_rl.worlds.movers import Mover, Person, Waypoints
 
 MOVING = re.compile(

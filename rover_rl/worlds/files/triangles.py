@@ -1,34 +1,48 @@
-"""Triangle meshes as arrays: ``vertices [V, 3]`` in meters, and ``faces [F, 3]``, counter-clockwise from outside."""
+"""Triangle meshes from files, and as arrays.
+
+Arrays are ``vertices [V, 3]`` in meters, and ``faces [F, 3]``, counter-clockwise from outside. Files are read node by
+node, with their transforms, in meters, with z up.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
+import trimesh
 from scipy.sparse import coo_array
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 from trimesh.graph import connected_components, face_adjacency, is_watertight
-from trimesh.triangles import closest_point
+from trimesh.resolvers import FilePathResolver
+from trimesh.sample import sample_surface
 
+from rover_rl.native.output import logged
+from rover_rl.tiny_xml import read_xml, text_of
 from rover_rl.worlds.files.contents import Piece
+from rover_rl.worlds.files.options import Up, optional
 
 MERGE = 1e-5
 """Vertices of a mesh that are closer than this are one, m."""
 COVERED = 1e-3
 """Distance from other triangles up to which a triangle is a double of them, m."""
-SAMPLES = 20_000
-"""Number of random points of a surface that stand for it."""
-MAX_PAIRS = 1_000_000
-"""Number of pairs of a point and a triangle whose distances are computed at once."""
-NEAR = 8
-"""Number of random points of a surface near a point whose triangles may be the nearest one."""
-CHUNK = 4_000_000
-"""Number of pairs of a triangle and a grid point that are tested at once."""
 MAX_ROUNDS = 200
 LEAST_SHARE = 0.002
 """Share of the vertices that a round of the simplification must remove, or else it is the last one."""
 FLIP = 0.3
 """Least cosine of the angle by which a merge of vertices may turn a triangle."""
+MAX_FACES = 5_000_000
+_TO_Z_UP = {
+    "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "z": np.eye(3),
+}
+"""Rotations that turn the axis that points up into z. COLLADA 1.4.1 defines the two other axes of each."""
+_WHITE_PIXEL = b"P6 1 1 255 \xff\xff\xff"
+"""A picture in the format PPM."""
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -148,8 +162,8 @@ def flat_patches(vertices: np.ndarray, faces: np.ndarray, sine: float, most: int
         samples = surface_samples(vertices, faces[group])
         heights = (vertices[faces[kept, 0]] - samples[0]) @ normals[group[0]]
         same = kept[(np.abs(normals[kept] @ normals[group[0]]) > 1 - sine**2) & (np.abs(heights) < COVERED)]
-        double = 0 < len(same) * len(samples) < MAX_PAIRS and len(groups) <= 2 * most
-        if not double or _exact_distances(samples, vertices[faces[same]]).max() > COVERED:
+        compared = len(same) and len(groups) <= 2 * most
+        if not compared or distances(samples, vertices, faces[same]).max() > COVERED:
             kept = np.append(kept, group)
             yield group
 
@@ -162,71 +176,37 @@ def surface_samples(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def random_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Samples points on triangles, in proportion to their areas: ``[count, 3]``, and their triangles ``[count]``."""
-    rng = np.random.default_rng(0)
-    area = np.linalg.norm(face_normals(vertices, faces), axis=1)
-    chosen = rng.choice(len(faces), count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    over = u + v > 1
-    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
-    a, b, c = (vertices[faces[chosen, k]] for k in range(3))
-    return a + u * (b - a) + v * (c - a), chosen
+    return sample_surface(trimesh.Trimesh(vertices, faces, process=False), count, seed=0)
 
 
-def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, limit: float) -> np.ndarray:
-    """Returns the distances of points from the nearest triangle: ``[P]``, m. Up to ``limit``, they may be too large."""
-    samples, owners = random_points(vertices, faces, SAMPLES)
-    samples, owners = np.concatenate((samples, vertices[faces].mean(1))), np.append(owners, np.arange(len(faces)))
-    # Of large triangles, the nearest sample is far, but the triangle is the right one.
-    near = owners[cKDTree(samples).query(points, k=NEAR)[1]]
-    nearest = closest_point(vertices[faces[near.ravel()]], np.repeat(points, NEAR, axis=0))
-    found = np.linalg.norm(nearest.reshape(-1, NEAR, 3) - points[:, None], axis=2).min(1)
-    far = np.flatnonzero(found > limit)[: MAX_PAIRS // len(faces)]
-    found[far] = _exact_distances(points[far], vertices[faces])
-    return found
+def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Returns the distances of points from the nearest triangle: ``[P]``, m."""
+    from rover_rl.worlds.ground_kernels import measure_distances
+
+    return _measured(measure_distances, points, vertices, faces)
 
 
-def _exact_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    count = len(triangles)
-    nearest = closest_point(np.tile(triangles, (len(points), 1, 1)), np.repeat(points, count, axis=0))
-    return np.linalg.norm(nearest.reshape(-1, count, 3) - points[:, None], axis=2).min(1)
-
-
-def surface_heights(
-    vertices: np.ndarray, faces: np.ndarray, origin: tuple[float, float], cell: float, shape: tuple[int, int]
+def ray_distances(
+    points: np.ndarray, direction: Sequence[float] | np.ndarray, vertices: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """Returns the lowest height of a surface without vertical faces at each point of a grid, by vertical rays.
+    """Returns the distances of triangles from points along a direction: ``[P]``, m, NaN where there is none."""
+    from rover_rl.worlds.ground_kernels import measure_rays
 
-    The grid begins at ``origin``, ``(x, y)``, m, with points ``cell`` m apart; ``shape`` is their number along y and x.
-    Heights are ``[rows, columns]``, m, NaN where there is no triangle.
-    """
-    heights = np.full(shape[0] * shape[1], np.inf)
-    # Grid coordinates: column, row, and height in meters.
-    corners = (vertices[faces] - (*origin, 0.0)) / (cell, cell, 1.0)
-    low = np.clip(np.ceil(corners[..., :2].min(1) - 1e-6).astype(int), 0, None)
-    high = np.minimum(np.floor(corners[..., :2].max(1) + 1e-6).astype(int), (shape[1] - 1, shape[0] - 1))
-    span = np.clip(high - low + 1, 0, None)
-    count = span[:, 0] * span[:, 1]
-    order, start = np.flatnonzero(count), 0
-    while start < len(order):
-        stop = start + max(1, int(np.searchsorted(np.cumsum(count[order[start:]]), CHUNK)))
-        chosen = order[start:stop]
-        # Every grid point of the bounding rectangle of every triangle.
-        triangle = np.repeat(chosen, count[chosen])
-        place = np.arange(len(triangle)) - np.repeat(np.cumsum(count[chosen]) - count[chosen], count[chosen])
-        column, row = low[triangle, 0] + place % span[triangle, 0], low[triangle, 1] + place // span[triangle, 0]
-        a, b, c = corners[triangle].swapaxes(0, 1)
-        # Barycentric coordinates of the point in the triangle's projection.
-        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-        x, y = column - a[:, 0], row - a[:, 1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            v = (x * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * y) / area
-            w = ((b[:, 0] - a[:, 0]) * y - x * (b[:, 1] - a[:, 1])) / area
-            inside = (v >= -1e-6) & (w >= -1e-6) & (v + w <= 1 + 1e-6)
-            z = a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2])
-        np.minimum.at(heights, (row * shape[1] + column)[inside], z[inside])
-        start = stop
-    heights[np.isinf(heights)] = np.nan
-    return heights.reshape(shape)
+    return _measured(measure_rays, points, vertices, faces, tuple(direction))
+
+
+def _measured(kernel: Any, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, *inputs: Any) -> np.ndarray:
+    # Importing NVIDIA Warp takes half a second.
+    from rover_rl.native.warp import wp
+
+    found = np.full(len(points), np.nan, np.float32)
+    if len(faces):
+        # Single precision is enough near the origin.
+        middle = vertices[faces].mean((0, 1))
+        corners, starts = (wp.array(part - middle, dtype=wp.vec3, device="cpu") for part in (vertices, points))
+        mesh = wp.Mesh(corners, wp.array(faces.ravel(), dtype=int, device="cpu"))
+        wp.launch(kernel, len(points), [mesh.id, starts, found, *inputs], device="cpu")
+    return found.astype(float)
 
 
 def merge_triangles(points: np.ndarray, triangles: np.ndarray, slack: float = 0.0) -> list[list[int]]:
@@ -347,3 +327,94 @@ def _flips(vertices: np.ndarray, faces: np.ndarray, pairs: np.ndarray) -> np.nda
     flips = np.zeros(len(pairs), dtype=bool)
     flips[move[stays & turned]] = True
     return flips
+
+
+def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
+    """Reads a mesh file: a piece for each node with triangles. See :class:`ImportOptions` for ``up`` and ``scale``."""
+    kind, data = path.suffix.lower(), path.read_bytes()
+    unit, axis = 1.0, "y" if kind in (".glb", ".gltf") else "z"
+    names: set[str] = set()
+    if kind == ".dae":
+        optional("collada")
+        root = read_xml(path)
+        unit, axis = _collada_frame(path, root)
+        names = _name_by_nodes(root)
+        for element in root.iter():
+            # Standard XML needs a declaration of prefixes.
+            element.tag = element.tag.replace(":", ".")
+            element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
+        data = tostring(root)
+    turn = np.eye(4)
+    turn[:3, :3] = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
+    scene = _load(path, data)
+    base = scene.graph.base_frame
+    if scene.graph.transforms.parents.get(base, base) != base:
+        # trimesh 4 takes the node for its base frame, and loses the transforms above it.
+        raise ValueError(f"{path} has a node {base!r} below another one; give it another name")
+    pieces = []
+    for node in sorted(map(str, scene.graph.nodes_geometry)):
+        frame: Any = scene.graph[node]
+        transform, name = frame
+        mesh = scene.geometry[name]
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            # trimesh numbers the parts of a geometry of COLLADA that have materials of their own.
+            whole = node.rpartition("_")[0]
+            part = whole if whole in names and node not in names else node
+            pieces.append(Piece(part, np.asarray(mesh.vertices), np.asarray(mesh.faces), turn @ transform))
+    if not pieces:
+        raise ValueError(f"{path} holds no triangles")
+    if sum(len(mesh.faces) for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh)) > MAX_FACES:
+        raise ValueError(f"{path} has more than {MAX_FACES:,} triangles; simplify it first")
+    return pieces
+
+
+class _GeometryResolver(FilePathResolver):
+    """Leaves out materials and textures, which are no geometry, and often missing."""
+
+    def get(self, name: str) -> bytes:
+        suffix = Path(name.strip()).suffix.lower()
+        if suffix in (".bin", ".glb"):
+            return super().get(name.strip())
+        return b"" if suffix == ".mtl" else _WHITE_PIXEL
+
+
+def _load(path: Path, data: bytes) -> trimesh.Scene:
+    kind, resolver = path.suffix.lower()[1:], _GeometryResolver(str(path.parent))
+    try:
+        with logged("trimesh"):
+            return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
+    # The readers raise errors of all kinds for a damaged file.
+    except Exception as error:
+        reason = str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
+
+
+def _collada_frame(path: Path, root: Element) -> tuple[float, str]:
+    """Returns the unit (m) and the axis that points up of a COLLADA file."""
+    element = root.find("asset/unit")
+    text = "1" if element is None else element.get("meter", "1")
+    try:
+        unit = float(text)
+    except ValueError:
+        unit = float("nan")
+    if not 1e-6 <= unit <= 1e6:
+        raise ValueError(f"the unit of {path} must be a positive number of meters, got {text!r}")
+    # COLLADA 1.4.1: without up_axis, y points up.
+    return unit, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(root.find("asset/up_axis")), "y")
+
+
+def _name_by_nodes(root: Element) -> set[str]:
+    """Gives geometries that one node alone shows its name, which trimesh ignores. Returns the names."""
+    shown: dict[str, list[tuple[Element, str]]] = {}
+    for node in root.iter("node"):
+        for instance in node.findall("instance_geometry"):
+            shown.setdefault(instance.get("url", "")[1:], []).append((instance, node.get("name", "")))
+    geometries = {geometry.get("id", ""): geometry for geometry in root.iter("geometry")}
+    names = {*geometries}
+    for key, geometry in geometries.items():
+        (instance, name), *others = shown.get(key, [(root, "")])
+        if name and not others and name not in names:
+            geometry.set("id", name)
+            instance.set("url", f"#{name}")
+            names.add(name)
+    return names

@@ -218,4 +218,4 @@ def test_large_meshes_are_simplified_within_the_error_and_stay_closed():
         ((mesh.vertices, mesh.faces), (vertices, faces)),
     ):
         points, _ = random_points(*map(np.asarray, one), 1000)
-        assert distances(points, *map(np.asarray, other), 0.03).max() < 0.03
+        assert distances(points, *map(np.asarray, other)).max() < 0.03
