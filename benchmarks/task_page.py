@@ -87,9 +87,8 @@ def _command(card: Card) -> str:
 
 def _name(card: Card) -> str:
     """Name of an entry. Planners stand in italics."""
-    return (
-        f"*{card['entry']}*" if card["kind"] == "planner" else card["entry"] + ", with planner" * card["with_planner"]
-    )
+    entry = card["entry"]
+    return f"*{entry}*" if card["kind"] == "planner" else entry + ", with planner" * card["with_planner"]
 
 
 def _overview(tasks: dict[str, list[list[Card]]]) -> str:
@@ -139,13 +138,8 @@ def _row(group: Sequence[Card]) -> str:
 
     first, value = group[0], success(group)
     seeds = ", ".join(str(card["seed"]) for card in group if card["seed"] is not None)
-    styles = {
-        "spl": ".2f",
-        "mean_time_to_traverse": ".1f",
-        "body_contact_share": ".0%",
-        "steps": ",.0f",
-        "minutes": ".0f",
-    }
+    styles = {"spl": ".2f", "mean_time_to_traverse": ".1f", "body_contact_share": ".0%"}
+    styles |= {"steps": ",.0f", "minutes": ".0f"}
     machine = f"{first['machine']['processor']}, {first['machine']['cores']} cores"
     command = f"`{_command(first)}{' --seed 1' * bool(seeds)}`"
     interval = f"{value.low:.0%} to {value.high:.0%}"

@@ -177,11 +177,8 @@ def make_card(options: Options, command: str) -> Path:
     machine = {"processor": platform.processor() or platform.machine(), "cores": cores}
     card = {"task": task.name, "entry": name, "kind": kind, "seed": None if kind == "planner" else options.seed}
     card |= {"steps": round(steps) if curve else None, "minutes": minutes, "with_planner": found.with_planner}
-    card |= {
-        "episodes": len(rows),
-        "success": endings["goal"] / len(rows),
-        **{key: metrics[key].value for key in METRICS},
-    }
+    card |= {"episodes": len(rows), "success": endings["goal"] / len(rows)}
+    card |= {key: metrics[key].value for key in METRICS}
     card |= {"endings": dict(sorted(endings.items())), "version": __version__, "machine": machine}
     write_card(path, card | {"command": command, "curve": curve})
     return path
