@@ -160,3 +160,16 @@ def test_a_world_in_which_pose_is_clipped_is_told():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         RoverEnv(world_n=near, backend="warp").close()
+
+
+@pytest.mark.parametrize("world", ["inspect", "moon"])
+def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world: str) -> None:
+    env = RoverEnv(world_n=world, num_envs=8, seed=11, lidar_beams=32)
+    td = env.reset()
+    assert (td["lidar"] >= 0.4).all()
+    before = td["pose"].clone()
+    for _ in range(10):
+        td = env.step(td.set("action", torch.zeros(8, 2)))["next"]
+        assert not td["done"].any()
+        assert not td["outcome", "collision"].any()
+    assert (td["pose"] - before).norm(dim=-1).max() < 0.02
