@@ -66,7 +66,7 @@ def test_the_help_of_a_command_has_its_options_with_defaults(capsys: pytest.Capt
 
 COMMANDS = [
     *("train", "evaluate", "compare", "benchmark", "play", "view", "film", "tasks", "worlds", "robots", "demo"),
-    *("robot", "drive", "calibrate", "export"),
+    *("robot", "drive", "calibrate", "dataset", "export"),
 ]
 NAMES = f"use one of {COMMANDS}; see rover-rl --help"
 

@@ -48,14 +48,14 @@ class Calibrate:
         outputs = [self.out / file for file in FILES]
         check_outputs(*outputs, inputs=[str(self.bag)], force=self.force)
         from rover_rl.algos.calibration.calibrate import calibrate
-        from rover_rl.algos.calibration.reading import Topics, read_recording
+        from rover_rl.algos.calibration.reading import read_recording
         from rover_rl.algos.calibration.report import describe, draw, env_settings, write_settings
         from rover_rl.native.threads import single_threaded
         from rover_rl.robots import get_robot
 
         name = with_options(self.robot, self.robot_options)
         robot = get_robot(name)
-        recording = read_recording(self.bag, Topics.of(self.connection, self.settings))
+        recording = read_recording(self.bag, self.connection, self.settings)
         with single_threaded():
             calibration = calibrate(recording, robot)
         lines = describe(calibration)

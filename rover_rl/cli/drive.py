@@ -19,11 +19,11 @@ from rich.console import Console
 from rich.live import Live
 
 from rover_rl import checks
-from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
+from rover_rl.algos.policy.names import NO_POLICY, ResolvedPolicy, resolve_policy
 from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
 from rover_rl.cli.ros_arguments import RosArguments, renamed
-from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, Randomization
+from rover_rl.envs.config import SCAN_POSE, ActionConfig, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
 from rover_rl.names import Name
 from rover_rl.robots.options import RobotOptions, with_options
@@ -61,7 +61,7 @@ class Drive:
         Ros2Settings: {*Ros2Settings.__dataclass_fields__} - HIDDEN - {"min_reversal", "unseen_range", "max_invalid"}
     }
 
-    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=LIVE_POLICY)]
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=LIVE_POLICY)] = ""
     goal: tuple[tuple[float, float], ...] = ()
     """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None
@@ -72,6 +72,11 @@ class Drive:
     frame than the pose, such as odom, is transformed by tf."""
     random: int = 0
     """Number of random goals, drawn as in training."""
+    excite: bool = False
+    """Drive what tells the robot's numbers, for rover-rl calibrate, about three minutes in a clear area, without a
+    policy (docs/calibration.md)."""
+    radius: float = 2.0
+    """Distance from the start that --excite stays within, m."""
     world: str | None = None
     """World that the rover is in. Default: the world that the policy was trained in."""
     env: Path | None = None
@@ -81,7 +86,7 @@ class Drive:
     robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot."""
     clearance: float = 0.2
-    """Lidar reading below which the drive ends, m."""
+    """Lidar reading below which the drive ends, m; at least 0.5 with --excite."""
     patience: float = 30.0
     """Longest time to wait, before the drive to a goal, for whatever is nearer than --clearance to go, s."""
     seconds: float = 60.0
@@ -160,8 +165,12 @@ class Drive:
                 if page is not None:
                     page.show(env, moment)
 
-            endings = self._drive(env, runner, goals, world, bag, go_on, show)
-        print(f"Bag: {path}; to evaluate it: rover-rl evaluate {path}")
+            if self.excite:
+                endings = self._excite(env, runner, module, bag, go_on, show)
+            else:
+                endings = self._drive(env, runner, goals, world, bag, go_on, show)
+        what = "calibrate" if self.excite else "evaluate"
+        print(f"Bag: {path}; to {what} it: rover-rl {what} {path}")
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
     def _drive(
@@ -208,10 +217,41 @@ class Drive:
                 break  # the pose of a restarted robot is unknown
         return endings
 
+    def _excite(
+        self,
+        env: RoverEnv,
+        runner: PolicyRunner,
+        excitation: Any,
+        bag: DriveBag,
+        go_on: Callable[[], None],
+        show: Callable[[str, Moment], None],
+    ) -> list[str]:
+        """Drives what tells the robot's numbers, and returns the ending."""
+        from rover_rl.algos.deploy.driving import drive_to
+        from rover_rl.algos.deploy.excitation import CLEARANCE
+        from rover_rl.algos.driving import TIME_LIMIT
+
+        def watch(moment: Moment) -> None:
+            go_on()
+            show("excite", moment)
+
+        limits: Any = {"clearance": max(self.clearance, CLEARANCE), "patience": self.patience, "allow_unseen": True}
+        ending = drive_to(
+            env, runner, excitation.start(), seconds=excitation.seconds - 1e-3, watch=watch, bag=bag, **limits
+        )
+        print(f"excite: {'complete' if ending == TIME_LIMIT else ending}", flush=True)
+        return ["goal" if ending == TIME_LIMIT else ending]
+
     def _check(self) -> None:
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
-        if not (self.goal or self.goals or self.random or self.goal_topic):
+        goals = [name for name in ("goal", "goals", "random", "goal_topic") if getattr(self, name)]
+        if self.excite and (goals or self.policy):
+            raise ValueError("--excite drives on its own: leave out the policy and the goals")
+        checks.check_positive(checks.MAX_NUMBER, radius=self.radius)
+        if not (self.policy or self.excite):
+            raise ValueError(f"{NO_POLICY}, or drive with --excite")
+        if not (goals or self.excite):
             raise ValueError("say where to drive: --goal X Y, --goals FILE, --random COUNT or --goal-topic TOPIC")
         if self.goal_topic is not None:
             checks.check_topics(goal_topic=self.goal_topic)
@@ -222,6 +262,10 @@ class Drive:
         checks.check_seed(self.seed)
 
     def _policy(self) -> ResolvedPolicy:
+        if self.excite:
+            from rover_rl.algos.deploy.excitation import ANYWHERE, Excitation
+
+            return ResolvedPolicy("excite", Excitation(self.radius), (self.world or ANYWHERE.name,))
         robot = None if self.robot is None else with_options(self.robot, self.robot_options)
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), robot)
         if policy.module is None or not policy.worlds:
@@ -273,6 +317,15 @@ class Drive:
             end_on_goal=True,
             seed=self.seed,
         )
+        if self.excite:
+            from rover_rl.algos.deploy import excitation
+
+            quick = {f"max_{name}acceleration": excitation.QUICK for name in ("", "yaw_")}
+            steps = {name: most for name, most in quick.items() if getattr(settings, name) is None}
+            backend = replace(described.backend, min_reversal=0.0, **steps)
+            place = described.world if self.world else excitation.ANYWHERE
+            action = ActionConfig(kind="twist")
+            described = replace(described, action=action, task=excitation.TASK, backend=backend, world=place)
         return sensors_for(policy, environment_for(policy, described))
 
     def _goals(self, world: str) -> list[tuple[float, float]]:

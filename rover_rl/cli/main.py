@@ -17,6 +17,7 @@ import tyro
 from rover_rl.cli.benchmark import Benchmark
 from rover_rl.cli.calibrate import Calibrate
 from rover_rl.cli.compare import Compare
+from rover_rl.cli.dataset import Dataset
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
@@ -57,6 +58,7 @@ COMMANDS = {
     "robot": RobotCommand,
     "drive": Drive,
     "calibrate": Calibrate,
+    "dataset": Dataset,
     "export": Export,
 }
 """Commands by name, without train, whose options depend on the algorithm."""

@@ -10,7 +10,6 @@ import yaml
 from matplotlib.figure import Figure
 
 from rover_rl.algos.calibration.calibrate import HORIZONS, Calibration
-from rover_rl.algos.calibration.sensors import Estimate
 from rover_rl.algos.evaluation.plots import BLUE, GREY, ORANGE, style_axes
 from rover_rl.envs.config import env_from_plain
 from rover_rl.files import MADE, write_through, written_whole
@@ -20,26 +19,31 @@ from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.robots.turning import yaw_gain
 from rover_rl.sims.settings import CONTROL_DT
 
-GROUND_FRICTION = 0.5
-"""Friction of the ground in the simulators, which factors of friction refer to."""
-SHOWN = 30.0
-"""Duration of the drive in the picture, s."""
+GROUND_FRICTION = 0.5  # friction of the ground in the simulators, which factors of friction refer to
+SHOWN = 30.0  # duration of the drive in the picture, s
+UNTOLD = "not told by this drive; to tell it (rover-rl drive --excite drives all of this):"
+LIMITS = {"speed": "speed_top", "yaw_rate": "turn_top", "acceleration": "speed_acceleration"}
+LIMITS |= {"yaw_acceleration": "turn_acceleration"}
+AGES = {"state_latency": ("odometry_age", "imu_age", "pose_age"), "scan_latency": ("scan_age",)}
+RANGES = {"odometry_scale": "wheel_scale", "yaw_bias": "yaw_bias", "friction": "friction"}
+VALUES = {"odometry_noise": "odometry_noise", "imu_noise": "imu_noise", "range_noise": "range_noise"}
+VALUES |= {"dropout": "lost_beams"}
+"""Settings, and the numbers that they are made of."""
 
 
 def describe(calibration: Calibration) -> list[str]:
     """Returns a line for each number, then one for each that the drive does not tell."""
-    told, untold = [], []
+    told, untold = [f"{'number':42} {'value':>8} {'unit':8} 95 % interval"], []
     for number in calibration.numbers.values():
         if number.estimate is None:
             untold.append(f"  {number.label}: {number.advice}")
         else:
             value, low, high = (f"{each:.3g}" for each in number.estimate)
             told.append(f"{number.label:42} {value:>8} {number.unit:8} {low} to {high}")
-    head = f"{'number':42} {'value':>8} {'unit':8} 95 % interval"
     horizons = " / ".join(f"{each:g}" for each in HORIZONS)
     before, after = (" / ".join(f"{100 * each:.1f}" for each in row) for row in calibration.errors)
     errors = f"median error of the place after {horizons} s: {before} cm before, {after} cm after the calibration"
-    return [head, *told, "", errors, *(["", "not told by this drive; to tell it:", *untold] if untold else [])]
+    return [*told, "", errors, *(["", UNTOLD, *untold] if untold else [])]
 
 
 def env_settings(calibration: Calibration, name: str, robot: Robot) -> dict[str, Any]:
@@ -48,36 +52,27 @@ def env_settings(calibration: Calibration, name: str, robot: Robot) -> dict[str,
     A command is as late as delay and lag together, less half a step, which the simulators take themselves.
     """
     numbers = {name: number.estimate for name, number in calibration.numbers.items() if number.estimate is not None}
-    limits = {"max_speed": "speed_top", "max_yaw_rate": "turn_top"}
-    limits |= {"max_acceleration": "speed_acceleration", "max_yaw_acceleration": "turn_acceleration"}
-    known = {setting: _rounded(numbers[number].value) for setting, number in limits.items() if number in numbers}
     ranges: dict[str, Any] = {}
-    if (delay := numbers.get("command_delay")) is not None:
-        lag = numbers.get("speed_lag", Estimate(0.0, 0.0, 0.0))
-        ranges["latency"] = _steps(delay.low + lag.low - CONTROL_DT / 2, delay.high + lag.high - CONTROL_DT / 2)
-    ages = [numbers[each] for each in ("odometry_age", "imu_age", "pose_age") if each in numbers]
-    if ages:
-        ranges["state_latency"] = _steps(min(age.low for age in ages), max(age.high for age in ages))
-    if "scan_age" in numbers:
-        ranges["scan_latency"] = _steps(numbers["scan_age"].low, numbers["scan_age"].high)
-    for setting, number, unit in (
-        ("odometry_scale", "wheel_scale", 1.0),
-        ("yaw_bias", "yaw_bias", 1.0),
-        ("friction", "friction", GROUND_FRICTION),
-    ):
+    if "command_delay" in numbers:
+        late = [numbers[each] for each in ("command_delay", "speed_lag") if each in numbers]
+        ends = (sum(each.low for each in late), sum(each.high for each in late))
+        ranges["latency"] = _steps(*(end - CONTROL_DT / 2 for end in ends))
+    for setting, names in AGES.items():
+        if ages := [numbers[each] for each in names if each in numbers]:
+            ranges[setting] = _steps(min(age.low for age in ages), max(age.high for age in ages))
+    for setting, number in RANGES.items():
         if number in numbers:
-            ranges[setting] = [_rounded(numbers[number].low / unit), _rounded(numbers[number].high / unit)]
-    noise = {"odometry_noise": "odometry_noise", "imu_noise": "imu_noise", "range_noise": "range_noise"}
-    for setting, number in {**noise, "dropout": "lost_beams"}.items():
-        if number in numbers:
-            ranges[setting] = _rounded(max(numbers[number].value, 0.0))
+            unit = GROUND_FRICTION if number == "friction" else 1.0
+            ranges[setting] = [_rounded(end / unit) for end in numbers[number][1:]]
+    ranges |= {key: max(_rounded(numbers[each].value), 0.0) for key, each in VALUES.items() if each in numbers}
+    limits = {f"max_{key}": _rounded(numbers[each].value) for key, each in LIMITS.items() if each in numbers}
     slip = numbers.get("slip")
     if slip is not None and isinstance(robot.drive, SkidSteer) and not 0.95 < slip.value * yaw_gain(robot) < 1.05:
         # The simulated body turns by Coulomb's law: the track of its drive gives it the yaw rate of the real one.
         track = robot.drive.track(robot.wheels) / yaw_gain(robot) / slip.value
         name = with_options(name, RobotOptions(separation=_rounded(track)))
     settings = {"robot": name, "randomization": ranges}
-    return {**settings, "limits": {"apply": True, **known}} if known else settings
+    return {**settings, "limits": {"apply": True, **limits}} if limits else settings
 
 
 def _steps(low: float, high: float) -> list[int]:
@@ -105,22 +100,24 @@ def draw(calibration: Calibration, path: Path) -> None:
     ends = time[:-1].searchsorted(time[:-1] + SHOWN).clip(max=len(changes) - 1)
     begin = int((changes[ends] - changes).argmax())
     part = slice(begin, int(ends[begin]) + 1)
+    lines = (
+        (measured, GREY, "measured"),
+        (calibration.before, ORANGE, "before"),
+        (calibration.after, BLUE, "calibrated"),
+    )
     figure = Figure(figsize=(11, 7), layout="constrained")
     axes = figure.subplot_mosaic([["speed", "speed", "errors"], ["yaw rate", "yaw rate", "errors"]])
     for index, (name, unit) in enumerate((("speed", "m/s"), ("yaw rate", "rad/s"))):
-        ax = axes[name]
-        ax.plot(time[part], measured[part, index], color=GREY, linewidth=3, alpha=0.6, label="measured")
-        ax.plot(time[part], calibration.before[part, index], color=ORANGE, linewidth=1, label="before")
-        ax.plot(time[part], calibration.after[part, index], color=BLUE, linewidth=1.3, label="calibrated")
-        ax.set(ylabel=f"{name} ({unit})", xlabel="time (s)")
-        style_axes(ax)
+        for values, color, label in lines:
+            wide = {"linewidth": 3, "alpha": 0.6} if color == GREY else {"linewidth": 1.2}
+            axes[name].plot(time[part], values[part, index], color=color, label=label, **wide)
+        axes[name].set(ylabel=f"{name} ({unit})", xlabel="time (s)")
     axes["speed"].legend(frameon=False, ncols=3, loc="upper left", bbox_to_anchor=(0, 1.14))
-    for row, color, label, side in zip(
-        calibration.errors, (ORANGE, BLUE), ("before", "calibrated"), (-0.2, 0.2), strict=True
-    ):
-        axes["errors"].bar([side + each for each in range(len(HORIZONS))], 100 * row, 0.4, color=color, label=label)
+    for row, (_, color, _), side in zip(calibration.errors, lines[1:], (-0.2, 0.2), strict=True):
+        axes["errors"].bar([side + each for each in range(len(HORIZONS))], 100 * row, 0.4, color=color)
     axes["errors"].set(xticks=range(len(HORIZONS)), xticklabels=[f"{each:g} s" for each in HORIZONS])
     axes["errors"].set(title="error of the predicted place (cm)")
-    style_axes(axes["errors"])
+    for ax in axes.values():
+        style_axes(ax)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=120)

@@ -9,9 +9,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.integrate import cumulative_trapezoid
+from scipy.stats import median_abs_deviation, ttest_1samp
 
-from rover_rl.algos.calibration.reading import Recording, Stream
+from rover_rl.algos.calibration.reading import SENSORS, Recording, Stream
 
 GRID = 0.05  # distance of the times at which sensors are compared, s
 SPAN = 0.5  # time over which a change of the pose is compared, s
@@ -22,6 +23,8 @@ STANDING = 0.02  # largest speed of a base at rest, m/s and rad/s
 IN_PLACE = 0.05  # largest speed of a turn in place, m/s
 MOVING = 0.05  # root mean square of the changes in a block with motion, m and rad
 LEAST_BLOCKS = 4  # least number of blocks with motion
+PIECE, LEAST_PIECES = 3.0, 3  # duration (s) and least number of the pieces at rest that tell the bias of the IMU
+SAME = 0.004  # difference to odometry of a pose that is made of it, m and rad, and of their ratio to 1
 GRAVITY = 9.81  # m/s^2
 
 
@@ -37,12 +40,15 @@ class Estimate(NamedTuple):
         """Takes the interval from bootstrap samples."""
         return cls(float(value), *map(float, np.quantile(draws, (0.025, 0.975))))
 
+    @classmethod
+    def around(cls, value: Any, half: Any) -> Estimate:
+        return cls(float(value), float(value - half), float(value + half))
+
     def per(self, other: Estimate) -> Estimate:
         """Returns the ratio of two independent positive numbers, to first order."""
-        value = self.value / other.value
         mine, others = ((one.high - one.low) / 2 / one.value for one in (self, other))
-        half = abs(value) * math.hypot(mine, others)
-        return Estimate(value, value - half, value + half)
+        value = self.value / other.value
+        return Estimate.around(value, abs(value) * math.hypot(mine, others))
 
 
 class Curve(NamedTuple):
@@ -53,35 +59,40 @@ class Curve(NamedTuple):
 
     @classmethod
     def integral(cls, time: np.ndarray, rate: np.ndarray) -> Curve:
-        return cls(time, np.concatenate(([0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(time)))))
+        return cls(time, cumulative_trapezoid(rate, time, initial=0))
 
     def change(self, at: np.ndarray) -> np.ndarray:
         """Change over ``SPAN`` about the times ``at``."""
         return np.interp(at + SPAN / 2, *self) - np.interp(at - SPAN / 2, *self)
 
 
-def align(reference: Curve, other: Curve | None, weight: Curve | None = None) -> tuple[Estimate, Estimate] | None:
-    """Returns by how much a sensor is late beside a reference, s, and its changes by those of the reference.
+class Alignment(NamedTuple):
+    """By how much a sensor is late beside odometry, s, and its changes by those of odometry.
+
+    ``repeats`` tells that it is made of odometry: what they add up to stays the same all along the drive.
+    """
+
+    late: Estimate
+    ratio: Estimate
+    repeats: bool
+
+
+def align(reference: Curve, other: Curve, weight: Curve | None = None) -> Alignment | None:
+    """Compares a sensor with odometry.
 
     The shift is that with the least squared difference of changes over half a second, where residuals above three
     robust standard deviations are left out. Intervals are a bootstrap over blocks of 3 s. ``None`` if there is too
-    little motion where ``weight`` is 1, the sensors do not agree, or there is no other one.
+    little motion where ``weight`` is 1, or the sensors do not agree.
     """
-    if other is None:
-        return None
-    begin, end = max(reference.time[0], other.time[0]), min(reference.time[-1], other.time[-1])
-    at = np.arange(begin + 1, end - 1, GRID)
-    at = at[: len(at) // BLOCK * BLOCK]
-    shifts = np.arange(-FARTHEST, FARTHEST + FINE / 2, FINE)
+    at, shifts = _shared(reference, other), np.arange(-FARTHEST, FARTHEST + FINE / 2, FINE)
     if len(at) < LEAST_BLOCKS * BLOCK:
         return None
-    seen = other.change(at)
-    told = np.stack([reference.change(at - shift) for shift in shifts])
+    seen, told = other.change(at), np.stack([reference.change(at - shift) for shift in shifts])
     keep = np.ones(len(at)) if weight is None else (np.interp(at, *weight) > 0.5).astype(float)
     for _ in range(3):
         product, square = (_by_block(keep * each) for each in (told * seen, told**2))
         shift, gain = _best(product.sum(-1), square.sum(-1), shifts)
-        rest = np.abs(seen - gain * np.interp(at - shift, at, told[len(shifts) // 2]))
+        rest = np.abs(seen - gain * reference.change(at - shift))
         usual = 1.48 * np.median(rest[keep > 0]) if keep.any() else 0.0
         keep = keep * (rest < 3 * usual + 0.05 * np.abs(seen).max())
     moving = (square[len(shifts) // 2] > MOVING**2 * BLOCK).sum()
@@ -89,7 +100,15 @@ def align(reference: Curve, other: Curve | None, weight: Curve | None = None) ->
         return None
     samples = np.array([_best(product @ draw, square @ draw, shifts) for draw in _resampled(product.shape[1])])
     late, ratio = Estimate.of(shift, samples[:, 0]), Estimate.of(gain, samples[:, 1])
-    return (late, ratio) if late.high - late.low < 0.1 else None
+    apart = median_abs_deviation(np.interp(at, *other) - np.interp(at - shift, *reference), scale="normal")
+    repeats = bool(apart < SAME and abs(gain - 1) < SAME)
+    return Alignment(late, ratio, repeats) if late.high - late.low < 0.1 else None
+
+
+def _shared(one: Curve, other: Curve) -> np.ndarray:
+    """Returns times at which both are known, in whole blocks."""
+    at = np.arange(max(one.time[0], other.time[0]) + 1, min(one.time[-1], other.time[-1]) - 1, GRID)
+    return at[: len(at) // BLOCK * BLOCK]
 
 
 def _by_block(values: np.ndarray) -> np.ndarray:
@@ -102,13 +121,17 @@ def _resampled(blocks: int) -> np.ndarray:
 
 
 def _best(product: np.ndarray, square: np.ndarray, shifts: np.ndarray) -> tuple[float, float]:
-    """Returns the shift that explains most, by a parabola about the best one, and the ratio there."""
+    """Returns the shift that explains most, and the ratio there."""
     score = product**2 / np.maximum(square, 1e-12)
     index = int(score[1:-1].argmax()) + 1
-    left, middle, right = score[index - 1 : index + 2]
+    part = _vertex(*score[index - 1 : index + 2])
+    return float(shifts[index] + part * FINE), float(product[index] / max(square[index], 1e-12))
+
+
+def _vertex(left: Any, middle: Any, right: Any) -> Any:
+    """Returns where the parabola through three points at -1, 0 and 1 has its vertex, at most one away."""
     bend = left - 2 * middle + right
-    part = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float(shifts[index] + np.clip(part, -1, 1) * FINE), float(product[index] / max(square[index], 1e-12))
+    return np.clip(0.5 * (left - right) / np.where(bend == 0, np.inf, bend), -1, 1)
 
 
 def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
@@ -118,17 +141,30 @@ def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
         if imu is None:
             return None
         yaw = np.interp(pose.stamp, imu.stamp, imu.values[:, 1])
-    middle = (yaw[1:] + yaw[:-1]) / 2
-    ahead = np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)
-    return Curve(pose.stamp, np.concatenate(([0.0], np.cumsum(ahead))))
+    ahead = np.diff(x + 1j * y) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
+    return Curve(pose.stamp, np.append(0.0, np.cumsum(ahead.real)))
+
+
+def _never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:
+    """Whether there is no event from ``before`` until ``after`` (s) each time ``at``."""
+    count = np.append(0, np.cumsum(events))
+    one, end = np.searchsorted(time, (at - before, at + after))
+    return count[end] == count[one]
 
 
 def in_place(odometry: Stream) -> Curve:
     """Returns 1 where the base has turned in place for 0.8 s before and after, else 0."""
-    fast = (np.abs(odometry.values[:, 0]) > IN_PLACE).astype(float)
-    around = np.searchsorted(odometry.stamp, (odometry.stamp - 0.8, odometry.stamp + 0.8))
-    count = np.concatenate(([0.0], np.cumsum(fast)))
-    return Curve(odometry.stamp, (count[around[1]] - count[around[0]] == 0).astype(float))
+    fast, time = np.abs(odometry.values[:, 0]) > IN_PLACE, odometry.stamp
+    return Curve(time, _never(fast, time, time, 0.8, 0.8).astype(float))
+
+
+def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
+    """Whether the base has been at rest and told to be for a second before and after each time."""
+    odometry, (sent, *_, commands) = recording.odometry, recording.commands
+    inside = (times > sent[0]) & (times < sent[-1])
+    for time, values in ((sent, commands), (odometry.stamp, odometry.values)):
+        inside &= _never((np.abs(values) > STANDING).any(1), time, times, 1.0, 1.0)
+    return inside
 
 
 def scan_turn(scan: Stream, increment: float, still: Curve) -> Curve:
@@ -138,101 +174,61 @@ def scan_turn(scan: Stream, increment: float, still: Curve) -> Curve:
     """
     rows = np.flatnonzero(np.interp(scan.stamp, *still)[1:] > 0.5)
     most = min(int(0.35 / abs(increment)) + 1, scan.values.shape[1] // 4)
-    before, after = scan.values[rows], scan.values[rows + 1]
-    inner, losses = slice(most, scan.values.shape[1] - most), []
+    ranges, losses = np.where(np.isfinite(scan.values), scan.values, np.nan), []
     for shift in range(-most, most + 1):
-        with np.errstate(invalid="ignore"):
-            miss = np.clip((np.roll(before, -shift, 1) - after)[:, inner], -0.5, 0.5) ** 2
+        miss = (np.roll(ranges[rows], -shift, 1) - ranges[rows + 1])[:, most : scan.values.shape[1] - most]
         known = np.isfinite(miss)
-        losses.append(np.where(known, miss, 0).sum(1) / np.maximum(known.sum(1), 1))
+        losses.append(np.where(known, miss.clip(-0.5, 0.5) ** 2, 0).sum(1) / np.maximum(known.sum(1), 1))
     loss = np.stack(losses, 1)
     index, one = loss[:, 1:-1].argmin(1) + 1, np.arange(len(rows))
-    left, middle, right = (loss[one, index + k] for k in (-1, 0, 1))
-    part = 0.5 * (left - right) / np.maximum(left - 2 * middle + right, 1e-12)
     turns = np.zeros(len(scan.stamp))
-    turns[rows + 1] = (index - most + np.clip(part, -1, 1)) * increment
+    turns[rows + 1] = (index - most + _vertex(*(loss[one, index + k] for k in (-1, 0, 1)))) * increment
     return Curve(scan.stamp, np.cumsum(turns))
 
 
-def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
-    """Whether the base has been at rest and told to be for a second before and after each time."""
-    moves = []
-    for stream, time in (
-        (recording.commands, recording.commands.arrival),
-        (recording.odometry, recording.odometry.stamp),
-    ):
-        moving = np.concatenate(([0], np.cumsum((np.abs(stream.values) > STANDING).any(1))))
-        one, end = np.searchsorted(time, (times - 1.0, times + 1.0))
-        moves.append(moving[end] - moving[one] == 0)
-    inside = (times > recording.commands.arrival[0]) & (times < recording.commands.arrival[-1])
-    return moves[0] & moves[1] & inside
-
-
-def yaw_bias(recording: Recording) -> Estimate | None:
-    """Returns the mean yaw rate that the IMU tells at rest, rad/s, of at least three pieces of 3 s."""
-    if (imu := recording.imu) is None:
-        return None
-    rest, pieces = at_rest(recording, imu.stamp), []
-    for run in np.split(np.arange(len(rest)), np.flatnonzero(np.diff(rest.astype(int))) + 1):
-        count = int((imu.stamp[run[-1]] - imu.stamp[run[0]]) / 3.0) if rest[run[0]] else 0
-        pieces += [
-            np.polyfit(imu.stamp[part], imu.values[part, 1], 1)[0]
-            for part in np.array_split(run, max(count, 1))[:count]
-        ]
-    if len(pieces) < 3:
-        return None
-    half = student.ppf(0.975, len(pieces) - 1) * np.std(pieces, ddof=1) / len(pieces) ** 0.5
-    return Estimate(float(np.mean(pieces)), *(float(np.mean(pieces) + sign * half) for sign in (-1, 1)))
+def bends(values: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Returns errors of values against the mean of their neighbors, scaled to the variance of one value."""
+    return np.diff(values, 2, axis) / 6**0.5
 
 
 def deviation(errors: np.ndarray) -> Estimate | None:
     """Returns the robust standard deviation of at least 50 errors."""
     if errors.size < 50:
         return None
-    value = 1.4826 * float(np.median(np.abs(errors)))
+    value = median_abs_deviation(errors, scale="normal")
     # The median absolute deviation has 37 % of the efficiency of the standard deviation, and neighbors share values.
-    half = 1.96 * value / (0.37 * errors.size) ** 0.5
-    return Estimate(value, value - half, value + half)
+    return Estimate.around(value, 1.96 * value / (0.37 * errors.size) ** 0.5)
 
 
-def bends(values: np.ndarray) -> np.ndarray:
-    """Returns errors of values against the mean of their neighbors, scaled to the variance of one value."""
-    return (values[2:] - 2 * values[1:-1] + values[:-2]) / 6**0.5
-
-
-def odometry_noise(recording: Recording) -> Estimate | None:
-    """Returns the relative standard deviation of the velocities at constant commands."""
-    odometry, commands, errors = recording.odometry, recording.commands, []
-    index = np.searchsorted(commands.arrival, (odometry.stamp - 1.0, odometry.stamp)).clip(1) - 1
-    changes = np.concatenate(([0], np.cumsum((np.diff(commands.values, axis=0) != 0).any(1))))
-    cruising = changes[index[0]] == changes[index[1]]
-    for column in odometry.values.T:
-        fast = (cruising & (np.abs(column) > 0.2))[1:-1]
-        errors.append(bends(column)[fast] / column[1:-1][fast])
-    return deviation(np.concatenate(errors))
-
-
-def imu_noise(recording: Recording) -> Estimate | None:
-    """Returns the standard deviation of the yaw at rest, rad."""
-    if (imu := recording.imu) is None:
-        return None
-    return deviation(bends(imu.values[:, 1])[at_rest(recording, imu.stamp)[1:-1]])
-
-
-def scan_noise(recording: Recording) -> tuple[Estimate | None, Estimate | None]:
-    """Returns the standard deviation of a range at rest, m, and the share of beams that are lost."""
-    if (scan := recording.scan) is None:
-        return None, None
-    still = scan.values[at_rest(recording, scan.stamp)][:400]
-    if len(still) < 10:
-        return None, None
-    seen = np.isfinite(still)
-    with np.errstate(invalid="ignore"):
-        steps = np.diff(still, axis=0)
-    usual = seen[:, seen.mean(0) > 0.5]
-    lost = float(1 - usual.mean()) if usual.size else 0.0
-    half = 1.96 * (lost * (1 - lost) / max(usual.size, 1)) ** 0.5
-    return deviation(steps[np.isfinite(steps)] / 2**0.5), Estimate(lost, max(lost - half, 0.0), lost + half)
+def noise(recording: Recording) -> dict[str, Estimate | None]:
+    """Returns ages; relative noise of odometry at constant commands; noise and bias of IMU and scan at rest."""
+    odometry, (sent, *_, commands), found = recording.odometry, recording.commands, dict[str, Estimate | None]()
+    for name in SENSORS:
+        if (stream := getattr(recording, name)) is not None and stream.age is not None:
+            found[f"{name}_age"] = Estimate.of(np.median(stream.age), stream.age)
+    changes = np.append(False, (np.diff(commands, axis=0) != 0).any(1))
+    speeds = odometry.values[1:-1]
+    cruising = _never(changes, sent, odometry.stamp, 1.0, 0.0)[1:-1, None] & (np.abs(speeds) > 0.2)
+    found["odometry_noise"] = deviation(bends(odometry.values)[cruising] / speeds[cruising])
+    if (imu := recording.imu) is not None:
+        rest, yaw = at_rest(recording, imu.stamp), imu.values[:, 1]
+        found["imu_noise"] = deviation(bends(yaw)[rest[1:-1]])
+        ends = np.searchsorted(imu.stamp, np.arange(imu.stamp[0], imu.stamp[-1], PIECE))
+        pieces = [part for part in map(slice, ends, ends[1:]) if rest[part].all() and rest[part].size > 9]
+        if len(pieces) >= LEAST_PIECES:
+            slopes = [np.polyfit(imu.stamp[part], yaw[part], 1)[0] for part in pieces]
+            low, high = ttest_1samp(slopes, 0.0).confidence_interval()
+            found["yaw_bias"] = Estimate(float(np.mean(slopes)), float(low), float(high))
+    if (scan := recording.scan) is not None:
+        still = scan.values[at_rest(recording, scan.stamp)][:400]
+        still = np.where(np.isfinite(still), still, np.nan)
+        steps, usual = np.diff(still, axis=0), np.isfinite(still[:, np.isfinite(still).mean(0) > 0.5])
+        found["range_noise"] = deviation(steps[np.isfinite(steps)] / 2**0.5)
+        if len(still) >= 10 and usual.size:
+            lost = 1 - usual.mean()
+            told = Estimate.around(lost, 1.96 * (lost * (1 - lost) / usual.size) ** 0.5)
+            found["lost_beams"] = told._replace(low=max(told.low, 0.0))
+    return found
 
 
 def friction(odometry: Stream, way: Curve, scale: float, fastest: float) -> tuple[Estimate, Estimate] | None:
@@ -250,8 +246,7 @@ def friction(odometry: Stream, way: Curve, scale: float, fastest: float) -> tupl
     for index, goal in enumerate(wheels):
         now = now + np.clip(goal - now, -candidates * GRAVITY * step, candidates * GRAVITY * step)
         speeds[:, index] = now
-    at = np.arange(max(time[0], way.time[0]) + 1, min(time[-1], way.time[-1]) - 1, GRID)
-    at = at[: len(at) // BLOCK * BLOCK]
+    at = _shared(Curve(time, time), way)
     told = np.stack([Curve.integral(time, speed).change(at) for speed in speeds])
     shifts = np.arange(-10, 11) * FINE
     seen = [way.change(at + shift) for shift in shifts]

@@ -37,7 +37,7 @@ from rover_rl.sims import RoverState
 from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.frames import MAP, WORLD
-from rover_rl.sims.ros2.poses import POSE_MESSAGES, MeasuredPose, read_finite
+from rover_rl.sims.ros2.poses import POSE_MESSAGES, MeasuredPose, read_finite, read_place
 from rover_rl.sims.ros2.scans import aligned, read_scan
 from rover_rl.sims.ros2.sensors import read_frame
 from rover_rl.sims.ros2.settings import BAG, BagTopics
@@ -53,7 +53,7 @@ LATE = 0.5  # time by which a message may be older than the one before it in the
 FASTEST, JUMP = 10.0, 1.0  # speed (m/s) and further distance (m) above which a pose has jumped
 MOST_JUMPS = 5  # largest number of jumps of one robot, or a tenth of its poses, which a localization corrects
 _MARGIN = 12.0  # size of that ground around the drive, m
-_READERS = {kind.ros_type: (kind, read) for kind, read in POSE_MESSAGES.values()}
+_POSES = {kind.ros_type: kind for kind, _ in POSE_MESSAGES.values()}
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ _log = logging.getLogger(__name__)
 class Sample(NamedTuple):
     """A rover ``dt`` (s) after the sample before: position (m), roll, pitch and yaw, and readings ``[beams]`` (m).
 
-    ``yaw_rate`` is that of the command, rad/s; nan if it is not known.
+    ``command`` and ``wheels``, by odometry, are forward speeds and yaw rates, m/s and rad/s; nan if they are not known.
     """
 
     dt: float
@@ -70,7 +70,8 @@ class Sample(NamedTuple):
     ranges: Tensor
     collision: bool = False
     reached: bool = False
-    yaw_rate: float = math.nan
+    command: tuple[float, float] = (math.nan, math.nan)
+    wheels: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass
@@ -97,7 +98,7 @@ class RecordedDrive:
             happened[step_of[torch.tensor(events, dtype=torch.bool)]] = True
             return happened
 
-        yaw_rates = [sample.yaw_rate for sample in after]
+        yaw_rates = [sample.command[1] for sample in after]
         return Trajectory(
             position=torch.tensor([sample.position for sample in self.samples])[nearest],
             angles=torch.tensor([sample.angles for sample in self.samples])[nearest],
@@ -144,7 +145,7 @@ def read_drives(
         ValueError: if it is no bag, has no drives, or not the topics, its time goes back, or several robots sent.
     """
     bag, topics = Bag(path), topics or BagTopics()
-    found, least = (_own(bag), 1) if STEP in bag.types else (_Foreign(bag, topics).read(), 2)
+    found, least = (_own(bag, topics), 1) if STEP in bag.types else (_Foreign(bag, topics).read(), 2)
     drives, about = [drive for drive in found if len(drive.samples) >= least], bag.about
     if not drives:
         raise ValueError(f"there is no drive in {path}: no goal is followed by poses; {bag.contents}")
@@ -175,7 +176,7 @@ def evaluate_drives(bags: Sequence[Drives]) -> list[Evaluation]:
     for bag, drives in groups.items():
         if bag.world is None:
             _log.warning("%s: no --world is named, so the shortest paths are straight lines", bag.policy)
-        world = _place(bag.world, drives)
+        world = place_of(bag.world, drives)
         driven = [drive.trajectory() for drive in drives]
         start = torch.stack([torch.cat((one.path[0], one.angles[0, 2:])) for one in driven])
         goal = torch.tensor([drive.goal for drive in drives])
@@ -198,9 +199,9 @@ def recording_of_drive(bag: Drives, number: int | None = None) -> Recording:
     drive = drives[number]
     driven, scans = drive.trajectory(), drive.scans()
     try:
-        place = _place(bag.world, [drive])
+        place = place_of(bag.world, [drive])
     except (ValueError, OSError, ImportError):
-        place = _place(NO_WORLD, [drive])
+        place = place_of(NO_WORLD, [drive])
     position = driven.position.clone()
     if place.name == NO_WORLD:
         position[:, 2] = 0.0
@@ -219,7 +220,8 @@ def recording_of_drive(bag: Drives, number: int | None = None) -> Recording:
     return Recording(moments, place, get_robot(bag.robot), angles, driven.dt, drive.ending, number)
 
 
-def _place(world: str | None, drives: Sequence[RecordedDrive]) -> World:
+def place_of(world: str | None, drives: Sequence[RecordedDrive]) -> World:
+    """Returns a world by name; for none, flat ground around drives."""
     if world not in (None, NO_WORLD):
         return get_world(world)
     points = [point for drive in drives for point in (drive.goal, *(sample.position[:2] for sample in drive.samples))]
@@ -227,20 +229,23 @@ def _place(world: str | None, drives: Sequence[RecordedDrive]) -> World:
     return World(NO_WORLD, Terrain.flat((side, side)))
 
 
-def _own(bag: Bag) -> list[RecordedDrive]:
+def _own(bag: Bag, topics: BagTopics) -> list[RecordedDrive]:
     """Drives of a bag of ``rover-rl drive``."""
-    drives: list[RecordedDrive] = []
-    for topic, _, message in bag.messages({GOAL: ros.PoseStamped, STEP: ros.DriveStep, ENDING: ros.String}):
-        if topic == GOAL:
+    drives, wheels = list[RecordedDrive](), (math.nan, math.nan)
+    kinds = {topics.odometry: ros.Odometry, GOAL: ros.PoseStamped, STEP: ros.DriveStep, ENDING: ros.String}
+    for topic, _, message in bag.messages(kinds):
+        if topic == topics.odometry:
+            wheels = message.twist.twist.linear.x, message.twist.twist.angular.z
+        elif topic == GOAL:
             drives.append(RecordedDrive((message.pose.position.x, message.pose.position.y), []))
         elif drives and topic == ENDING:
             drives[-1].ending = message.data
         elif drives:
-            point, turn = message.pose.position, message.pose.orientation
+            point, turn, twist = message.pose.position, message.pose.orientation, message.command
             angles = quaternion_to_euler(torch.tensor([turn.x, turn.y, turn.z, turn.w])).tolist()
             ranges, events = torch.tensor(message.ranges), (message.collision, message.reached)
-            place = (point.x, point.y, point.z)
-            drives[-1].samples.append(Sample(message.dt, place, angles, ranges, *events, message.command.angular.z))
+            place, command = (point.x, point.y, point.z), (twist.linear.x, twist.angular.z)
+            drives[-1].samples.append(Sample(message.dt, place, angles, ranges, *events, command, wheels))
     return drives
 
 
@@ -248,11 +253,11 @@ class _Foreign:
     """Reader of the drives of a bag that others have recorded: see :class:`BagTopics`."""
 
     def __init__(self, bag: Bag, topics: BagTopics) -> None:
-        bag.require("goal", topics.goal, ros.PoseStamped.ros_type)
-        kind, self._read_pose = _READERS[bag.require("pose", topics.pose, *_READERS)]
+        bag.require("goal", "--topics.goal", topics.goal, ros.PoseStamped.ros_type)
+        kind = _POSES[bag.require("pose", "--topics.pose", topics.pose, *_POSES)]
         self._bag, self._topics, self._kinds = bag, topics, {topics.pose: kind, topics.goal: ros.PoseStamped}
         if topics.scan in bag.types or topics.scan != BagTopics.scan:
-            bag.require("scan", topics.scan, ros.LaserScan.ros_type)
+            bag.require("scan", "--topics.scan", topics.scan, ros.LaserScan.ros_type)
             self._kinds[topics.scan] = ros.LaserScan
         self._tf = RobotPose(topics.map_frame, topics.base_frame) if kind is ros.TFMessage else None
         if self._tf is not None:
@@ -278,7 +283,7 @@ class _Foreign:
                 elif topic == self._topics.goal:
                     self._take_goal(at, message)
                 elif (pose := message if self._tf is None else self._tf.after(message)) is not None:
-                    self._take_pose(at, self._read_pose(pose), read_frame(pose))
+                    self._take_pose(at, read_place(pose), read_frame(pose))
         self._check()
         return self._drives
 
@@ -335,15 +340,14 @@ class Bag:
         named = (f"{topic} ({' and '.join(map(short, sorted(types)))})" for topic, types in sorted(self.types.items()))
         return f"it has {', '.join(named) or 'no messages'}"
 
-    def require(self, what: str, topic: str, *allowed: str) -> str:
-        """Returns the type on a topic, which is the value of ``--topics.WHAT``. Raises ``ValueError`` for another."""
+    def require(self, what: str, option: str, topic: str, *allowed: str) -> str:
+        """Returns the type on a topic, which is the value of an option. Raises ``ValueError`` for another."""
         found = sorted(self.types.get(topic, ()))
         if not found:
-            text = f"name another topic with --topics.{what}; {self.contents}"
-            raise ValueError(f"{self.path} has no {what} on {topic}: {text}")
+            raise ValueError(f"{self.path} has no {what} on {topic}: name the topic with {option}; {self.contents}")
         if len(found) > 1 or found[0] not in allowed:
             types, needed = (" or ".join(map(short, names)) for names in (found, allowed))
-            raise ValueError(f"{topic} in {self.path} has {types}, and a {what} is {needed}; {self.contents}")
+            raise ValueError(f"{topic} in {self.path} has {types}, and {option} takes {needed}; {self.contents}")
         return found[0]
 
     def messages(self, kinds: Mapping[str, Any]) -> Iterator[tuple[str, float, Any]]:

@@ -77,23 +77,34 @@ def read_pose(pose: Any) -> MeasuredPose:
     return MeasuredPose(read_finite("position", point.x, point.y, point.z), read_orientation(pose.orientation))
 
 
-def read_pose_array(msg: Any) -> MeasuredPose:
-    """Reads the first pose of a ``geometry_msgs/PoseArray``, whose orientation is not used and may be invalid."""
+def pose_in(msg: Any) -> Any:
+    """Returns the ``geometry_msgs/Pose`` of a message of a pose, the first one of an array."""
+    if not hasattr(msg, "poses"):
+        return getattr(msg.pose, "pose", msg.pose)
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
-    point, turn = msg.poses[0].position, None
+    return msg.poses[0]
+
+
+def read_place(msg: Any) -> MeasuredPose:
+    """Reads a message of a pose whose orientation is not used and may be invalid."""
+    pose, turn = pose_in(msg), None
     with suppress(ValueError, AttributeError):
-        turn = read_orientation(msg.poses[0].orientation)
-    return MeasuredPose(read_finite("position", point.x, point.y, point.z), turn)
+        turn = read_orientation(pose.orientation)
+    return MeasuredPose(read_finite("position", pose.position.x, pose.position.y, pose.position.z), turn)
+
+
+def _read_whole(msg: Any) -> MeasuredPose:
+    return read_pose(pose_in(msg))
 
 
 POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
-    "pose_array": (ros.PoseArray, read_pose_array),
-    "pose_stamped": (ros.PoseStamped, lambda msg: read_pose(msg.pose)),
-    "odometry": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
-    "pose_with_covariance": (ros.PoseWithCovarianceStamped, lambda msg: read_pose(msg.pose.pose)),
-    "tf": (ros.TFMessage, lambda msg: read_pose(msg.pose)),  # of the pose that RobotPose makes of it
-    "wheels": (ros.Odometry, lambda msg: read_pose(msg.pose.pose)),
+    "pose_array": (ros.PoseArray, read_place),
+    "pose_stamped": (ros.PoseStamped, _read_whole),
+    "odometry": (ros.Odometry, _read_whole),
+    "pose_with_covariance": (ros.PoseWithCovarianceStamped, _read_whole),
+    "tf": (ros.TFMessage, _read_whole),  # of the pose that RobotPose makes of it
+    "wheels": (ros.Odometry, _read_whole),
 }
 """Type of the pose message of each source, and the function that reads it."""
 

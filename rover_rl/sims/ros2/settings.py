@@ -150,6 +150,8 @@ class BagTopics:
     nav_msgs/Odometry, or /tf."""
     goal: str = "/goal_pose"
     """Topic of the goals, geometry_msgs/PoseStamped. The same goal again is no new one."""
+    odometry: str = Ros2Settings.odometry_topic
+    """Topic of the wheel odometry, nav_msgs/Odometry, in bags of rover-rl drive: data sets have its velocities."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
     """Direction in which the lidar's zero angle points, counter-clockwise from straight ahead, rad; 0 faces forward."""
     map_frame: str = Ros2Settings.map_frame
@@ -158,6 +160,6 @@ class BagTopics:
     """Frame of tf that is that of the robot, with /tf."""
 
     def __post_init__(self) -> None:
-        check_topics(scan=self.scan, pose=self.pose, goal=self.goal)
+        check_topics(scan=self.scan, pose=self.pose, goal=self.goal, odometry=self.odometry)
         if not math.isfinite(self.lidar_yaw):
             raise ValueError(f"lidar_yaw must be a finite angle in rad, got {self.lidar_yaw}")

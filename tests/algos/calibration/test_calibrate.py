@@ -14,7 +14,7 @@ import torch
 pytest.importorskip("rosbags")
 
 from rover_rl.algos.calibration.calibrate import Calibration, calibrate
-from rover_rl.algos.calibration.reading import Topics, read_recording
+from rover_rl.algos.calibration.reading import read_recording
 from rover_rl.algos.config_files import read_config
 from rover_rl.cli.main import main
 from rover_rl.cli.policies import read_env
@@ -27,7 +27,7 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 from tests.algos.calibration.drives import Truth, drive, exciting, held, write
 
-TOPICS = Topics.of(Connection(), Ros2Settings())
+TOPICS = Connection(), Ros2Settings()
 STRAIGHT = held([(0, 0, 14), *[(0.5, 0, 2), (0, 0, 1.5), (-0.5, 0, 2), (0, 0, 1.5)] * 3])
 JITTER = 0.0024  # mean jitter of the arrivals of a recording, s
 
@@ -42,7 +42,7 @@ def _one_thread() -> Any:
 
 def calibrated(folder: Path, truth: Truth, commands: np.ndarray, without: tuple[str, ...] = ()) -> Calibration:
     bag = write(folder, drive(truth, commands), without)
-    return calibrate(read_recording(bag, TOPICS), get_robot("rover_zero"))
+    return calibrate(read_recording(bag, *TOPICS), get_robot("rover_zero"))
 
 
 def truths(truth: Truth) -> dict[str, float]:
@@ -136,6 +136,33 @@ def test_a_robot_at_rest_tells_noise_alone(tmp_path: Path) -> None:
     assert all(number.advice for number in numbers.values())
 
 
+def dead_reckoned(wheels: list[tuple[float, float, Any]]) -> list[tuple[float, float, Any]]:
+    """Poses that add up the velocities of odometry, from another place and in another direction."""
+    x, y, yaw, before, poses = 3.0, -2.0, 1.0, wheels[0][1], []
+    for arrival, stamp, message in wheels:
+        twist, dt, before = message.twist.twist, stamp - before, stamp
+        yaw += dt * twist.angular.z
+        x, y = x + dt * twist.linear.x * math.cos(yaw), y + dt * twist.linear.x * math.sin(yaw)
+        pose = ros.Pose(ros.Point(x, y), ros.Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2)))
+        poses.append((arrival, stamp, ros.PoseArray(message.header, [pose])))
+    return poses
+
+
+@pytest.mark.parametrize("is_computed", [True, False])
+def test_a_pose_that_is_computed_from_the_wheels_tells_nothing_of_them(tmp_path: Path, is_computed: bool) -> None:
+    said = drive(Truth(wheel_scale=1.0, yaw_ratio=1.0), exciting(4, 50.0))
+    if is_computed:
+        said["/rover/pose_array"] = dead_reckoned(said["/odometry/wheels"])
+    recording = read_recording(write(tmp_path / "bag", said, ["/imu/data"]), *TOPICS)
+    numbers = calibrate(recording, get_robot("rover_zero")).numbers
+    for name in ("wheel_scale", "yaw_ratio"):
+        assert (numbers[name].estimate is None) == is_computed, name
+    for name in ("wheel_scale", "yaw_ratio", "slip", "track", "friction"):
+        assert numbers[name].advice.startswith("the pose repeats the odometry") == is_computed
+        assert numbers[name].estimate is None or not is_computed
+    assert numbers["pose_late"].estimate is not None
+
+
 def test_the_simulated_robot_keeps_the_limits_of_the_settings() -> None:
     limits = LimitsConfig(apply=True, max_speed=0.3, max_acceleration=1.0)
     rover = ServedRover(EnvConfig(world="maze", backend="warp", limits=limits, seed=0))
@@ -154,7 +181,7 @@ SHORT = drive(Truth(), held([(0.0, 0.0, 1.0), (0.4, 0.0, 23.0)]))
 
 def refused(folder: Path, said: dict[str, Any], *without: str) -> str:
     with pytest.raises(ValueError) as error:
-        read_recording(write(folder, said, without), TOPICS)
+        read_recording(write(folder, said, without), *TOPICS)
     return str(error.value)
 
 
@@ -197,9 +224,9 @@ def test_a_short_drive_and_other_files_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "drive.mcap"
     other.write_bytes(b"nothing")
     with pytest.raises(ValueError, match=r"drive\.mcap cannot be read: it is no MCAP file"):
-        read_recording(other, TOPICS)
+        read_recording(other, *TOPICS)
     with pytest.raises(FileNotFoundError):
-        read_recording(tmp_path / "nothing", TOPICS)
+        read_recording(tmp_path / "nothing", *TOPICS)
 
 
 # What may be recorded
@@ -216,8 +243,8 @@ def test_stamped_commands_and_other_poses_are_read(tmp_path: Path) -> None:
     ):
         poses = [(t, s, pose_of(message.header, message.poses[0])) for t, s, message in SHORT["/rover/pose_array"]]
         said = {**SHORT, "/cmd_vel": commands, "/rover/pose_array": poses}
-        read = read_recording(write(tmp_path / str(number), said), TOPICS)
-        expected = read_recording(write(tmp_path / f"{number}-array", SHORT), TOPICS)
+        read = read_recording(write(tmp_path / str(number), said), *TOPICS)
+        expected = read_recording(write(tmp_path / f"{number}-array", SHORT), *TOPICS)
         assert read.pose is not None
         assert expected.pose is not None
         np.testing.assert_allclose(read.pose.values, expected.pose.values)
@@ -229,6 +256,6 @@ def test_stamps_of_another_clock_leave_delays_unknown(tmp_path: Path) -> None:
         (t, s, replace(message, header=replace(message.header, stamp=ros.Time.from_seconds(s))))
         for t, s, message in SHORT["/odometry/wheels"]
     ]
-    read = read_recording(write(tmp_path / "bag", {**SHORT, "/odometry/wheels": rows}), TOPICS)
+    read = read_recording(write(tmp_path / "bag", {**SHORT, "/odometry/wheels": rows}), *TOPICS)
     assert read.odometry.age is None
     assert (read.odometry.stamp == read.odometry.arrival).all()

@@ -351,11 +351,11 @@ EARLY = [(0.0, "/pose", stamped(0.0, 0.0)), (1.0, "/goal_pose", stamped(1.5, 0.0
 @pytest.mark.parametrize(
     ("messages", "told"),
     [
-        (without("/goal_pose"), "has no goal on /goal_pose: name another topic with --topics.goal; it has /pose (geom"),
-        (without("/pose"), "has no pose on /pose: name another topic with --topics.pose; it has /goal_pose (geometry"),
-        ([], "has no goal on /goal_pose: name another topic with --topics.goal; it has no messages"),
+        (without("/goal_pose"), "has no goal on /goal_pose: name the topic with --topics.goal; it has /pose (geom"),
+        (without("/pose"), "has no pose on /pose: name the topic with --topics.pose; it has /goal_pose (geometry"),
+        ([], "has no goal on /goal_pose: name the topic with --topics.goal; it has no messages"),
         (moved("/scan", "/goal_pose"), "/goal_pose in BAG has geometry_msgs/PoseStamped or sensor_msgs/LaserScan, and"),
-        (course(lambda x, y: ros.String("here")), "/pose in BAG has std_msgs/String, and a pose is geometry_msgs/Pose"),
+        (course(lambda x, y: ros.String("here")), "/pose in BAG has std_msgs/String, and --topics.pose takes geometry"),
         (EARLY, "there is no drive in BAG: no goal is followed by poses; it has"),
         (BACK, "the time in BAG goes back by 11.0 s on /pose, as of a simulation that has restarted"),
         (FAR, "the pose on /pose in BAG jumps 20 times by more than 1 m, as of several robots"),
@@ -388,7 +388,7 @@ def test_other_files_and_names_of_code_are_refused_in_one_sentence(env, tmp_path
         "text.db3": "text.db3 cannot be read: ",
         "old.jsonl": "old.jsonl is a log of an older version, which is no longer read: drives are in .mcap files now",
         "damaged.mcap": "damaged.mcap cannot be read: ",
-        "json.mcap": "/goal_pose in json.mcap has geometry_msgs/PoseStamped in json, and a goal is",
+        "json.mcap": "/goal_pose in json.mcap has geometry_msgs/PoseStamped in json, and --topics.goal takes",
         "code.mcap": "code.mcap names code as its world: if you trust it, add --world os:abort",
         "none.mcap": "none.mcap: No such file or directory",
     }.items():
