@@ -100,7 +100,7 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     for values, lag_first, part in ((before, False, 1.0), (dynamics.values, dynamics.lag_first, body)):
         told.append(base.predict(values[None], windows, lag_first)[0][kept])
         errors.append(_errors(base.simulate(values[None], windows, lag_first)[0] * part, windows, *place))
-    return Calibration(numbers, windows.at[kept], windows.measured[kept], *told, np.array(errors))
+    return Calibration(numbers, windows.at[kept], windows.measured[kept], told[0], told[1], np.array(errors))
 
 
 def _widened(name: str, estimate: Estimate) -> Estimate:
@@ -142,6 +142,7 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
                 width = robot.drive.track(robot.wheels)
                 numbers["track"] = Estimate(*(width * each for each in slip))
         fastest = max(float(dynamics.values[base.NAMES.index(f"speed_{name}")]) for name in base.LIMITS[:2])
+        assert way is not None
         if (slid := sensors.friction(odometry, way, scale.value, fastest)) is not None:
             # A body that slips turns late, too, and its yaw does not tell whether stamps are.
             numbers["friction"], late = slid[0], {"pose_late": slid[1]}

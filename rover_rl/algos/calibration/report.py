@@ -109,7 +109,7 @@ def draw(calibration: Calibration, path: Path) -> None:
     axes = figure.subplot_mosaic([["speed", "speed", "errors"], ["yaw rate", "yaw rate", "errors"]])
     for index, (name, unit) in enumerate((("speed", "m/s"), ("yaw rate", "rad/s"))):
         for values, color, label in lines:
-            wide = {"linewidth": 3, "alpha": 0.6} if color == GREY else {"linewidth": 1.2}
+            wide: dict[str, Any] = {"linewidth": 3, "alpha": 0.6} if color == GREY else {"linewidth": 1.2}
             axes[name].plot(time[part], values[part, index], color=color, label=label, **wide)
         axes[name].set(ylabel=f"{name} ({unit})", xlabel="time (s)")
     axes["speed"].legend(frameon=False, ncols=3, loc="upper left", bbox_to_anchor=(0, 1.14))
