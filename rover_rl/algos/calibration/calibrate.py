@@ -119,7 +119,8 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
     curves = {name: Curve(each.stamp, each.values[:, -1]) for name, each in (("imu", imu), ("pose", pose)) if each}
     curves = {name: curve for name, curve in curves.items() if not np.isnan(curve.total).any()}
     found = {name: align(turned, curve) for name, curve in curves.items()}
-    if pose is not None and (way := sensors.way_of(pose, imu)) is not None:
+    way = None if pose is None else sensors.way_of(pose, imu)
+    if way is not None:
         found["way"] = align(wheels, way)
     if scan is not None:
         found["scan"] = align(turned, sensors.scan_turn(scan, recording.increment, still), still)
@@ -132,7 +133,7 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
         if name in told:
             numbers["yaw_ratio"] = told[name].ratio
     name = next((name for name in curves if name in told or name not in aligned), "")
-    if "way" in told:
+    if way is not None and "way" in told:
         numbers["wheel_scale"] = scale = one.per(told["way"].ratio)
         turning = align(turned, curves[name], still) if name else None
         if turning is not None:
@@ -142,7 +143,6 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
                 width = robot.drive.track(robot.wheels)
                 numbers["track"] = Estimate(*(width * each for each in slip))
         fastest = max(float(dynamics.values[base.NAMES.index(f"speed_{name}")]) for name in base.LIMITS[:2])
-        assert way is not None
         if (slid := sensors.friction(odometry, way, scale.value, fastest)) is not None:
             # A body that slips turns late, too, and its yaw does not tell whether stamps are.
             numbers["friction"], late = slid[0], {"pose_late": slid[1]}
