@@ -84,11 +84,13 @@ class DriveOutputs:
         self._wake.set()
 
     def _run(self) -> None:
-        due = time.monotonic() + PERIOD
-        while self._is_open:
+        due, is_open = time.monotonic() + PERIOD, True
+        while is_open:
             self._wake.wait(max(0.0, due - time.monotonic()))
             self._wake.clear()
-            if not self._is_open or time.monotonic() >= due:
+            # The last ones follow the end of a drive.
+            is_open = self._is_open
+            if not is_open or time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
                 self._pending[self._topics.diagnostics_topic] = self._diagnostics
             while self._pending:
