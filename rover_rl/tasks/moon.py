@@ -7,8 +7,8 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around obstacles, a critic that knows the way, the contact that fails the
-# test ends their episodes, too, and actions that leave little to chance in the end.
+# Settings of learners: a reward for progress around obstacles, a critic that knows the way, episodes that end at a
+# contact, as in the test, and actions that leave little to chance in the end.
 SETTINGS = {
     "num_envs": 1024,
     "length": 600,

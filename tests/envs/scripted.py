@@ -190,7 +190,7 @@ def step_events(results: list[TensorDict], row: int = 0) -> list[StepEvent]:
 
 
 def moving(steps: int, speed: float = 0.01, **values: float) -> list[Moment]:
-    """A script of a rover that moves along x by ``speed`` meters per step, so that it is not stuck."""
+    """A script of a rover that moves along x by ``speed`` meters per step and is never stuck."""
     return [Moment(x=speed * k, **values) for k in range(steps + 1)]
 
 
