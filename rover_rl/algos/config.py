@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 from rover_rl.algos.workers import default_workers, usable_cores
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
+from rover_rl.envs.parts import HEADING
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 from rover_rl.tasks.task import get_task
@@ -17,9 +18,10 @@ from rover_rl.tasks.task import get_task
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 CurriculumKind: TypeAlias = Literal["none", "learnability"]
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
+DistributionKind: TypeAlias = Literal["normal", "grid"]
 PriorKind: TypeAlias = Literal["none", "route"]
 ImageNetworkKind: TypeAlias = Literal["convolutions", "patches"]
-ExpertKind: TypeAlias = Literal["map", "route"]
+ExpertKind: TypeAlias = Literal["map", "route", "predictive"]
 TrackerName: TypeAlias = Literal["csv", "tensorboard", "wandb", "trackio", "mlflow"]
 """Experiment trackers that training can send its progress to."""
 UNLIMITED_STEPS = 10**9  # effectively unlimited step budget: the time limit ends the training
@@ -42,8 +44,11 @@ class NetworkConfig:
     patches take an eighth of the time on a CPU."""
     hidden: tuple[int, ...] = (128, 128)
     """Number of units in each hidden layer of the actor and the critic."""
+    distribution: DistributionKind = "normal"
+    """Distribution of actions, in PPO: normal, or grid, in which each of 5 speeds and 11 turns has its probability.
+    grid can choose a side where a normal one, between two sides, has its center in the middle. It is for headings."""
     max_std: float = 2.0
-    """Largest standard deviation of an action before it is squashed to its bounds, in PPO at the start.
+    """Largest standard deviation of a normal action before it is squashed to its bounds, in PPO at the start.
     Large values explore fast. Small ones (0.6) keep the policy from relying on chance to leave a corner."""
     memory: MemoryKind = "none"
     """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers. Give it a rollout_length of 16 or more.
@@ -148,8 +153,8 @@ class PPOConfig(AlgorithmConfig):
     imitation: float = 0.0
     """Fraction of training that imitates an expert (DAgger), from the start. 0 learns from the reward alone."""
     expert: ExpertKind = "map"
-    """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
-    route needs "route" in observation."""
+    """Expert to imitate: map (knows the world), predictive (also knows what moves) or route (follows the route on what
+    has been seen). predictive needs privileged_critic and a grid, route needs "route" in observation."""
     freeze_encoder: bool = False
     """Keep the convolutions over images as they are in the policy that training starts from, in the critic, too.
     It takes less time, and what the policy sees in images stays what it was. Needs --from."""
@@ -294,8 +299,14 @@ class TrainingConfig:
             raise ValueError(
                 f"memory, prior and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}"
             )
-        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
-        if (self.collection.route_reward or imitated) and "route" not in entries:
+        ppo = self.algorithm if isinstance(self.algorithm, PPOConfig) else PPOConfig()
+        on_grid = network.distribution == "grid"
+        if ppo.imitation and ppo.expert == "predictive" and not (on_grid and network.privileged_critic):
+            raise ValueError("expert='predictive' needs distribution='grid' and privileged_critic")
+        kind = self.env.action.kind
+        if on_grid and (kind != HEADING or network.prior != "none" or not isinstance(self.algorithm, PPOConfig)):
+            raise ValueError(f"distribution='grid' is for PPO without a prior and the action heading, got {kind!r}")
+        if (self.collection.route_reward or ppo.expert == "route") and "route" not in entries:
             raise ValueError(
                 f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
             )
@@ -380,6 +391,7 @@ _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum
 _CHOICES = {
     "memory": MemoryKind,
     "image_network": ImageNetworkKind,
+    "distribution": DistributionKind,
     "prior": PriorKind,
     "expert": ExpertKind,
     "curriculum": CurriculumKind,

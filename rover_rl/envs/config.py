@@ -465,8 +465,9 @@ class EnvConfig(Settings):
     """Pose that the sensors report: true, dead reckoning or with the error of a localization."""
     sensors: tuple[SensorLike, ...] = ()
     """Sensors that add entries to the observation: depth, colors, segmentation, lidar3d, lidar_mask, past_scans,
-    heights, contact, effort, route, movers, robot, or module:attribute of a Sensor, or of a function or class
-    that makes one. A name can have settings: "depth(size=(24, 32))". Name the entries in --observation, too."""
+    heights, contact, effort, route, movers, contact_times, robot, or module:attribute of a Sensor, or of a function
+    or class that makes one. A name can have settings: "depth(size=(24, 32))".
+    Name the entries in --observation, too."""
     action: ActionConfig = field(default_factory=ActionConfig)
     """Action of a policy, and its bounds."""
     task: TaskConfig = field(default_factory=TaskConfig)

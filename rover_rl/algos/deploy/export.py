@@ -34,6 +34,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.grid_actions import grid_actions
 from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.recurrent import PlainRecurrent
 from rover_rl.algos.policy.runner import PolicyRunner
@@ -74,7 +75,7 @@ class PlainPolicy(nn.Module):
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
         actor, network = checkpoint.make_actor(), checkpoint.config.network
-        self._observation = tuple(network.observation)
+        self._observation, self._on_grid = tuple(network.observation), network.distribution == "grid"
         self._network = PlainRecurrent(actor[0]) if network.memory != "none" else actor[0].module
         self.state_size: int = getattr(self._network, "state_size", 0)
         self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
@@ -96,7 +97,10 @@ class PlainPolicy(nn.Module):
         else:
             loc, _, *bounds = self._network(*observation)
         low, high = bounds or (self._low, self._high)
-        action = (high + low) / 2 + (high - low) / 2 * torch.tanh(loc)
+        if self._on_grid:
+            action = grid_actions(low, high)[loc.argmax(-1)]
+        else:
+            action = (high + low) / 2 + (high - low) / 2 * torch.tanh(loc)
         return (action, state) if self.state_size else action
 
 

@@ -16,7 +16,8 @@ from torchrl.data import Bounded
 from torchrl.modules import MLP, ConvNet, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
-from rover_rl.algos.config import MemoryKind, TrainingConfig
+from rover_rl.algos.config import DistributionKind, MemoryKind, TrainingConfig
+from rover_rl.algos.policy.grid_actions import ACTIONS, LABELS, GridDistribution, GridLogits, mirrored_labels
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
 from rover_rl.envs.actions import Heading, action_bounds, find_action
@@ -154,13 +155,15 @@ def actor_of(
 ) -> ProbabilisticActor:
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
-    by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation
+    on_grid = network.distribution == "grid"
+    by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation and not on_grid
     prior = None
     if network.prior != "none":
         robot = None if by_robot else get_robot(env.robot)
         prior = RoutePrior(robot, network.observation, network.prior_reach, network.prior_share)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
-    return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot)
+    settings = network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot
+    return make_actor(encoder, *settings, network.distribution)
 
 
 @with_torch_defaults
@@ -174,11 +177,13 @@ def make_actor(
     memory_size: int = 128,
     prior: RoutePrior | None = None,
     by_robot: bool = False,
+    distribution: DistributionKind = "normal",
 ) -> ProbabilisticActor:
-    """Creates a stochastic policy: a tanh-squashed normal distribution within the action's bounds.
+    """Creates a stochastic policy: by default a tanh-squashed normal distribution within the action's bounds.
 
     It reads an observation and writes ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of
-    the distribution, except under ``set_exploration_type(ExplorationType.RANDOM)``, as in collectors.
+    the distribution, or the most likely one of a grid, except under
+    ``set_exploration_type(ExplorationType.RANDOM)``, as in collectors.
 
     Args:
         encoder: encoder of the observation; ``None``: an encoder of the default entries.
@@ -190,6 +195,7 @@ def make_actor(
             the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
         prior: driver to whose action the policy adds, if it has no memory. ``None``: the policy starts from nothing.
         by_robot: whether the bounds are those of the robot of each row, which the observation tells. Without memory.
+        distribution: ``"normal"``, or ``"grid"``: see :class:`~rover_rl.algos.policy.grid_actions.GridDistribution`.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -197,16 +203,18 @@ def make_actor(
         torch.Size([2, 2])
     """
     encoder, spec = encoder or ObservationEncoder(), action_spec(action, device)
+    on_grid = distribution == "grid"
+    last, outputs = (GridLogits(), ACTIONS) if on_grid else (NormalParameters(max_std), 2 * spec.shape[-1])
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     if memory == "none":
-        body = _body(encoder, encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
-        network = ActorNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), spec, prior, by_robot)
-        return _actor(TensorDictModule(network, [*encoder.keys], network.out_keys).to(device), spec)
+        body = _body(encoder, encoder.features, hidden, outputs, gain=0.01)
+        network = ActorNetwork(encoder, nn.Sequential(body, last), spec, prior, by_robot)
+        return _actor(TensorDictModule(network, [*encoder.keys], network.out_keys).to(device), spec, on_grid)
     *layers, units = hidden
     body = nn.Sequential(_body(encoder, encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
     embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
-    head = nn.Sequential(_mlp(units + memory_size, (), 2 * spec.shape[-1], gain=0.01), NormalParameters(max_std))
-    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec)
+    head = nn.Sequential(_mlp(units + memory_size, (), outputs, gain=0.01), last)
+    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec, on_grid)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
@@ -214,10 +222,11 @@ def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     return _actor(TensorDictModule(actor[0].module.body, ["features"], ["loc", "scale"]), actor.spec["action"])
 
 
-def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
+def _actor(network: TensorDictModuleBase, spec: Bounded, on_grid: bool = False) -> ProbabilisticActor:
     keys = [key for key in network.out_keys if key in ("loc", "scale", *BOUNDS_KEYS)]
     bounds = {} if BOUNDS_KEYS[0] in keys else {"low": spec.space.low, "high": spec.space.high}
-    distribution = {"distribution_class": BoundedTanhNormal, "distribution_kwargs": bounds}
+    kind = GridDistribution if on_grid else BoundedTanhNormal
+    distribution = {"distribution_class": kind, "distribution_kwargs": bounds}
     return ProbabilisticActor(network, keys, spec=spec, **distribution, return_log_prob=True)
 
 
@@ -384,7 +393,13 @@ _MIRROR: Mirrors = {
 def mirrors_of(sensors: Mapping[str, Sensor], action: str = HEADING) -> Mirrors:
     """Returns the mirror images of an observation by its ``sensors``, and of a kind of ``action``."""
     mirror = find_action(action).mirror
-    return {**_MIRROR, "action": mirror, DRIVER: mirror, **{key: sensor.mirror for key, sensor in sensors.items()}}
+    return {
+        **_MIRROR,
+        "action": mirror,
+        DRIVER: mirror,
+        LABELS: mirrored_labels,
+        **{key: sensor.mirror for key, sensor in sensors.items()},
+    }
 
 
 DEFAULT_MIRRORS = mirrors_of(policy_sensors(LidarConfig()))

@@ -29,15 +29,19 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE
+from rover_rl.algos.policy.grid_actions import ACTIONS, nearest_index
 from rover_rl.algos.policy.grid_planner import beams_and_contacts
 from rover_rl.envs.actions import action_bounds
 from rover_rl.envs.config import HeadingGains, RobotLike
-from rover_rl.envs.seen_map.scans import SIZE, goal_positions
-from rover_rl.envs.sensors.movers import movers_in_world
+from rover_rl.envs.seen_map.scans import SIZE, goal_positions, in_world
+from rover_rl.envs.sensors.movers import NUMBERS, movers_in_world
 from rover_rl.envs.sensors.suite import MOVERS, SEEN_DISTANCES
+from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.robots import get_robot
 from rover_rl.robots.footprint import covering_discs
 from rover_rl.robots.turning import estimated_yaw_gain
+from rover_rl.worlds.clearance import clearance_on_grid
+from rover_rl.worlds.world import World, Worlds
 
 GOAL_RADIUS = 0.3  # distance from the goal that it drives to, m
 PLANNED, DRIVEN = 0.9, 0.97  # parts of this distance that count as the goal in a plan, and in a drive
@@ -49,6 +53,11 @@ HEADINGS = 16  # number of directions in which a point moves in a plan
 BLOCKED = 0.26  # least distance of the center from an obstacle below which a cell is blocked, m
 MARGIN = 0.015  # distance added to the discs that cover the robot, m
 ROWS_PER_THREAD = 4  # least number of rows for which a thread of the CPU pays
+# Of labels: difference of costs for which a weight is e times smaller, and cost from which on all count alike, s.
+TEMPERATURE, WORST = 0.5, 60.0
+# Number of points along a side of the grid of distances of a world, the largest distance in it, m, and the number of
+# rows whose grids are copied at once.
+POINTS, FARTHEST, ROWS_AT_ONCE = 240, 2.0, 256
 
 
 class PredictivePolicy(TensorDictModuleBase):
@@ -76,14 +85,27 @@ class PredictivePolicy(TensorDictModuleBase):
         self._discs, self._radius = covering_discs(self._robot, EXCESS)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", self.actions()[self.costs(tensordict).argmin(-1)].to(tensordict["pose"]))
+
+    def actions(self) -> Tensor:
+        """Returns the actions that a drive begins with, ``[K, 2]``: forward speed (m/s), heading offset (rad)."""
+        from rover_rl.algos.policy import predictive_kernels as kernels
+
+        speeds, turns = (torch.linspace(-1, 1, int(count)) for count in (kernels.SPEEDS, kernels.TURNS))
+        # The heading PID commands the wheels to turn at kp times a constant heading offset.
+        offsets = MAX_YAW_RATE * turns / (self._gain * HeadingGains.kp)
+        return torch.cartesian_prod(self._speed * speeds, offsets.clamp(-math.pi, math.pi))
+
+    def costs(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the least cost of the drives that begin with each action, ``[N, K]``, s: 1000 with a collision."""
         rows, on_gpu = len(tensordict), tensordict["pose"].device.type != "cpu"
         threads = 1 if on_gpu else max(1, min(torch.get_num_threads(), rows // ROWS_PER_THREAD))
         if threads == 1:
-            return tensordict.set("action", self._decide(tensordict))
+            return self._costs(tensordict)
         with ThreadPoolExecutor(threads) as pool:
-            return tensordict.set("action", torch.cat([*pool.map(self._decide, tensordict.chunk(threads))]))
+            return torch.cat([*pool.map(self._costs, tensordict.chunk(threads))])
 
-    def _decide(self, tensordict: TensorDictBase) -> Tensor:
+    def _costs(self, tensordict: TensorDictBase) -> Tensor:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.algos.policy import predictive_kernels as kernels
         from rover_rl.native.warp import launch_options, wp
@@ -108,12 +130,7 @@ class PredictivePolicy(TensorDictModuleBase):
         results = pose.new_full((count, speeds * turns), math.inf)
         drives = [states.contiguous(), self._body(), around, plans, results.amin(-1), results]
         wp.launch(kernels.drive, (count, speeds * turns), drives, **options)
-        best = results.argmin(-1)
-        speed = self._speed * (2 * (best // turns) / (speeds - 1) - 1)
-        yaw_rate = MAX_YAW_RATE * (2 * (best % turns) / (turns - 1) - 1)
-        # The heading PID commands the wheels to turn at kp times a constant heading offset.
-        offset = (yaw_rate / (self._gain * HeadingGains.kp)).clamp(-math.pi, math.pi)
-        return torch.stack((speed, offset), -1).to(pose)
+        return results
 
     def _plans(self, tensordict: TensorDictBase) -> Any:
         """Returns plans that have not been made yet."""
@@ -151,13 +168,17 @@ class PredictivePolicy(TensorDictModuleBase):
         from rover_rl.native.warp import wp
 
         place, velocity, radius = movers
-        distances, frame = tensordict[SEEN_DISTANCES].split((SIZE**2, 3), -1)
+        distances, frame, side = self._clearance(tensordict)
         around = Around()
-        around.frame, around.side = wp.from_torch(frame.contiguous(), dtype=wp.vec3), SIZE
+        around.frame, around.side = wp.from_torch(frame.contiguous(), dtype=wp.vec3), side
         around.clearance, around.radius = wp.from_torch(distances), wp.from_torch(radius)
         times = (torch.arange(count, device=place.device) * dt)[:, None, None]
         around.places = _pairs(place[:, None] + times * velocity[:, None])
         return around
+
+    def _clearance(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor, int]:
+        """Returns distances to what does not move, x and y of their grid's first point and its spacing, m, and side."""
+        return *tensordict[SEEN_DISTANCES].split((SIZE**2, 3), -1), SIZE
 
     def _body(self) -> Any:
         from rover_rl.algos.policy.predictive_kernels import Body
@@ -175,3 +196,48 @@ def _pairs(values: Tensor) -> Any:
     from rover_rl.native.warp import wp
 
     return wp.from_torch(values.float().contiguous(), dtype=wp.vec2)
+
+
+class InformedPredictive(PredictivePolicy):
+    """Plans as :class:`PredictivePolicy`, and knows the map and what moves around the rover, for imitation in training.
+
+    It does not know what the movers will do. It reads the ``privileged`` observation, ``pose``, ``imu``, ``target`` and
+    ``velocities``. ``worlds`` are usually ``RoverEnv.pool``.
+    """
+
+    def __init__(self, worlds: Worlds, robot: RobotLike) -> None:
+        super().__init__(robot)
+        self._worlds, self._grids = worlds, dict[int, tuple[Tensor, Tensor]]()
+
+    def labels(self, observation: TensorDictBase, low: Tensor, high: Tensor) -> Tensor:
+        """Returns weights of the actions of a grid within bounds, which add up to one, ``[M, ACTIONS]``.
+
+        Of two actions, the one that costs ``TEMPERATURE`` seconds more has a weight that is smaller by a factor of e.
+        """
+        keys = [*self.in_keys[:4], ("privileged", MOVERS), ("outcome", "world"), ("outcome", "steps")]
+        rows, actions = observation.select(*keys, strict=False), self.actions().to(low)
+        costs = torch.cat([self.costs(part) for part in rows.split(ROWS_AT_ONCE)])
+        allowed = ((actions >= low) & (actions <= high)).all(-1)
+        weights = (costs.clamp(max=WORST) / -TEMPERATURE).masked_fill(~allowed, -math.inf).softmax(-1)
+        return weights.new_zeros(len(weights), ACTIONS).index_add(1, nearest_index(actions, low, high), weights)
+
+    def _movers(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor, Tensor]:
+        pose, imu, movers = tensordict["pose"], tensordict["imu"], tensordict["privileged", MOVERS]
+        place, velocity, radius = movers.unflatten(-1, (-1, NUMBERS)).split((2, 2, 1), -1)
+        return pose[:, None, :2] + in_world(place, imu), in_world(velocity, imu), radius[..., 0].contiguous()
+
+    def _clearance(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor, int]:
+        worlds = world_of(tensordict).flatten().tolist()
+        for index in {*worlds} - {*self._grids}:
+            self._grids[index] = _distances_in(self._worlds[index])
+        distances, frames = zip(*map(self._grids.__getitem__, worlds), strict=True)
+        return torch.stack(distances), torch.stack(frames), POINTS
+
+
+def _distances_in(world: World) -> tuple[Tensor, Tensor]:
+    """Distances to what does not move on a grid over a world, and x and y of its first point and its spacing, m."""
+    (left, right), (low, high) = world.bounds
+    spacing = max(right - left, high - low) / (POINTS - 1)
+    steps = spacing * np.arange(POINTS)
+    distances = clearance_on_grid(world.terrain, world.obstacles, left + steps, low + steps, FARTHEST)
+    return distances.float().flatten(), torch.tensor([left, low, spacing])

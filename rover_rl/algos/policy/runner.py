@@ -83,7 +83,7 @@ class PolicyRunner:
     Attributes:
         state: memory of a policy that has one, each ``[N, ...]``, by key; empty before the first decision.
         distribution: center and standard deviation, ``[N, k]`` each, of the normal distribution behind the last
-            decision, before squashing. ``None`` before the first one, and for a policy without a distribution.
+            decision, before squashing. ``None`` before the first one, and for a policy without such a distribution.
 
     Raises:
         ValueError: at the first call, if the observation lacks sensors that the policy reads.
@@ -145,7 +145,7 @@ class PolicyRunner:
         if rows < self._min_rows:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)
-        if "loc" in getattr(self.policy, "out_keys", ()):
+        if "loc" in getattr(self.policy, "out_keys", ()) and outputs["scale"].shape[-1]:
             self.distribution = outputs["loc"][:rows], outputs["scale"][:rows]
         return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
 

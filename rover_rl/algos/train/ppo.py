@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple
 
 import torch
@@ -22,9 +22,11 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy import networks
 from rover_rl.algos.policy.expert import PrivilegedExpert
+from rover_rl.algos.policy.grid_actions import ACTIONS, LABELS, nearest_index
 from rover_rl.algos.policy.grid_planner import Follower, follow
+from rover_rl.algos.policy.predictive import InformedPredictive
 from rover_rl.algos.policy.recurrent import PlainRecurrent, state_keys
-from rover_rl.algos.train.ppo_loss import LOSSES, ppo_losses, squashing
+from rover_rl.algos.train.ppo_loss import LOSSES, grid_losses, ppo_losses, squashing
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
 from rover_rl.envs.config import SCAN_POSE
@@ -34,6 +36,7 @@ from rover_rl.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner"]
 
+LABELLED = 0.25  # share of the decisions that a slow expert labels
 _PART, _RECURRENT_PART = 1024, 512  # decisions that a CPU thread takes of a minibatch, without and with a memory
 
 
@@ -62,8 +65,9 @@ class PPOLearner(Learner):
         # Threads that stay keep the memory that their operators work in.
         self._threads = ThreadPoolExecutor(config.learner_threads)
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
-        self._expert = _make_expert(config) if settings.imitation else None
+        self._expert = self._make_expert() if settings.imitation else None
         self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
+        self._on_grid = network.distribution == "grid"
         self._encoder, self._spec = encoder, networks.action_spec(config.env.bounded_action, device)
         # An actor is one network, or one with a memory.
         self._network: networks.ActorNetwork | None = self.actor[0].module if network.memory == "none" else None
@@ -91,7 +95,7 @@ class PPOLearner(Learner):
         terms = {"loss_objective": 1.0, "loss_critic": 1.0, "entropy": -self._settings.entropy_coef}
         if self._expert is not None and share < self._settings.imitation:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
-            batch = batch.copy().set("action", self._inside_bounds(self._expert(batch)))
+            batch = batch.copy().update(self._expert(batch))
             terms = {"loss_imitation": 1.0, "loss_critic": 1.0}
         elif share < self._settings.critic_warmup:
             terms = {"loss_critic": 1.0}
@@ -107,14 +111,20 @@ class PPOLearner(Learner):
         """
         images, count = self._settings.mirror_augmentation, len(batch)
         read = batch.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob")
+        if LABELS in batch.keys():  # noqa: SIM118
+            read[LABELS] = batch[LABELS]
         if self._network and self._network.prior:
             read[networks.DRIVER] = self._network.driver(batch)
         if images:
             every = torch.ones(batch.shape, dtype=torch.bool, device=batch["action"].device)
             read = torch.cat([read, networks.mirrored(read, every, self._mirrors)])
         rows = {"seen": self.critic.module.features(*(read[key] for key in self.critic.in_keys))}
-        rows |= squashing(read["action"], *self._bounds(read)) | {"action_log_prob": read["action_log_prob"][..., None]}
-        rows |= {key: value for key in (networks.DRIVER, "is_init") if (value := read.get(key, None)) is not None}
+        action, bounds = read["action"], self._bounds(read)
+        rows |= {"index": nearest_index(action, *bounds)[..., None]} if self._on_grid else squashing(action, *bounds)
+        rows["action_log_prob"] = read["action_log_prob"][..., None]
+        rows |= {
+            key: value for key in (networks.DRIVER, "is_init", LABELS) if (value := read.get(key, None)) is not None
+        }
         for key, value in self._advantages(batch, rows["seen"][:count]).items():
             rows[key] = torch.cat((value, value)) if images else value
         if self._memory is None:
@@ -168,7 +178,9 @@ class PPOLearner(Learner):
 
         def actor(read: Mapping[str, Tensor], noise: Tensor) -> Tensor:
             outputs = self._distribution(read)
-            losses, slopes = ppo_losses(*outputs, read, noise.flatten(0, -2), self._settings.clip, terms)
+            losses, slopes = (grid_losses if self._on_grid else ppo_losses)(
+                *outputs, read, noise.flatten(0, -2), self._settings.clip, terms
+            )
             return _with_gradient(losses, outputs, actor_weights, slopes)
 
         def critic(read: Mapping[str, Tensor], _: Tensor) -> Tensor:
@@ -198,9 +210,31 @@ class PPOLearner(Learner):
         loc, scale, _ = self._memory.sequence(self._features(read), read["is_init"], read["state"])
         return loc, scale
 
-    def _inside_bounds(self, action: Tensor) -> Tensor:
+    def _make_expert(self) -> Callable[[TensorDictBase], dict[str, Tensor]]:
+        """Returns a function of a batch that labels its decisions: their ``action``, or ``LABELS``."""
+        kind, env = self._settings.expert, self.config.env
+        robot = get_robot(env.robot)
+        if kind == "route":
+            follower = Follower.of(robot)
+            return lambda batch: self._labelled(
+                follow(batch["lidar"], batch["imu"], batch[ROUTE], follower, batch.get(SCAN_POSE, None))
+            )
+        worlds = WorldPool.of(env.world)
+        if kind == "predictive":
+            return partial(self._label_some, InformedPredictive(worlds, robot))
+        expert = PrivilegedExpert(worlds, robot, self.config.device)
+        return lambda batch: self._labelled(expert.action(batch))
+
+    def _label_some(self, expert: InformedPredictive, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Labels a share of the decisions, at random, as the expert is slow. The others have no weight."""
+        chosen = torch.rand(batch.shape, device=batch.device) < LABELLED
+        labels = batch["action"].new_zeros(*batch.shape, ACTIONS)
+        labels[chosen] = expert.labels(batch[chosen], *self._bounds(batch)) / LABELLED
+        return {LABELS: labels}
+
+    def _labelled(self, action: Tensor) -> dict[str, Tensor]:
         middle, half = networks.middle_and_half(self._spec)
-        return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
+        return {"action": middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)}
 
 
 class Decisions(NamedTuple):
@@ -235,17 +269,6 @@ def _with_gradient(
 
 def _image_networks(network: nn.Module) -> list[networks.ImageFeatures]:
     return [module for module in network.modules() if isinstance(module, networks.ImageFeatures)]
-
-
-def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
-    assert isinstance(config.algorithm, PPOConfig)
-    robot = get_robot(config.env.robot)
-    if config.algorithm.expert == "route":
-        follower = Follower.of(robot)
-        return lambda decisions: follow(
-            decisions["lidar"], decisions["imu"], decisions[ROUTE], follower, decisions.get(SCAN_POSE, None)
-        )
-    return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action
 
 
 class MirrorMemory:

@@ -64,3 +64,35 @@ def ppo_losses(
     by_loc = torch.addcdiv(by_sampled, by_z, scale)
     by_scale = torch.addcdiv(by_sampled * noise, torch.addcmul(by_entropy - by_log_prob, by_z, z), scale)
     return found.mean(0), (by_loc, by_scale)
+
+
+@torch.no_grad()
+def grid_losses(
+    logits: Tensor, scale: Tensor, rows: Mapping[str, Tensor], noise: Tensor, clip: float, terms: Mapping[str, float]
+) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Does what :func:`ppo_losses` does, for a distribution over the actions of a grid.
+
+    Args:
+        logits, scale: parameters of a :class:`~rover_rl.algos.policy.grid_actions.GridDistribution`.
+        rows: ``action_log_prob`` and ``advantage``, and the ``index`` of the action, ``[M, 1]``; for the imitation of
+            an expert that weighs all actions also ``labels [M, K]``.
+        noise: not used, as the entropy is exact.
+        clip, terms: as for normal distributions.
+    """
+    log_probs, index, share = logits.log_softmax(-1), rows["index"].long(), 1 / len(logits)
+    probs, chosen = log_probs.exp(), torch.zeros_like(log_probs).scatter_(-1, index, 1.0)
+    log_ratio = log_probs.gather(-1, index) - rows["action_log_prob"]
+    gain = log_ratio.exp() * rows["advantage"]
+    bound = log_ratio.exp().clamp(1 - clip, 1 + clip) * rows["advantage"]
+    entropy = -(probs * log_probs).sum(-1, keepdim=True)
+    if "loss_imitation" in terms:
+        weights = rows.get("labels", chosen)
+        objective, pull = -(weights * log_probs).sum(-1, keepdim=True), weights * terms["loss_imitation"]
+    else:
+        objective = -torch.minimum(gain, bound)
+        pull = chosen * torch.where(gain <= bound, gain, 0.0) * terms.get("loss_objective", 0.0)
+    found = torch.cat((objective, entropy, -log_ratio, gain != bound), -1)
+    # By the logits z, log p_i has the derivative 1 - p at i and -p elsewhere, and the entropy H -p (log p + H).
+    by_objective = probs * pull.sum(-1, keepdim=True) - pull
+    by_entropy = -probs * (log_probs + entropy) * terms.get("entropy", 0.0)
+    return found.mean(0), (share * (by_objective + by_entropy), scale)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rover_rl.envs.sensors.base import Sensor
 
 LIDAR_MASK, MOVERS, ROUTE, SEEN_DISTANCES, ROBOT = "lidar_mask", "movers", "route", "seen_distances", "robot"
+CONTACT_TIMES = "contact_times"
 _HERE = "rover_rl.envs.sensors"
 BUILT_IN = {
     "lidar": f"{_HERE}.standard:Lidar",
@@ -24,6 +25,7 @@ BUILT_IN = {
     SCAN_POSE: f"{_HERE}.standard:ScanPose",
     LIDAR_MASK: f"{_HERE}.standard:LidarMask",
     MOVERS: f"{_HERE}.movers:Movers",
+    CONTACT_TIMES: f"{_HERE}.contact_times:ContactTimes",
     "past_scans": f"{_HERE}.past_scans:PastScans",
     ROUTE: f"{_HERE}.route:Route",
     SEEN_DISTANCES: f"{_HERE}.route:SeenDistances",

@@ -10,9 +10,11 @@ from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy, MovingDynamicWindowPolicy
+from rover_rl.algos.policy.grid_actions import ACTIONS, TURNS
 from rover_rl.algos.policy.grid_planner import GridPlanner, MovingGridPlanner
+from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
-from rover_rl.algos.policy.predictive import PredictivePolicy
+from rover_rl.algos.policy.predictive import InformedPredictive, PredictivePolicy
 from rover_rl.algos.policy.runner import sensors_for
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
@@ -99,6 +101,24 @@ def test_predictive_decides_the_same_in_any_batch_and_with_any_number_of_threads
         assert torch.equal(policy(observation[row : row + 1].copy())["action"], together[row : row + 1])
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     assert torch.equal(policy(observation.copy())["action"], together)
+
+
+def test_the_informed_planner_labels_what_its_privileged_observation_allows() -> None:
+    open_ground = World("open", Terrain.flat((20.0, 20.0)))
+    env = RoverEnv(EnvConfig(world=open_ground, num_envs=3, backend="warp", privileged=True, seed=3))
+    observation = env.reset(start=torch.zeros(3, 3), goal=torch.tensor([[8.0, 0.0]] * 3))
+    # Something comes from ahead in the second row alone. No sensor has seen it.
+    observation["privileged", "movers"][1, :5] = torch.tensor([2.0, 0.0, -1.0, 0.0, 0.5])
+    expert, space = InformedPredictive(env.pool, "rover_zero"), action_spec(env.config.action).space
+    labels = expert.labels(observation, space.low, space.high)
+    torch.testing.assert_close(labels.sum(-1), torch.ones(3))
+    assert torch.equal(labels[0], labels[2])
+    assert labels[0].argmax() == ACTIONS - 1 - TURNS // 2  # straight ahead
+    assert labels[1, ACTIONS - 1 - TURNS // 2] < 0.01
+    assert torch.equal(expert.labels(observation[1:2], space.low, space.high), labels[1:2])
+    # Without backward speeds, what they weigh goes to those that are left.
+    forward = expert.labels(observation, torch.tensor([0.0, -math.pi]), space.high)
+    torch.testing.assert_close(forward.sum(-1), torch.ones(3))
 
 
 def test_who_tracks_what_moves_reaches_the_goal_more_often() -> None:

@@ -1,0 +1,166 @@
+"""Warp kernel of :mod:`~rover_rl.envs.sensors.contact_times`: drives of each rover among points and moving discs."""
+
+from __future__ import annotations
+
+from rover_rl.native.warp import wp
+
+
+@wp.struct
+class Scene:
+    """What is around the rovers, in their base frames: readings, ``[N, P]``, and movers, ``[N, M, 5]``."""
+
+    ranges: wp.array2d[float]  # m
+    farthest: float  # range from which on there is no obstacle, m
+    directions: wp.array[wp.vec2]  # of the readings, [P]
+    movers: wp.array3d[float]  # x, y (m), velocity along x and y (m/s), and radius (m), 0 after the last one
+    slack: float  # distance from a mover up to which readings belong to it, m
+    points: wp.array2d[wp.vec2]  # scratch: the ends of the readings that matter, m
+
+
+@wp.struct
+class Limits:
+    """Numbers of a robot, from a row of the table of ``contact_times``."""
+
+    front: float  # x of the front disc that covers the body, m; minus that of the rear one
+    middle: float  # 1 if there is a third disc at the origin, else 0
+    radius: float  # of the discs, m
+    speed: float  # largest, m/s
+    acceleration: float  # m/s^2
+    yaw_rate: float  # largest of the body, rad/s
+    yaw_acceleration: float  # of the body, rad/s^2
+    turning: float  # least radius of a turn, m
+    gain: float  # yaw rate of the body over that of the wheels
+
+
+@wp.struct
+class Drives:
+    """Drives that are tried."""
+
+    speeds: int  # number of speeds, from full speed backward to full speed ahead
+    turns: int  # number of yaw rates, from right to left
+    step: float  # time step, s
+    steps: int  # number of steps
+    longest: float  # time without a contact, s
+
+
+@wp.func
+def limits_of(robots: wp.array2d[float], k: int) -> Limits:
+    limits = Limits()
+    limits.front = robots[k, 0]
+    limits.middle = robots[k, 1]
+    limits.radius = robots[k, 2]
+    limits.speed = robots[k, 3]
+    limits.acceleration = robots[k, 4]
+    limits.yaw_rate = robots[k, 5]
+    limits.yaw_acceleration = robots[k, 6]
+    limits.turning = robots[k, 7]
+    limits.gain = robots[k, 8]
+    return limits
+
+
+@wp.func
+def is_of_mover(scene: Scene, row: int, point: wp.vec2) -> bool:
+    """Whether a reading belongs to what moves."""
+    for m in range(scene.movers.shape[1]):
+        radius = scene.movers[row, m, 4]
+        if radius <= 0.0:
+            break
+        if wp.length(point - wp.vec2(scene.movers[row, m, 0], scene.movers[row, m, 1])) < radius + scene.slack:
+            return True
+    return False
+
+
+@wp.func
+def gather(scene: Scene, row: int, mount: wp.vec2, reach: float) -> int:
+    """Writes the ends of the readings within reach that do not move, and returns their number."""
+    count = int(0)
+    for k in range(scene.directions.shape[0]):
+        distance = scene.ranges[row, k]
+        point = mount + distance * scene.directions[k]
+        if distance < scene.farthest and wp.length(point) < reach:
+            if not is_of_mover(scene, row, point):
+                scene.points[row, count] = point
+                count += 1
+    return count
+
+
+@wp.func
+def touches(scene: Scene, row: int, count: int, center: wp.vec2, radius: float, time: float) -> bool:
+    """Whether a disc touches a point, or a mover that has kept its velocity for some time."""
+    for m in range(scene.movers.shape[1]):
+        size = scene.movers[row, m, 4]
+        if size <= 0.0:
+            break
+        x = scene.movers[row, m, 0] + time * scene.movers[row, m, 2] - center[0]
+        y = scene.movers[row, m, 1] + time * scene.movers[row, m, 3] - center[1]
+        if x * x + y * y < (radius + size) * (radius + size):
+            return True
+    for k in range(count):
+        away = scene.points[row, k] - center
+        if wp.dot(away, away) < radius * radius:
+            return True
+    return False
+
+
+@wp.func
+def time_of(
+    scene: Scene, row: int, count: int, speed: float, yaw_rate: float, start: wp.vec2, limits: Limits, drives: Drives
+) -> float:
+    """Time until a rover that steers for a speed and a yaw rate touches something, s."""
+    dt = drives.step
+    v = start[0]
+    w = start[1]
+    x = float(0.0)
+    y = float(0.0)
+    heading = float(0.0)
+    for step in range(drives.steps):
+        v += wp.clamp(speed - v, -limits.acceleration * dt, limits.acceleration * dt)
+        w += wp.clamp(yaw_rate - w, -limits.yaw_acceleration * dt, limits.yaw_acceleration * dt)
+        middle = heading + 0.5 * w * dt
+        x += v * dt * wp.cos(middle)
+        y += v * dt * wp.sin(middle)
+        heading += w * dt
+        time = dt * float(step + 1)
+        ahead = limits.front * wp.vec2(wp.cos(heading), wp.sin(heading))
+        center = wp.vec2(x, y)
+        hit = touches(scene, row, count, center + ahead, limits.radius, time)
+        if not hit and limits.front > 0.0:
+            hit = touches(scene, row, count, center - ahead, limits.radius, time)
+        if not hit and limits.middle > 0.0:
+            hit = touches(scene, row, count, center, limits.radius, time)
+        if hit:
+            return time
+    return drives.longest
+
+
+@wp.kernel
+def measure(
+    scene: Scene,
+    drives: Drives,
+    robots: wp.array2d[float],
+    index: wp.array[wp.int64],
+    mounts: wp.array[wp.vec2],
+    velocities: wp.array2d[float],
+    rows: wp.array[wp.bool],
+    times: wp.array2d[float],
+    first: int,
+):
+    """Writes the times to contact of a row: speed by speed, all yaw rates.
+
+    ``velocities`` are speed (m/s) and yaw rate (rad/s) of the wheels. ``rows`` are those that are written.
+    """
+    row = first + wp.tid()
+    if not rows[row]:
+        return
+    robot = int(index[row])
+    limits = limits_of(robots, robot)
+    start = wp.vec2(velocities[row, 0], velocities[row, 1] * limits.gain)
+    fastest = wp.max(limits.speed, wp.abs(start[0]))
+    way = fastest * drives.step * float(drives.steps)
+    count = gather(scene, row, mounts[robot], way + limits.front + limits.radius)
+    for k in range(drives.speeds * drives.turns):
+        speed = limits.speed * (2.0 * float(k / drives.turns) / float(drives.speeds - 1) - 1.0)
+        yaw_rate = limits.yaw_rate * (2.0 * float(k % drives.turns) / float(drives.turns - 1) - 1.0)
+        if limits.turning > 0.0:
+            yaw_rate = wp.clamp(yaw_rate, -wp.abs(speed) / limits.turning, wp.abs(speed) / limits.turning)
+        times[row, k] = time_of(scene, row, count, speed, yaw_rate, start, limits, drives)
