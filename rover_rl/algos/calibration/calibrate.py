@@ -66,7 +66,9 @@ class Calibration(NamedTuple):
     """Numbers by name; velocities as measured and as predicted; errors of prediction.
 
     ``time`` ``[T]`` (s), ``measured``, ``before`` and ``after`` ``[T, 2]`` (m/s and rad/s). ``errors`` are the medians
-    of the distance between the predicted and the measured place at :data:`HORIZONS`, m, before and after.
+    of the distance between the predicted and the measured place at :data:`HORIZONS`, m, before and after. ``restless``
+    ``[3]`` are medians of how far the measured place goes in these times while the robot stands: a pose that drifts and
+    jumps adds that to both errors. NaN if it never stands so long.
     """
 
     numbers: dict[str, Number]
@@ -75,6 +77,7 @@ class Calibration(NamedTuple):
     before: np.ndarray
     after: np.ndarray
     errors: np.ndarray
+    restless: np.ndarray
 
 
 def calibrate(recording: Recording, robot: Robot) -> Calibration:
@@ -100,7 +103,9 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     for values, lag_first, part in ((before, False, 1.0), (dynamics.values, dynamics.lag_first, body)):
         told.append(base.predict(values[None], windows, lag_first)[0][kept])
         errors.append(_errors(base.simulate(values[None], windows, lag_first)[0] * part, windows, *place))
-    return Calibration(numbers, windows.at[kept], windows.measured[kept], told[0], told[1], np.array(errors))
+    measured = windows.at[kept], windows.measured[kept]
+    restless = _restless(recording, *place[:2])
+    return Calibration(numbers, *measured, told[0], told[1], np.array(errors), restless)
 
 
 def _widened(name: str, estimate: Estimate) -> Estimate:
@@ -163,6 +168,15 @@ def _places(recording: Recording, late: float) -> tuple[np.ndarray, np.ndarray, 
     if imu is not None:
         yaw = np.interp(odometry.stamp, imu.stamp, imu.values[:, 1])
     return odometry.stamp, cumulative_trapezoid(speed * np.exp(1j * yaw), odometry.stamp, initial=0), yaw
+
+
+def _restless(recording: Recording, time: np.ndarray, place: np.ndarray) -> np.ndarray:
+    moves, ways = ~sensors.at_rest(recording, time), []
+    for horizon in HORIZONS:
+        stands = sensors.never(moves, time, time, 0.0, horizon) & (time + horizon < time[-1])
+        gone = np.abs(np.interp(time + horizon, time, place) - place)[stands]
+        ways.append(np.median(gone) if gone.size else np.nan)
+    return np.array(ways)
 
 
 def _errors(

@@ -145,7 +145,7 @@ def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
     return Curve(pose.stamp, np.append(0.0, np.cumsum(ahead.real)))
 
 
-def _never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:
+def never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:
     """Whether there is no event from ``before`` until ``after`` (s) each time ``at``."""
     count = np.append(0, np.cumsum(events))
     one, end = np.searchsorted(time, (at - before, at + after))
@@ -155,7 +155,7 @@ def _never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, 
 def in_place(odometry: Stream) -> Curve:
     """Returns 1 where the base has turned in place for 0.8 s before and after, else 0."""
     fast, time = np.abs(odometry.values[:, 0]) > IN_PLACE, odometry.stamp
-    return Curve(time, _never(fast, time, time, 0.8, 0.8).astype(float))
+    return Curve(time, never(fast, time, time, 0.8, 0.8).astype(float))
 
 
 def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
@@ -163,7 +163,7 @@ def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
     odometry, (sent, *_, commands) = recording.odometry, recording.commands
     inside = (times > sent[0]) & (times < sent[-1])
     for time, values in ((sent, commands), (odometry.stamp, odometry.values)):
-        inside &= _never((np.abs(values) > STANDING).any(1), time, times, 1.0, 1.0)
+        inside &= never((np.abs(values) > STANDING).any(1), time, times, 1.0, 1.0)
     return inside
 
 
@@ -208,7 +208,7 @@ def noise(recording: Recording) -> dict[str, Estimate | None]:
             found[f"{name}_age"] = Estimate.of(np.median(stream.age), stream.age)
     changes = np.append(False, (np.diff(commands, axis=0) != 0).any(1))
     speeds = odometry.values[1:-1]
-    cruising = _never(changes, sent, odometry.stamp, 1.0, 0.0)[1:-1, None] & (np.abs(speeds) > 0.2)
+    cruising = never(changes, sent, odometry.stamp, 1.0, 0.0)[1:-1, None] & (np.abs(speeds) > 0.2)
     found["odometry_noise"] = deviation(bends(odometry.values)[cruising] / speeds[cruising])
     if (imu := recording.imu) is not None:
         rest, yaw = at_rest(recording, imu.stamp), imu.values[:, 1]
