@@ -120,13 +120,15 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
     """What other sensors tell of the wheels and stamps, and names of what they cannot, as they repeat the odometry."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, column) for column in odometry.values.T)
-    still, one = sensors.in_place(odometry), Estimate(1.0, 1.0, 1.0)
+    still, one = sensors.pure(odometry, 0, sensors.IN_PLACE), Estimate(1.0, 1.0, 1.0)
     curves = {name: Curve(each.stamp, each.values[:, -1]) for name, each in (("imu", imu), ("pose", pose)) if each}
     curves = {name: curve for name, curve in curves.items() if not np.isnan(curve.total).any()}
     found = {name: align(turned, curve) for name, curve in curves.items()}
     way = None if pose is None else sensors.way_of(pose, imu)
     if way is not None:
-        found["way"] = align(wheels, way)
+        # In bows, the wheels of a skid-steer base slip along the way, too.
+        straight = sensors.pure(odometry, 1, sensors.STRAIGHT)
+        found["way"] = align(wheels, way, straight) or align(wheels, way)
     if scan is not None:
         found["scan"] = align(turned, sensors.scan_turn(scan, recording.increment, still), still)
     aligned = {name: each for name, each in found.items() if each is not None}
