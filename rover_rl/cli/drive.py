@@ -31,11 +31,9 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
-    from rover_rl.algos.deploy.bags import DriveBag
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.algos.policy.runner import PolicyRunner
-    from rover_rl.envs.rover import RoverEnv
+    from rover_rl.sims.ros2.simulator import Ros2Simulator
 
 GOAL_NOT_REACHED = 1  # exit code
 SENSOR_TIMEOUT = 0.5  # time without a sensor message after which a drive ends, s; without a scan, it stops before
@@ -73,7 +71,7 @@ class Drive:
     random: int = 0
     """Number of random goals, drawn as in training."""
     excite: bool = False
-    """Drive what tells the robot's numbers, for rover-rl calibrate, about three minutes in a clear area, without a
+    """Drive what tells the robot's numbers, for rover-rl calibrate, about two minutes in a clear area, without a
     policy (docs/calibration.md)."""
     radius: float = 2.0
     """Distance from the start that --excite stays within, m."""
@@ -125,7 +123,10 @@ class Drive:
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.bags import DriveBag, check_bag
+            from rover_rl.algos.deploy.driving import drive_to
+            from rover_rl.algos.deploy.excitation import CLEARANCE, Excitation
             from rover_rl.algos.deploy.outputs import DriveOutputs
+            from rover_rl.algos.driving import TIME_LIMIT
             from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.envs.config import name_of_part
             from rover_rl.envs.rover import RoverEnv
@@ -161,44 +162,39 @@ class Drive:
                     page.check()
 
             def show(label: str, moment: Moment) -> None:
+                go_on()
                 show_status(label, moment)
                 if page is not None:
                     page.show(env, moment)
 
-            if self.excite:
-                endings = self._excite(env, runner, module, bag, go_on, show)
+            drive = partial(drive_to, env, runner, patience=self.patience, bag=bag)
+            if isinstance(module, Excitation):
+                limits: Any = {"clearance": max(self.clearance, CLEARANCE), "allow_unseen": True}
+                begin, seconds = module.start(), module.seconds - 1e-3
+                ending = drive(begin, seconds=seconds, watch=partial(show, "excite"), **limits)
+                print(f"excite: {'complete' if ending == TIME_LIMIT else ending}", flush=True)
+                reached = ending == TIME_LIMIT
             else:
-                endings = self._drive(env, runner, goals, world, bag, go_on, show)
+                reached = self._drive(drive, env.simulator, world, goals, go_on, show)
         what = "calibrate" if self.excite else "evaluate"
         print(f"Bag: {path}; to {what} it: rover-rl {what} {path}")
-        return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
+        return 0 if reached else GOAL_NOT_REACHED
 
     def _drive(
-        self,
-        env: RoverEnv,
-        runner: PolicyRunner,
-        goals: list[tuple[float, float]],
-        world: str,
-        bag: DriveBag,
-        go_on: Callable[[], None],
-        show: Callable[[str, Moment], None],
-    ) -> list[str]:
-        """Drives to the goals, and then to those of the topic, and returns the endings."""
-        from rover_rl.algos.deploy.driving import drive_to
+        self, drive: Any, rover: Ros2Simulator, world: str, goals: list[tuple[float, float]], go_on: Any, show: Any
+    ) -> bool:
+        """Drives to the goals, and then to those of the topic, and returns whether all were reached."""
         from rover_rl.algos.deploy.goals import GoalGivenUp, GoalTopic
         from rover_rl.algos.driving import RESTARTED
-        from rover_rl.sims.ros2.simulator import Ros2Simulator
 
-        limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "patience", "allow_unseen")}
-        rover, topic, endings = env.simulator, None, list[str]()
-        assert isinstance(rover, Ros2Simulator)
+        limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "allow_unseen")}
+        topic, endings = None, list[str]()
         if self.goal_topic is not None:
             inside = partial(_require_inside, world)
             topic = GoalTopic(rover.transport, self.goal_topic, inside, lambda: rover.pose_frame, rover.follow_tf())
             print(f"Waits for goals on {self.goal_topic}", flush=True)
 
         def watch(moment: Moment) -> None:
-            go_on()
             if topic is not None:
                 topic.check()
             show(f"goal {len(endings) + 1}" + (f" of {len(goals)}" if topic is None else ""), moment)
@@ -206,7 +202,7 @@ class Drive:
         for goal in goals if topic is None else chain(goals, topic.goals(go_on)):
             go_on()
             try:
-                ending = drive_to(env, runner, goal, **limits, watch=watch, bag=bag)
+                ending = drive(goal, **limits, watch=watch)
             except GoalGivenUp as reason:
                 ending = str(reason)
             endings.append(ending)
@@ -215,32 +211,7 @@ class Drive:
                 topic.tell(ending)
             if ending == RESTARTED:
                 break  # the pose of a restarted robot is unknown
-        return endings
-
-    def _excite(
-        self,
-        env: RoverEnv,
-        runner: PolicyRunner,
-        excitation: Any,
-        bag: DriveBag,
-        go_on: Callable[[], None],
-        show: Callable[[str, Moment], None],
-    ) -> list[str]:
-        """Drives what tells the robot's numbers, and returns the ending."""
-        from rover_rl.algos.deploy.driving import drive_to
-        from rover_rl.algos.deploy.excitation import CLEARANCE
-        from rover_rl.algos.driving import TIME_LIMIT
-
-        def watch(moment: Moment) -> None:
-            go_on()
-            show("excite", moment)
-
-        limits: Any = {"clearance": max(self.clearance, CLEARANCE), "patience": self.patience, "allow_unseen": True}
-        ending = drive_to(
-            env, runner, excitation.start(), seconds=excitation.seconds - 1e-3, watch=watch, bag=bag, **limits
-        )
-        print(f"excite: {'complete' if ending == TIME_LIMIT else ending}", flush=True)
-        return ["goal" if ending == TIME_LIMIT else ending]
+        return set(endings) == {"goal"}
 
     def _check(self) -> None:
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
@@ -265,7 +236,7 @@ class Drive:
         if self.excite:
             from rover_rl.algos.deploy.excitation import ANYWHERE, Excitation
 
-            return ResolvedPolicy("excite", Excitation(self.radius), (self.world or ANYWHERE.name,))
+            return ResolvedPolicy("excite", Excitation(self.radius, self.settings), (self.world or ANYWHERE.name,))
         robot = None if self.robot is None else with_options(self.robot, self.robot_options)
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), robot)
         if policy.module is None or not policy.worlds:

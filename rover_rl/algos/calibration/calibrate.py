@@ -66,7 +66,9 @@ class Calibration(NamedTuple):
     """Numbers by name; velocities as measured and as predicted; errors of prediction.
 
     ``time`` ``[T]`` (s), ``measured``, ``before`` and ``after`` ``[T, 2]`` (m/s and rad/s). ``errors`` are the medians
-    of the distance between the predicted and the measured place at :data:`HORIZONS`, m, before and after.
+    of the distance between the predicted and the measured place at :data:`HORIZONS`, m, before and after. ``restless``
+    ``[3]`` are medians of how far the measured place goes in these times while the robot stands: a pose that drifts and
+    jumps adds that to both errors. NaN if it never stands so long.
     """
 
     numbers: dict[str, Number]
@@ -75,6 +77,7 @@ class Calibration(NamedTuple):
     before: np.ndarray
     after: np.ndarray
     errors: np.ndarray
+    restless: np.ndarray
 
 
 def calibrate(recording: Recording, robot: Robot) -> Calibration:
@@ -100,7 +103,9 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     for values, lag_first, part in ((before, False, 1.0), (dynamics.values, dynamics.lag_first, body)):
         told.append(base.predict(values[None], windows, lag_first)[0][kept])
         errors.append(_errors(base.simulate(values[None], windows, lag_first)[0] * part, windows, *place))
-    return Calibration(numbers, windows.at[kept], windows.measured[kept], told[0], told[1], np.array(errors))
+    measured = windows.at[kept], windows.measured[kept]
+    restless = _restless(recording, *place[:2])
+    return Calibration(numbers, *measured, told[0], told[1], np.array(errors), restless)
 
 
 def _widened(name: str, estimate: Estimate) -> Estimate:
@@ -115,13 +120,15 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
     """What other sensors tell of the wheels and stamps, and names of what they cannot, as they repeat the odometry."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, column) for column in odometry.values.T)
-    still, one = sensors.in_place(odometry), Estimate(1.0, 1.0, 1.0)
+    still, one = sensors.pure(odometry, 0, sensors.IN_PLACE), Estimate(1.0, 1.0, 1.0)
     curves = {name: Curve(each.stamp, each.values[:, -1]) for name, each in (("imu", imu), ("pose", pose)) if each}
     curves = {name: curve for name, curve in curves.items() if not np.isnan(curve.total).any()}
     found = {name: align(turned, curve) for name, curve in curves.items()}
     way = None if pose is None else sensors.way_of(pose, imu)
     if way is not None:
-        found["way"] = align(wheels, way)
+        # In bows, the wheels of a skid-steer base slip along the way, too.
+        straight = sensors.pure(odometry, 1, sensors.STRAIGHT)
+        found["way"] = align(wheels, way, straight) or align(wheels, way)
     if scan is not None:
         found["scan"] = align(turned, sensors.scan_turn(scan, recording.increment, still), still)
     aligned = {name: each for name, each in found.items() if each is not None}
@@ -163,6 +170,15 @@ def _places(recording: Recording, late: float) -> tuple[np.ndarray, np.ndarray, 
     if imu is not None:
         yaw = np.interp(odometry.stamp, imu.stamp, imu.values[:, 1])
     return odometry.stamp, cumulative_trapezoid(speed * np.exp(1j * yaw), odometry.stamp, initial=0), yaw
+
+
+def _restless(recording: Recording, time: np.ndarray, place: np.ndarray) -> np.ndarray:
+    moves, ways = ~sensors.at_rest(recording, time), []
+    for horizon in HORIZONS:
+        stands = sensors.never(moves, time, time, 0.0, horizon) & (time + horizon < time[-1])
+        gone = np.abs(np.interp(time + horizon, time, place) - place)[stands]
+        ways.append(np.median(gone) if gone.size else np.nan)
+    return np.array(ways)
 
 
 def _errors(

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
@@ -41,9 +42,12 @@ def describe(calibration: Calibration) -> list[str]:
             value, low, high = (f"{each:.3g}" for each in number.estimate)
             told.append(f"{number.label:42} {value:>8} {number.unit:8} {low} to {high}")
     horizons = " / ".join(f"{each:g}" for each in HORIZONS)
-    before, after = (" / ".join(f"{100 * each:.1f}" for each in row) for row in calibration.errors)
-    errors = f"median error of the place after {horizons} s: {before} cm before, {after} cm after the calibration"
-    return [*told, "", errors, *(["", UNTOLD, *untold] if untold else [])]
+    rows = (*calibration.errors, calibration.restless)
+    before, after, own = (" / ".join(f"{100 * each:.1f}" for each in row) for row in rows)
+    told += ["", f"median error of the place after {horizons} s: {before} cm before, {after} cm after the calibration"]
+    if np.isfinite(calibration.restless).all():
+        told.append(f"while the robot stands, its measured place goes by {own} cm in these times, a part of both")
+    return [*told, *(["", UNTOLD, *untold] if untold else [])]
 
 
 def env_settings(calibration: Calibration, name: str, robot: Robot) -> dict[str, Any]:

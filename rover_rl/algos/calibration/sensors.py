@@ -20,7 +20,7 @@ FARTHEST, FINE = 0.5, 0.01  # largest shift between two sensors, and the step of
 BLOCK = 60  # number of times in a block of the bootstrap: 3 s
 DRAWS = 200  # number of bootstrap samples
 STANDING = 0.02  # largest speed of a base at rest, m/s and rad/s
-IN_PLACE = 0.05  # largest speed of a turn in place, m/s
+IN_PLACE, STRAIGHT = 0.05, 0.1  # largest speed of a turn in place, m/s, and yaw rate of a drive straight ahead, rad/s
 MOVING = 0.05  # root mean square of the changes in a block with motion, m and rad
 LEAST_BLOCKS = 4  # least number of blocks with motion
 PIECE, LEAST_PIECES = 3.0, 3  # duration (s) and least number of the pieces at rest that tell the bias of the IMU
@@ -145,17 +145,17 @@ def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
     return Curve(pose.stamp, np.append(0.0, np.cumsum(ahead.real)))
 
 
-def _never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:
+def never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:
     """Whether there is no event from ``before`` until ``after`` (s) each time ``at``."""
     count = np.append(0, np.cumsum(events))
     one, end = np.searchsorted(time, (at - before, at + after))
     return count[end] == count[one]
 
 
-def in_place(odometry: Stream) -> Curve:
-    """Returns 1 where the base has turned in place for 0.8 s before and after, else 0."""
-    fast, time = np.abs(odometry.values[:, 0]) > IN_PLACE, odometry.stamp
-    return Curve(time, _never(fast, time, time, 0.8, 0.8).astype(float))
+def pure(odometry: Stream, other: int, most: float) -> Curve:
+    """Returns 1 where velocity ``other``, 0 or 1, has been at most ``most`` for 0.8 s before and after, else 0."""
+    mixed, time = np.abs(odometry.values[:, other]) > most, odometry.stamp
+    return Curve(time, never(mixed, time, time, 0.8, 0.8).astype(float))
 
 
 def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
@@ -163,7 +163,7 @@ def at_rest(recording: Recording, times: np.ndarray) -> np.ndarray:
     odometry, (sent, *_, commands) = recording.odometry, recording.commands
     inside = (times > sent[0]) & (times < sent[-1])
     for time, values in ((sent, commands), (odometry.stamp, odometry.values)):
-        inside &= _never((np.abs(values) > STANDING).any(1), time, times, 1.0, 1.0)
+        inside &= never((np.abs(values) > STANDING).any(1), time, times, 1.0, 1.0)
     return inside
 
 
@@ -208,7 +208,7 @@ def noise(recording: Recording) -> dict[str, Estimate | None]:
             found[f"{name}_age"] = Estimate.of(np.median(stream.age), stream.age)
     changes = np.append(False, (np.diff(commands, axis=0) != 0).any(1))
     speeds = odometry.values[1:-1]
-    cruising = _never(changes, sent, odometry.stamp, 1.0, 0.0)[1:-1, None] & (np.abs(speeds) > 0.2)
+    cruising = never(changes, sent, odometry.stamp, 1.0, 0.0)[1:-1, None] & (np.abs(speeds) > 0.2)
     found["odometry_noise"] = deviation(bends(odometry.values)[cruising] / speeds[cruising])
     if (imu := recording.imu) is not None:
         rest, yaw = at_rest(recording, imu.stamp), imu.values[:, 1]

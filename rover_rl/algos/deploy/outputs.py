@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from statistics import fmean
 from threading import Event, Thread
@@ -25,7 +26,8 @@ from rover_rl.sims.ros2.simulator import Ros2Simulator
 
 PERIOD = 1.0  # time between two diagnostics, and two maps, s
 CLOSE_TIMEOUT = 5.0  # longest time to wait at the end until all is published, s
-COSTS = np.array((100, 99, 66, 33, 0), np.int8)  # of cells by SeenMap.levels; 100 and 99 are closed, as in Nav2
+COSTS = torch.tensor((100, 99, 66, 33, 0), dtype=torch.int8)  # of levels of a SeenMap; 100 and 99: closed, as in Nav2
+UNKNOWN = torch.tensor(-1, dtype=torch.int8)  # cost of a cell of which nothing is known
 HEIGHT, LIFETIME = 1.0, 500_000_000  # height of the marker of a mover, m, and time for which it is shown, ns
 COLOR = ros.ColorRGBA(1.0, 0.5, 0.1, 0.8)
 ARROW, CYLINDER = 0, 3  # types of a visualization_msgs/Marker
@@ -44,6 +46,8 @@ class DriveOutputs:
     def __init__(self, env: RoverEnv) -> None:
         assert isinstance(env.simulator, Ros2Simulator)
         self._env, self._rover, self._seen = env, env.simulator, map_of(env.observer)
+        if self._seen is not None:
+            self._seen.keep_paths()
         self._topics = topics = self._rover.settings
         kinds, readers = {topics.diagnostics_topic: ros.DiagnosticArray}, env.observer.readers
         kinds |= {} if self._seen is None else {topics.seen_map_topic: ros.OccupancyGrid}
@@ -72,15 +76,15 @@ class DriveOutputs:
         header, pose = ros.Header(stamp, self._rover.pose_frame or MAP), entries["pose"]
         self._latencies.append(self._rover.latency)
         if seen is not None and entries.get(ROUTE) is not last.get(ROUTE):
-            has_way = entries[ROUTE][0, -1] >= 0
-            points = torch.cat((pose[:, :2], seen.corners()[0]) if has_way else (pose[:0, :2],))
-            pending[topics.plan_topic] = lambda: _path(header, points.tolist())
+            points = torch.cat((pose[:, :2], seen.paths()[0])).unique_consecutive(dim=0)
+            pending[topics.plan_topic] = partial(_path, header, points.tolist() if entries[ROUTE][0, -1] >= 0 else [])
         if entries.get(MOVERS) is not last.get(MOVERS):
             movers = movers_in_world(entries[MOVERS], pose, entries["imu"])[0]
             pending[topics.movers_topic] = lambda: _markers(header, movers.tolist(), pose[0, 2].item())
         if seen is not None and time.monotonic() >= self._map_due:
             self._map_due, (levels, corner), cell = time.monotonic() + PERIOD, seen.levels(), seen.cell.item()
-            pending[topics.seen_map_topic] = lambda: _grid(header, levels[0].cpu().numpy(), corner[0].tolist(), cell)
+            costs = torch.where(seen.known(), COSTS[levels.long()], UNKNOWN)[0].numpy()
+            pending[topics.seen_map_topic] = partial(_grid, header, costs, corner[0].tolist(), cell)
         self._wake.set()
 
     def _run(self) -> None:
@@ -137,14 +141,14 @@ def _status(name: str, level: int, message: str, **values: str) -> Any:
 def _path(header: Any, points: list[list[float]]) -> Any:
     """Returns the path along points, x and y (m), each with the heading of the way to the next."""
     yaws = [math.atan2(y - b, x - a) for (a, b), (x, y) in pairwise(points)]
-    places = zip(points, [*yaws, *yaws[-1:]], strict=True)
+    places = zip(points, [*yaws, *(yaws[-1:] or [0.0])], strict=False)
     poses = [ros.Pose(ros.Point(*point), ros.Quaternion(*heading(yaw))) for point, yaw in places]
     return ros.Path(header, [ros.PoseStamped(header, pose) for pose in poses])
 
 
-def _grid(header: Any, levels: np.ndarray, corner: list[float], cell: float) -> Any:
-    about = ros.MapMetaData(header.stamp, cell, *levels.shape, ros.Pose(ros.Point(*corner)))
-    return ros.OccupancyGrid(header, about, COSTS[levels].ravel())
+def _grid(header: Any, costs: np.ndarray, corner: list[float], cell: float) -> Any:
+    about = ros.MapMetaData(header.stamp, cell, *costs.shape, ros.Pose(ros.Point(*corner)))
+    return ros.OccupancyGrid(header, about, costs.ravel())
 
 
 def _markers(header: Any, movers: list[list[float]], ground: float) -> Any:

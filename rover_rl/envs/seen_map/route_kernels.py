@@ -205,8 +205,14 @@ def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, window: 
 
 
 @wp.func
-def find_corners(window: Window, costs: wp.array[int], corners: wp.array2d[float]):
-    """Finds up to two corners of the cheapest path by string pulling, and returns their number.
+def set_point(points: wp.array2d[float], k: int, point: wp.vec2):
+    points[k, 0] = point[0]
+    points[k, 1] = point[1]
+
+
+@wp.func
+def find_corners(window: Window, costs: wp.array[int], corners: wp.array2d[float], path: wp.array2d[float]):
+    """Finds up to two ``corners`` of the cheapest path by string pulling, and as many as ``path`` has room for.
 
     A corner is the last cell of the path up to which the straight line from the corner before, first from the rover, is
     as far from obstacles as the path itself.
@@ -221,14 +227,17 @@ def find_corners(window: Window, costs: wp.array[int], corners: wp.array2d[float
     found = int(0)
     step = int(-1)
     n = int(0)
-    while n < LONGEST and found < 2 and y * SIZE + x != window.goal:
+    while y * SIZE + x != window.goal and ((n < LONGEST and found < 2) or found < path.shape[0]):
         step = next_step(x, y, step, window, costs)
         offset = neighbor(step)
         level = level_of(x + offset[0], y + offset[1], window)
         least = wp.min(least, level)
         if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, window):
-            corners[found, 0] = (float(x + window.center[0] - HALF) + 0.5) * CELL
-            corners[found, 1] = (float(y + window.center[1] - HALF) + 0.5) * CELL
+            corner = wp.vec2(float(x + window.center[0] - HALF) + 0.5, float(y + window.center[1] - HALF) + 0.5) * CELL
+            if n < LONGEST and found < 2:
+                set_point(corners, found, corner)
+            if found < path.shape[0]:
+                set_point(path, found, corner)
             found += 1
             start_x = x
             start_y = y
@@ -238,7 +247,6 @@ def find_corners(window: Window, costs: wp.array[int], corners: wp.array2d[float
         y += offset[1]
         walked += 1
         n += 1
-    return found
 
 
 @wp.kernel
@@ -255,6 +263,7 @@ def plan_routes(
     preceding: wp.array2d[int],
     reached: wp.array2d[int],
     corners: wp.array3d[float],
+    paths: wp.array3d[float],
     lengths: wp.array[float],
     first: int,
     last: int,
@@ -268,6 +277,7 @@ def plan_routes(
         costs, heads, following, preceding, reached: working memory, ``[T, SIZE * SIZE]``, and ``[T, BUCKETS]`` for
             ``heads``. Between plans, all costs are ``UNKNOWN_COST``.
         corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
+        paths: the same of the first corners of the whole path, ``[N, K, 2]``.
         lengths: results: cost of the route, as the length of an open route of that cost, m; -1 without a path.
     """
     t = wp.tid()
@@ -292,14 +302,14 @@ def plan_routes(
             count = spread(window, costs[t], heads[t], following[t], preceding[t], reached[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
-            found = int(0)
+            # The last corner is the goal itself.
+            for k in range(2):
+                set_point(corners[i], k, wp.vec2(goals[i, 0], goals[i, 1]))
+            for k in range(paths.shape[1]):
+                set_point(paths[i], k, wp.vec2(goals[i, 0], goals[i, 1]))
             if total < UNKNOWN_COST:
                 lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
-                found = find_corners(window, costs[t], corners[i])
-            for k in range(found, 2):
-                # The last corner is the goal itself.
-                corners[i, k, 0] = goals[i, 0]
-                corners[i, k, 1] = goals[i, 1]
+                find_corners(window, costs[t], corners[i], paths[i])
             for n in range(count):
                 costs[t, reached[t, n]] = UNKNOWN_COST
 

@@ -44,7 +44,7 @@ class Cells:
     heights: wp.array[float]  # of the ground in each cell, m
     levels: wp.array[wp.uint8]  # of each cell by the distance of its middle from the nearest box
     doubts: wp.array[wp.int16]  # number of suspected cells around each one
-    passed: wp.array[wp.uint8]  # 1 in cells that beams have passed. Empty if that is not kept.
+    passed: wp.array[wp.uint8]  # 1 in cells that beams have passed
 
 
 @wp.func
@@ -134,8 +134,7 @@ def move_window(before: wp.vec2i, after: wp.vec2i, cells: Cells):
                 x = wp.where(axis == 0, entered, other)
                 y = wp.where(axis == 0, other, entered)
                 cells.heights[address(x, y)] = UNSEEN
-                if cells.passed.shape[0] > 0:
-                    cells.passed[address(x, y)] = wp.uint8(0)
+                cells.passed[address(x, y)] = wp.uint8(0)
                 if cells.evidence[address(x, y)] > wp.uint8(0):
                     set_evidence(x, y, 0, cells)
 
@@ -147,8 +146,7 @@ def clear_window(cells: Cells):
         cells.heights[cell] = UNSEEN
         cells.levels[cell] = wp.uint8(OPEN)
         cells.doubts[cell] = wp.int16(0)
-        if cells.passed.shape[0] > 0:
-            cells.passed[cell] = wp.uint8(0)
+        cells.passed[cell] = wp.uint8(0)
 
 
 @wp.func
@@ -243,8 +241,7 @@ def add_scans(
             before = int(cells.evidence[address(along, across)])
             if before > 0 and before <= MOST:
                 set_evidence(along, across, before - 1, cells)
-            if cells.passed.shape[0] > 0:
-                cells.passed[address(along, across)] = wp.uint8(1)
+            cells.passed[address(along, across)] = wp.uint8(1)
     for k in range(count):
         beam = beams[i, k]
         before = int(cells.evidence[address_at(x + beam[0], y + beam[1])])

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import torch
 from torch import Tensor
+from torch.nn.functional import max_pool2d
 
 from rover_rl.envs.config import SCAN_POSE, LidarConfig
 from rover_rl.envs.seen_map import scans
@@ -60,7 +61,6 @@ class SeenMap:
         lidar: settings of the lidar.
         interval: time from one scan that is added to the next, s.
         threads: number of CPU threads. Results do not depend on it.
-        keep_passed: whether to keep which cells beams have passed, which ``distances`` needs.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
@@ -71,9 +71,7 @@ class SeenMap:
         torch.Size([2, 5])
     """
 
-    def __init__(
-        self, fleet: Fleet, lidar: LidarConfig, interval: float = 0.2, threads: int = 1, keep_passed: bool = False
-    ) -> None:
+    def __init__(self, fleet: Fleet, lidar: LidarConfig, interval: float = 0.2, threads: int = 1) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
 
@@ -97,12 +95,11 @@ class SeenMap:
         self._doubts = torch.zeros(rows, cells, dtype=torch.int16, device=device)
         self._boxes = torch.zeros(rows, cells, 4, dtype=torch.uint8, device=device)
         self._heights = torch.full((rows, cells), scans.UNSEEN, device=device)
-        self._passed = torch.zeros(rows, cells if keep_passed else 0, dtype=torch.uint8, device=device)
-        # What is in the cells, and the distances to that, in cells.
-        self._found = torch.zeros_like(self._passed)
-        self._distances = torch.zeros(self._passed.shape, device=device)
-        # x and y of two corners, and the length.
-        self._corners = torch.zeros(rows, 2, 2, device=device)
+        self._passed = torch.zeros_like(self._evidence)
+        # What is in the cells, and the distances to that, in cells, once they are asked for.
+        self._found, self._distances = self._passed[:, :0], self._heights[:, :0]
+        # x and y of two corners, and of those along the whole route if they are kept, and the length.
+        self._corners, self._path = torch.zeros(rows, 2, 2, device=device), torch.zeros(rows, 0, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
         # On an accelerator, each thread plans for one row. On the CPU, each one plans for a share of them.
         on_gpu = device.type == "cuda"
@@ -170,6 +167,14 @@ class SeenMap:
         """Returns the first and the second corner of the last routes in the frame of the pose, ``[N, 2, 2]``, m."""
         return self._corners * self._unit[..., None]
 
+    def keep_paths(self, corners: int = 128) -> None:
+        """Keeps the first corners of all routes from now on, for :meth:`paths`."""
+        self._path = self._path.new_zeros(len(self._path), corners, 2)
+
+    def paths(self) -> Tensor:
+        """Returns the corners of the last routes in the frame of the pose, ``[N, corners, 2]``, m; then the goals."""
+        return self._path * self._unit[..., None]
+
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
 
@@ -179,11 +184,24 @@ class SeenMap:
             y of the lower corner of cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
         levels = torch.where(self._doubts > 0, self._levels.clamp(max=scans.DOUBTFUL), self._levels)
+        return self._in_window(levels), (self._state[:, :2].int() - HALF) * self.cell
+
+    def known(self) -> Tensor:
+        """Returns whether cells are free or occupied, bool ``[N, rows, columns]``; the others are unknown.
+
+        They are if a beam has ended in them, or passed them or a cell beside them in the episode.
+        """
+        # Beams pass between the middles of cells.
+        passed = max_pool2d(self._in_window(self._passed).float(), 3, 1, 1) > 0
+        return passed | (self._in_window(self._evidence) > 0)
+
+    def _in_window(self, values: Tensor) -> Tensor:
+        """Returns values of cells by row and column of the window, ``[N, SIZE, SIZE]``."""
         lowest = self._state[:, :2].int() - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * self.cell
+        return values.gather(1, address.flatten(1).long()).reshape(address.shape)
 
     def distances(
         self, observation: Entries, bounds: Tensor | None = None, rows: Tensor | None = None
@@ -199,15 +217,12 @@ class SeenMap:
         Returns:
             Distances of the middles of the cells to the nearest obstacle, row by row, float32 ``[N, SIZE * SIZE]``, m,
             at most five cells. And x and y of the first of these points, and the spacing, float32 ``[N, 3]``, m.
-
-        Raises:
-            ValueError: if the map was made without ``keep_passed``.
         """
         from rover_rl.envs.seen_map.distance_kernels import find_distances, find_obstacles
         from rover_rl.native.warp import launch_options, wp
 
-        if not self._passed.shape[-1]:
-            raise ValueError("distances need a map that is made with keep_passed=True")
+        if not self._found.shape[-1]:
+            self._found, self._distances = torch.zeros_like(self._passed), torch.zeros_like(self._heights)
         center, readings, imu = self._state[:, :2].int(), self._readings[self._fleet.index], observation["imu"]
         mask, is_seen = observation.get(LIDAR_MASK, None), readings[:, NUMBERS:] > 0
         if mask is not None:
@@ -257,7 +272,7 @@ class SeenMap:
             # Movers close cells for one plan only.
             if ways:
                 wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, True, first], **options)
-            planned = [*plans, *memory, self._corners, self._lengths, first, last]
+            planned = [*plans, *memory, self._corners, self._path, self._lengths, first, last]
             wp.launch(plan_routes, len(memory[0]), planned, **options)
             if ways:
                 wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, False, first], **options)

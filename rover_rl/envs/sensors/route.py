@@ -73,17 +73,17 @@ class SeenDistances(Sensor):
     bounds = Bounds((0.0,) * SIZE**2 + (-FARTHEST_CELL,) * 2 + (0.0,), (100.0,) * SIZE**2 + (FARTHEST_CELL,) * 3)
 
     def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
-        return MapReader(self, setup, keep_passed=True)
+        return MapReader(self, setup, has_distances=True)
 
 
 class MapReader:
     """Reads a :class:`Route` or :class:`SeenDistances`, and keeps the maps ``seen`` of a batch of rovers for it."""
 
     def __init__(
-        self, sensor: Route | SeenDistances, setup: SensorSetup, threads: int = 1, keep_passed: bool = False
+        self, sensor: Route | SeenDistances, setup: SensorSetup, threads: int = 1, has_distances: bool = False
     ) -> None:
-        self._period, self._distances = sensor.period, keep_passed
-        self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt, threads, keep_passed)
+        self._period, self._distances = sensor.period, has_distances
+        self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt, threads)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         due, observation = inputs.due(self._period), inputs.observation

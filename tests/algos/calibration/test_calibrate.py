@@ -112,6 +112,7 @@ def test_what_a_drive_does_not_tell_is_unknown_and_said(tmp_path: Path, capsys: 
         "friction:",
     ):
         assert sentence in untold
+    assert "while the robot stands, its measured place goes by 0.0 / 0.0 / 0.0 cm" in printed
     for name in ("delay of commands", "lag of the speed", "bias of the yaw rate", "noise of a range"):
         assert name not in untold
     env = read_env(out / "calibration.yaml")
@@ -129,11 +130,14 @@ def test_what_a_drive_does_not_tell_is_unknown_and_said(tmp_path: Path, capsys: 
 
 
 def test_a_robot_at_rest_tells_noise_alone(tmp_path: Path) -> None:
-    numbers = calibrated(tmp_path / "bag", Truth(), held([(0.0, 0.0, 40.0)])).numbers
+    found = calibrated(tmp_path / "bag", Truth(pose_noise=0.1), held([(0.0, 0.0, 40.0)]))
+    numbers = found.numbers
     told = {name for name, number in numbers.items() if number.estimate is not None}
     ages = {f"{name}_age" for name in ("odometry", "imu", "pose", "scan")}
     assert told == {*ages, "imu_noise", "range_noise", "lost_beams", "yaw_bias"}
     assert all(number.advice for number in numbers.values())
+    # The difference of two places with errors of 10 cm along each axis, of Rayleigh's distribution.
+    assert found.restless == pytest.approx([0.1 * 2**0.5 * 1.177] * 3, rel=0.15)
 
 
 def dead_reckoned(wheels: list[tuple[float, float, Any]]) -> list[tuple[float, float, Any]]:

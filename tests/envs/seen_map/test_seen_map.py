@@ -122,11 +122,48 @@ def test_what_the_lidar_does_not_see_is_neither_free_nor_occupied() -> None:
     assert is_occupied(seen, -2.0, 0.0)
 
 
+def test_what_no_beam_has_reached_is_unknown() -> None:
+    def known(seen: SeenMap, *places: tuple[float, float]) -> list[bool]:
+        (low, *_), cells = seen.levels()[1], seen.known()[0]
+        return [bool(cells[math.floor((y - low[1]) / CELL), math.floor((x - low[0]) / CELL)]) for x, y in places]
+
+    seen = one_map(replace(CENTERED, lidar_view=math.pi))
+    here, goal, wall = (0.0, 0.0), (3.0, 4.0), (2.0, -1.0, 2.0, 1.0)
+    before, at, beyond, aside, behind = (1.8, 0.0), (2.01, 0.0), (2.5, 0.0), (2.5, 2.0), (-2.0, 0.0)
+    seen(observed(here, goal, (wall,)))
+    assert known(seen, here, before, at, beyond, aside, behind) == [True, True, True, False, True, False]
+    # What was seen once stays known in the episode, in the window.
+    seen(observed(here, goal, (wall,), yaw=math.pi))
+    assert known(seen, before, at, beyond, aside, behind) == [True, True, False, True, True]
+    seen(observed(here, goal, (wall,)), renewed=torch.tensor([True]))
+    assert known(seen, before, behind) == [True, False]
+
+
+def test_a_path_is_the_whole_route_and_begins_as_the_route_does() -> None:
+    walls = ((1.5, -3.0, 1.5, 1.0), (3.0, -1.0, 3.0, 4.0), (4.5, -3.0, 4.5, 1.0))
+    seen, goal = one_map(), (6.0, 0.0)
+    seen.keep_paths()
+    bounds = torch.tensor([[-1.0, -3.2, 8.0, 4.2]])
+    for x, y in ((0.0, 0.0), (2.25, 0.0), (3.75, 0.0), (0.0, 0.0)):
+        seen(observed((x, y), goal, walls), bounds=bounds)
+    path = [(0.0, 0.0), *map(tuple, seen.paths()[0].tolist())]
+    assert torch.equal(seen.paths()[:, :2], seen.corners())
+    assert path[-1] == pytest.approx(goal, abs=1e-5)
+    ends = {(1.5, 1.0), (3.0, -1.0), (4.5, 1.0)}
+    assert all(min(math.dist(end, corner) for corner in path) < 0.6 for end in ends), "around each end"
+    steps = [step for step in map(math.dist, path, path[1:]) if step]
+    assert len(steps) < 12
+    assert sum(steps) == pytest.approx(10.7, abs=1.0), "with half a meter of room at each end"
+    # Without a way, it is the goal alone, as the route is.
+    seen(observed((0.0, 0.0), (6.0, 0.0), walls), bounds=torch.tensor([[-1.0, -3.2, 8.0, 0.5]]))
+    assert (seen.paths()[0] - torch.tensor(goal)).abs().max() < 1e-5
+
+
 def test_distances_are_to_obstacles_and_to_what_a_lidar_that_sees_ahead_has_never_seen() -> None:
     front, wall = replace(CENTERED, lidar_view=math.pi), ((2.0, -3.0, 2.0, 3.0),)
     bounds = torch.tensor([[-9.0, -9.0, 9.0, 1.0]])
     for robot, behind in ((CENTERED, 0.75), (front, 0.0)):
-        seen = SeenMap(fleet(1, robot), LIDAR, keep_passed=True)
+        seen = one_map(robot)
 
         def distance(observation: TensorDict, x: float, y: float, seen: SeenMap = seen) -> float:
             seen(observation)
@@ -147,8 +184,6 @@ def test_distances_are_to_obstacles_and_to_what_a_lidar_that_sees_ahead_has_neve
         # The distances to what has been passed in another episode are forgotten.
         seen(ahead, renewed=torch.tensor([True]))
         assert distance(ahead, -2.0, 0.0) == pytest.approx(behind)
-    with pytest.raises(ValueError, match="keep_passed=True"):
-        one_map().distances(observed((0.0, 0.0), (3.0, 4.0)))
 
 
 def test_a_route_leads_around_a_wall_within_bounds() -> None:

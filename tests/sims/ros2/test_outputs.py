@@ -46,9 +46,10 @@ def test_a_plan_leads_from_the_rover_around_what_it_has_seen(planned, wire):
     assert path.header.frame_id == path.poses[0].header.frame_id == "world"
     places = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
     assert math.dist(places[0], (0.0, 0.0)) < 1.0
-    assert len(places) == 3
-    # The wall ahead ends 4 m aside, and its end is the corner.
+    # The wall ahead ends 4 m aside, and the path leads around its end to the goal.
     assert max(abs(y) for _, y in places) > 3.5
+    assert places[-1] == pytest.approx(BEYOND, abs=1e-5)
+    assert len({*places}) == len(places)
     first = path.poses[0].pose.orientation
     way = math.atan2(places[1][1] - places[0][1], places[1][0] - places[0][0])
     assert 2 * math.atan2(first.z, first.w) == pytest.approx(way, abs=1e-5)
@@ -67,6 +68,7 @@ def test_a_map_has_the_walls_where_they_are(planned, wire):
     assert max(cost(AHEAD + 0.01, 0.0), cost(AHEAD - 0.01, 0.0)) == 100
     assert cost(AHEAD - 0.2, 0.0) in (66, 99)
     assert cost(1.5, 0.0) == 0
+    assert cost(AHEAD + 1.0, 0.0) == -1, "behind the wall"
 
 
 def test_a_policy_without_a_plan_and_a_map_publishes_only_diagnostics(start_env, wire):

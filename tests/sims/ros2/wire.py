@@ -189,9 +189,15 @@ class SimulatedRobot:
     """The node of a rover in PyBullet. ``driven`` has its x after each step, ``poses`` place and yaw by the time."""
 
     def __init__(
-        self, wire: Wire, world: World, start: tuple[float, float, float], view: float = TURN, **config
+        self,
+        wire: Wire,
+        world: World,
+        start: tuple[float, float, float],
+        view: float = TURN,
+        robot: str = "rover_zero",
+        **config: Any,
     ) -> None:
-        kind, lidar = replace(get_robot("rover_zero"), lidar_view=view), LidarConfig(beams=128)
+        kind, lidar = replace(get_robot(robot), lidar_view=view), LidarConfig(beams=128)
         self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, **config))
         self._node = RobotNode(self.rover, wire, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
