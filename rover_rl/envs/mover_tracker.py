@@ -67,22 +67,13 @@ class MoverTracker:
         # Of the first reading, and from one to the next, rad.
         self._angles = float(reading_angles(lidar)[0]), 2 * math.pi / lidar.points
 
-    def __call__(
-        self, state: Tensor, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None = None
-    ) -> tuple[Tensor, Tracks]:
-        """Adds a scan, and returns the next state and what moves: see :meth:`follow`.
-
-        ``rows`` are the numbers of the rows among those of different robots. ``None``: all.
-        """
+    def __call__(self, state: Tensor, observation: TensorDictBase | Mapping[str, Tensor]) -> tuple[Tensor, Tracks]:
+        """Adds a scan, and returns the next state and what moves: see :meth:`follow`."""
         after = state.clone(memory_format=torch.contiguous_format)
-        return after, self.follow(after, observation, rows=rows)
+        return after, self.follow(after, observation)
 
     def follow(
-        self,
-        state: Tensor,
-        observation: TensorDictBase | Mapping[str, Tensor],
-        due: Tensor | None = None,
-        rows: Tensor | None = None,
+        self, state: Tensor, observation: TensorDictBase | Mapping[str, Tensor], due: Tensor | None = None
     ) -> Tracks:
         """Adds a scan to the ``state``, and returns what moves: nothing in rows that are not due.
 
@@ -94,7 +85,7 @@ class MoverTracker:
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
         from rover_rl.native.warp import BLOCK_SIZE, launch_rows
 
-        scans, (count, points), device = self._scans(observation, rows, due), observation["lidar"].shape, state.device
+        scans, (count, points), device = self._scans(observation, due), observation["lidar"].shape, state.device
         tracks = state.view(count, TRACKS, STATE)
         moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
         readings = torch.zeros(count, points, dtype=torch.bool, device=device)
@@ -111,9 +102,7 @@ class MoverTracker:
             state = tensordict["lidar"].new_zeros(len(tensordict), TRACKS * STATE)
         return self(state if is_init is None else state.masked_fill(is_init.reshape(-1, 1), 0.0), tensordict)
 
-    def _scans(
-        self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None, due: Tensor | None
-    ) -> Any:
+    def _scans(self, observation: TensorDictBase | Mapping[str, Tensor], due: Tensor | None) -> Any:
         from rover_rl.envs.mover_tracker_kernels import Scans
         from rover_rl.native.warp import wp
 
@@ -121,10 +110,7 @@ class MoverTracker:
         device = lidar.device
         self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
         due = torch.ones(len(lidar), dtype=torch.bool, device=device) if due is None else due.contiguous()
-        if self._fleet is None:
-            robots = torch.zeros(len(lidar), dtype=torch.int64, device=device)
-        else:
-            robots = self._fleet.index if rows is None else self._fleet.index[rows]
+        robots = self._fleet.index if self._fleet else torch.zeros(len(lidar), dtype=torch.int64, device=device)
         scans = Scans()
         scans.due, scans.robots = wp.from_torch(due), wp.from_torch(robots)
         scans.ranges, scans.poses, scans.imus = (wp.from_torch(value.contiguous()) for value in (lidar, pose, imu))

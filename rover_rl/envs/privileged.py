@@ -89,6 +89,7 @@ def _nearest_movers(truth: Perception, movers: MoverField) -> Tensor:
     if not movers.radius.shape[1]:
         return truth.yaw.new_zeros(len(truth.yaw), NEAREST * NUMBERS)
     state, found = movers.state, truth.yaw.new_empty(len(truth.yaw), NEAREST, NUMBERS)
+    rows = torch.ones(len(found), dtype=torch.bool, device=found.device)
     given = state.position, state.velocity, movers.radius, movers.present
-    put_in_order(found, *given, truth.position, truth.yaw)
+    put_in_order(found, rows, *given, truth.position, truth.yaw)
     return found.flatten(1)

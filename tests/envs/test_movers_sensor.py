@@ -42,7 +42,7 @@ def map_leaves_out(env: RoverEnv, tensordict: Tensor) -> bool:
 
 def predicted(movers: Tensor) -> Tensor:
     scans = torch.empty(len(movers), len(INSTANTS), BEARINGS)
-    predict_scans(scans, movers)
+    predict_scans(scans, torch.ones(len(movers), dtype=torch.bool), movers)
     return scans
 
 

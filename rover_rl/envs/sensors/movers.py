@@ -81,58 +81,42 @@ class _Reader:
         self._values = self._values.clone()
         movers = self._values[:, :TRACKED].unflatten(-1, (COUNT, NUMBERS))
         scans = self._values[:, TRACKED:].unflatten(-1, (len(INSTANTS), BEARINGS))
-        given = tracks.position, tracks.velocity, tracks.radius, tracks.moves
-        put_in_order(movers, *given, read["pose"][:, :2], read["imu"][:, 2:], due)
-        predict_scans(scans, movers, due)
+        put_in_order(movers, due, *tracks[:4], read["pose"][:, :2], read["imu"][:, 2:])
+        predict_scans(scans, due, movers)
         return self._values
 
 
 def put_in_order(
-    found: Tensor,
-    position: Tensor,
-    velocity: Tensor,
-    radius: Tensor,
-    exists: Tensor,
-    origin: Tensor,
+    found: Tensor, rows: Tensor, position: Tensor, velocity: Tensor, radius: Tensor, exists: Tensor, place: Tensor,
     yaw: Tensor,
-    rows: Tensor | None = None,
-) -> None:
-    """Writes the movers that come nearest in the next two seconds, the nearest first.
+) -> None:  # fmt: skip
+    """Writes the movers that come nearest in the next two seconds, the nearest first, to ``rows`` (bool ``[N]``).
 
-    Args:
-        found: their numbers in frames at each ``origin`` (``[N, 2]``, m) and ``yaw`` (``[N, 1]``, rad), which change,
-            ``[N, count, NUMBERS]`` for a count of up to 12. All are 0 where there are fewer movers.
-        position, velocity: positions (m) and velocities (m/s) in the world, ``[N, M, 2]``.
-        radius, exists: radii (m), and which movers there are, ``[N, M]``.
-        rows: rows that are written, bool ``[N]``. ``None``: all.
+    What is ``found`` are their numbers, ``[N, count, NUMBERS]``, 12 movers at most, in the frame of each rover at
+    ``place [N, 2]`` (m) and ``yaw [N, 1]`` (rad); 0 where there are fewer. Positions and velocities in the world are
+    ``[N, M, 2]``, radii and which movers there are ``[N, M]``.
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.envs.sensors.movers_kernels import put_in_order
     from rover_rl.native.warp import launch_rows, wp
 
     heading = torch.cat((yaw.cos(), yaw.sin()), -1)
-    vectors = [wp.from_torch(part, dtype=wp.vec2) for part in (position, velocity, origin, heading)]
-    masks = [wp.from_torch(part) for part in (radius, exists, _every(found) if rows is None else rows)]
-    inputs = [*vectors[:2], *masks[:2], *vectors[2:], masks[2], wp.from_torch(found)]
+    vectors = (wp.from_torch(part, dtype=wp.vec2) for part in (position, velocity, place, heading))
+    inputs = [*vectors, *map(wp.from_torch, (radius, exists, rows, found))]
     launch_rows(put_in_order, found.shape[:1], inputs, found.device)
 
 
-def predict_scans(scans: Tensor, movers: Tensor, rows: Tensor | None = None) -> None:
+def predict_scans(scans: Tensor, rows: Tensor, movers: Tensor) -> None:
     """Writes the ranges of movers ``[N, COUNT, NUMBERS]`` at later instants, ``[N, instants, bearings]``, m.
 
     The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
-    ``rows`` are those that are written, bool ``[N]``; ``None``: all.
+    They are written to ``rows``, bool ``[N]``.
     """
     from rover_rl.envs.sensors.movers_kernels import predict_scans
     from rover_rl.native.warp import launch_rows, wp
 
-    inputs = [wp.from_torch(movers), *_rays(scans.device), math.tan(math.pi / BEARINGS), FARTHEST]
-    inputs += [wp.from_torch(_every(scans) if rows is None else rows), wp.from_torch(scans)]
+    inputs = [*_rays(scans.device), math.tan(math.pi / BEARINGS), FARTHEST, *map(wp.from_torch, (movers, rows, scans))]
     launch_rows(predict_scans, scans.shape[:1], inputs, scans.device)
-
-
-def _every(values: Tensor) -> Tensor:
-    return torch.ones(len(values), dtype=torch.bool, device=values.device)
 
 
 @cache

@@ -8,7 +8,6 @@ MOST = wp.constant(12)
 """Largest number of movers that are put in order."""
 Distances = wp.types.vector(length=MOST, dtype=wp.float32)
 Numbers = wp.types.vector(length=MOST, dtype=wp.int32)
-FOREVER = wp.constant(float("inf"))
 
 
 @wp.func
@@ -27,16 +26,10 @@ def along(heading: wp.vec2, vector: wp.vec2) -> wp.vec2:
 
 @wp.kernel
 def put_in_order(
-    positions: wp.array2d[wp.vec2],
-    velocities: wp.array2d[wp.vec2],
-    radii: wp.array2d[float],
-    exist: wp.array2d[wp.bool],
-    origins: wp.array[wp.vec2],
-    headings: wp.array[wp.vec2],
-    rows: wp.array[wp.bool],
-    found: wp.array3d[float],
-    first: int,
-):
+    positions: wp.array2d[wp.vec2], velocities: wp.array2d[wp.vec2], places: wp.array[wp.vec2],
+    headings: wp.array[wp.vec2], radii: wp.array2d[float], exist: wp.array2d[wp.bool], rows: wp.array[wp.bool],
+    found: wp.array3d[float], first: int,
+):  # fmt: skip
     """Writes the movers of a row that come nearest in 0, 1 or 2 s, the nearest first: see ``sensors.movers``."""
     row = first + wp.tid()
     if not rows[row]:
@@ -46,9 +39,9 @@ def put_in_order(
     numbers = Numbers()
     count = int(0)
     for mover in range(positions.shape[1]):
-        gap = float(FOREVER)
+        gap = float(wp.inf)
         if exist[row, mover]:
-            place = along(headings[row], positions[row, mover] - origins[row])
+            place = along(headings[row], positions[row, mover] - places[row])
             velocity = along(headings[row], velocities[row, mover])
             for seconds in range(3):
                 gap = wp.min(gap, length_of(place + float(seconds) * velocity))
@@ -70,26 +63,19 @@ def put_in_order(
         if k < count:
             chosen = numbers[k]
             share = wp.where(exist[row, chosen], 1.0, 0.0)
-            place = share * along(headings[row], positions[row, chosen] - origins[row])
+            place = share * along(headings[row], positions[row, chosen] - places[row])
             velocity = share * along(headings[row], velocities[row, chosen])
-            found[row, k, 0] = place[0]
-            found[row, k, 1] = place[1]
-            found[row, k, 2] = velocity[0]
-            found[row, k, 3] = velocity[1]
+            for axis in range(2):
+                found[row, k, axis] = place[axis]
+                found[row, k, 2 + axis] = velocity[axis]
             found[row, k, 4] = share * radii[row, chosen]
 
 
 @wp.kernel
 def predict_scans(
-    movers: wp.array3d[float],
-    rays: wp.array[wp.vec2],
-    instants: wp.array[float],
-    widening: float,
-    farthest: float,
-    rows: wp.array[wp.bool],
-    scans: wp.array3d[float],
-    first: int,
-):
+    rays: wp.array[wp.vec2], instants: wp.array[float], widening: float, farthest: float, movers: wp.array3d[float],
+    rows: wp.array[wp.bool], scans: wp.array3d[float], first: int,
+):  # fmt: skip
     """Writes the ranges of the movers of a row at later instants; rays become wider by ``widening`` for each meter."""
     row = first + wp.tid()
     if not rows[row]:
