@@ -67,33 +67,33 @@ class MoverTracker:
         # Of the first reading, and from one to the next, rad.
         self._angles = float(reading_angles(lidar)[0]), 2 * math.pi / lidar.points
 
-    def __call__(
-        self,
-        state: Tensor,
-        observation: TensorDictBase | Mapping[str, Tensor],
-        rows: Tensor | None = None,
-        due: Tensor | None = None,
-    ) -> tuple[Tensor, Tracks]:
-        """Adds a scan, and returns the next state, and what moves: nothing in rows that are not due.
+    def __call__(self, state: Tensor, observation: TensorDictBase | Mapping[str, Tensor]) -> tuple[Tensor, Tracks]:
+        """Adds a scan, and returns the next state and what moves: see :meth:`follow`."""
+        after = state.clone(memory_format=torch.contiguous_format)
+        return after, self.follow(after, observation)
 
-        ``state`` are the tracks before, ``[N, TRACKS * STATE]``; zeros without any. The ``observation``, ``[N]``, has
-        ``lidar``, ``pose`` and ``imu``, ``scan_pose`` if scans can be late, and ``lidar_mask`` if beams can be hidden.
-        ``rows`` are the numbers of the rows among those of different robots, and ``due`` says which of the scans are
-        added, bool ``[N]``; ``None``: all.
+    def follow(
+        self, state: Tensor, observation: TensorDictBase | Mapping[str, Tensor], due: Tensor | None = None
+    ) -> Tracks:
+        """Adds a scan to the ``state``, and returns what moves: nothing in rows that are not due.
+
+        ``state`` are the tracks, which change, ``[N, TRACKS * STATE]``; zeros without any. The ``observation``,
+        ``[N]``, has ``lidar``, ``pose`` and ``imu``, ``scan_pose`` if scans can be late, and ``lidar_mask`` if beams
+        can be hidden. ``due`` says which of the scans are added, bool ``[N]``; ``None``: all.
         """
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.mover_tracker_kernels import CLUSTER, follow
-        from rover_rl.native.warp import launch_options, wp
+        from rover_rl.native.warp import BLOCK_SIZE, launch_rows
 
-        scans, (count, points), device = self._scans(observation, rows, due), observation["lidar"].shape, state.device
-        before, after = state.contiguous().view(count, TRACKS, STATE), torch.empty(count, TRACKS, STATE, device=device)
+        scans, (count, points), device = self._scans(observation, due), observation["lidar"].shape, state.device
+        tracks = state.view(count, TRACKS, STATE)
         moves = torch.zeros(count, TRACKS, dtype=torch.bool, device=device)
         readings = torch.zeros(count, points, dtype=torch.bool, device=device)
         clusters = torch.empty(count, points, CLUSTER, device=device)
         seen = torch.empty(count, 2, TRACKS, dtype=torch.int32, device=device)
-        wp.launch(follow, count, [scans, before, clusters, seen, after, moves, readings], **launch_options(device))
-        position, velocity, radius = after[..., 1:6].split((2, 2, 1), -1)
-        return after.flatten(1), Tracks(position, velocity, radius[..., 0], moves, readings)
+        launch_rows(follow, (count,), [scans, clusters, seen, tracks, moves, readings], device, block_dim=BLOCK_SIZE)
+        position, velocity, radius = tracks[..., 1:6].split((2, 2, 1), -1)
+        return Tracks(position, velocity, radius[..., 0], moves, readings)
 
     def remembered(self, tensordict: TensorDictBase) -> tuple[Tensor, Tracks]:
         """Adds the scan of a policy that remembers ``tracks``, and returns its next state and what moves."""
@@ -102,9 +102,7 @@ class MoverTracker:
             state = tensordict["lidar"].new_zeros(len(tensordict), TRACKS * STATE)
         return self(state if is_init is None else state.masked_fill(is_init.reshape(-1, 1), 0.0), tensordict)
 
-    def _scans(
-        self, observation: TensorDictBase | Mapping[str, Tensor], rows: Tensor | None, due: Tensor | None
-    ) -> Any:
+    def _scans(self, observation: TensorDictBase | Mapping[str, Tensor], due: Tensor | None) -> Any:
         from rover_rl.envs.mover_tracker_kernels import Scans
         from rover_rl.native.warp import wp
 
@@ -112,10 +110,7 @@ class MoverTracker:
         device = lidar.device
         self._mounts, self._directions = self._mounts.to(device), self._directions.to(device)
         due = torch.ones(len(lidar), dtype=torch.bool, device=device) if due is None else due.contiguous()
-        if self._fleet is None:
-            robots = torch.zeros(len(lidar), dtype=torch.int64, device=device)
-        else:
-            robots = self._fleet.index if rows is None else self._fleet.index[rows]
+        robots = self._fleet.index if self._fleet else torch.zeros(len(lidar), dtype=torch.int64, device=device)
         scans = Scans()
         scans.due, scans.robots = wp.from_torch(due), wp.from_torch(robots)
         scans.ranges, scans.poses, scans.imus = (wp.from_torch(value.contiguous()) for value in (lidar, pose, imu))

@@ -678,29 +678,27 @@ def mark_readings(
 @wp.kernel
 def follow(
     scans: Scans,
-    befores: wp.array2d[Track],
     clusters: wp.array2d[Cluster],
     seens: wp.array3d[int],
     states: wp.array2d[Track],
     moves: wp.array2d[wp.bool],
     readings: wp.array2d[wp.bool],
+    first: int,
 ):
-    """Adds a scan to the tracks of each row that is ``due``; thread ``i``.
+    """Adds a scan to the tracks of each row that is ``due``; thread ``t`` does row ``first + t``.
 
-    ``befores`` and ``states`` are the tracks before and after, ``[N, TRACKS]``. ``moves`` says which of them move, and
-    ``readings``, ``[N, P]``, which readings belong to one that moves. ``clusters``, ``[N, P]``, and ``seens``, those of
-    the tracks, ``[N, 2, TRACKS]``, are memory.
+    ``states`` are the tracks, ``[N, TRACKS]``. ``moves`` says which of them move, and ``readings``, ``[N, P]``, which
+    readings belong to one that moves. ``clusters``, ``[N, P]``, and ``seens``, those of the tracks, ``[N, 2, TRACKS]``,
+    are memory.
     """
-    i = wp.tid()
+    i = first + wp.tid()
     if not scans.due[i]:
-        for t in range(states.shape[1]):
-            states[i, t] = befores[i, t]
         return
     scan = scan_of(scans, i)
     dt = scans.dt
     count = find_clusters(scan, clusters[i])
     for t in range(states.shape[1]):
-        states[i, t] = predicted(befores[i, t], dt)
+        states[i, t] = predicted(states[i, t], dt)
         seens[i, 0, t] = 0
         seens[i, 1, t] = -1
     for _ in range(2):

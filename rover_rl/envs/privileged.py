@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from rover_rl.envs.sensors.movers import NEAREST, NUMBERS, in_order
+from rover_rl.envs.sensors.movers import NEAREST, NUMBERS, put_in_order
 from rover_rl.envs.stages import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.robots import Robot
@@ -88,11 +88,8 @@ def _nearest_movers(truth: Perception, movers: MoverField) -> Tensor:
     """The movers nearest to each rover, in its base frame, ``[N, NEAREST * NUMBERS]``."""
     if not movers.radius.shape[1]:
         return truth.yaw.new_zeros(len(truth.yaw), NEAREST * NUMBERS)
-    cos, sin = truth.yaw.cos(), truth.yaw.sin()
-
-    def turned(vectors: Tensor) -> Tensor:
-        x, y = vectors.unbind(-1)
-        return torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
-
-    position, velocity = turned(movers.state.position - truth.position[:, None]), turned(movers.state.velocity)
-    return in_order(position, velocity, movers.radius, movers.present, NEAREST).flatten(1)
+    state, found = movers.state, truth.yaw.new_empty(len(truth.yaw), NEAREST, NUMBERS)
+    rows = torch.ones(len(found), dtype=torch.bool, device=found.device)
+    given = state.position, state.velocity, movers.radius, movers.present
+    put_in_order(found, rows, *given, truth.position, truth.yaw)
+    return found.flatten(1)

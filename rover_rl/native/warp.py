@@ -60,18 +60,24 @@ def launch_options(device: torch.device) -> dict[str, Any]:
 
 
 def launch_rows(
-    kernel: Any, shape: Sequence[int], inputs: Sequence[Any], device: torch.device, least: int = MIN_ROWS
+    kernel: Any,
+    shape: Sequence[int],
+    inputs: Sequence[Any],
+    device: torch.device,
+    least: int = MIN_ROWS,
+    block_dim: int | None = None,
 ) -> None:
     """Launches a kernel, on the CPU in several threads, for at least so many rows each.
 
-    The kernel's last argument, after ``inputs``, is the first row.
+    The kernel's last argument, after ``inputs``, is the first row. ``block_dim`` are threads per block on a GPU.
     """
     threads = max(1, min(kernel_threads(), shape[0] // least)) if device.type == "cpu" else 1
     ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
     mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
-    launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device))
+    blocks = {"block_dim": block_dim} if block_dim and device.type == "cuda" else {}
+    launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device), **blocks)
     # Else, each thread would compile the kernel.
-    loading((str(wp.device_from_torch(device)), None, (kernel.module,)))[0].result()
+    loading((str(wp.device_from_torch(device)), blocks.get("block_dim"), (kernel.module,)))[0].result()
     launched = [_threads(threads, os.getpid()).submit(launch, *other) for other in others]
     launch(*mine)
     for other in launched:

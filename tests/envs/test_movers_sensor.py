@@ -12,7 +12,7 @@ from rover_rl import RoverEnv
 from rover_rl.algos.policy.dwa import LIDAR
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from rover_rl.envs.sensors.movers import BEARINGS, COUNT, NUMBERS, TRACKED, Movers, movers_of, predicted_scans
+from rover_rl.envs.sensors.movers import BEARINGS, COUNT, INSTANTS, NUMBERS, TRACKED, Movers, movers_of, predict_scans
 from rover_rl.envs.sensors.route import Route
 from rover_rl.worlds import Terrain, World
 from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
@@ -40,6 +40,12 @@ def map_leaves_out(env: RoverEnv, tensordict: Tensor) -> bool:
     return not (seen.levels()[0] == 0).any()
 
 
+def predicted(movers: Tensor) -> Tensor:
+    scans = torch.empty(len(movers), len(INSTANTS), BEARINGS)
+    predict_scans(scans, torch.ones(len(movers), dtype=torch.bool), movers)
+    return scans
+
+
 def test_movers_are_told_in_the_frame_of_each_rover_whatever_its_company() -> None:
     yaw = torch.tensor([0.0, 0.5, -2.0])
     tensordict = parked(yaw, 40)[1]
@@ -59,7 +65,7 @@ def test_predicted_scans_tell_when_what_comes_is_near() -> None:
     movers = torch.zeros(1, COUNT, NUMBERS)
     movers[0, 0] = torch.tensor([4.0, 0.0, -1.0, 0.0, 0.5])
     movers[0, 1] = torch.tensor([0.0, 6.0, 0.0, 0.0, 0.3])
-    scans = predicted_scans(movers)[0]
+    scans = predicted(movers)[0]
     # It comes from ahead: 4 m less 1 m/s, to its surface.
     assert scans[:, 0].tolist() == pytest.approx([3.0, 2.5, 2.0, 1.0])
     assert scans[:, BEARINGS // 4].tolist() == pytest.approx([5.7] * 4)
@@ -70,7 +76,7 @@ def test_the_mirror_image_is_that_of_mirrored_movers() -> None:
     movers = torch.rand(5, COUNT, NUMBERS, generator=torch.Generator().manual_seed(0)) * 8 - 4
     movers[..., 4] = movers[..., 4].abs() / 4
     sensor, image = Movers(), movers * torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0])
-    value, mirrored = (torch.cat((each.flatten(1), predicted_scans(each).flatten(1)), -1) for each in (movers, image))
+    value, mirrored = (torch.cat((each.flatten(1), predicted(each).flatten(1)), -1) for each in (movers, image))
     torch.testing.assert_close(sensor.mirror(value), mirrored)
     assert torch.equal(sensor.mirror(sensor.mirror(value)), value)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from rover_rl.envs.config import SCAN_POSE
-from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker, Tracks
+from rover_rl.envs.mover_tracker import STATE, TRACKS, MoverTracker
 from rover_rl.envs.seen_map.scans import in_world
 from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup, mirrored_signs
 from rover_rl.envs.sensors.suite import LIDAR_MASK, MOVERS
@@ -21,7 +22,6 @@ READ = ("lidar", "pose", "imu", SCAN_POSE, LIDAR_MASK)  # entries that the track
 COUNT = 12  # number of movers in the entry
 NUMBERS = 5  # numbers of a mover: x, y, velocity along x and y, and radius
 TRACKED = COUNT * NUMBERS  # numbers of all movers in the entry
-APPROACH = (0.0, 1.0, 2.0)  # times from now at which the distance of movers counts for their order, s
 BEARINGS = 24  # number of directions of a predicted scan
 INSTANTS = (0.5, 1.0, 1.5, 2.5)  # times of the predicted scans from now, s
 FARTHEST = 12.0  # range of a predicted scan in directions without a mover, m
@@ -75,39 +75,58 @@ class _Reader:
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         due = inputs.due(self._period)
-        self._state = self._state.masked_fill((due & (inputs.steps == 0).squeeze(-1))[:, None], 0.0)
+        self._state.masked_fill_((due & (inputs.steps == 0).squeeze(-1))[:, None], 0.0)
         read = {key: inputs.observation[key] for key in READ if key in inputs.observation}
-        if due.device.type == "cpu":
-            # The few rows that begin an episode between two scans take little time.
-            index = due.nonzero().squeeze(-1)
-            read = {key: value[index] for key, value in read.items()}
-            state, tracks = self._tracker(self._state[index], read, index)
-            self._state = self._state.index_copy(0, index, state)
-            self._values = self._values.index_copy(0, index, _values(tracks, read))
-        else:
-            state, tracks = self._tracker(self._state, read, due=due)
-            self._state = torch.where(due[:, None], state, self._state)
-            self._values = torch.where(due[:, None], _values(tracks, read), self._values)
+        tracks = self._tracker.follow(self._state, read, due)
+        self._values = self._values.clone()
+        movers = self._values[:, :TRACKED].unflatten(-1, (COUNT, NUMBERS))
+        scans = self._values[:, TRACKED:].unflatten(-1, (len(INSTANTS), BEARINGS))
+        put_in_order(movers, due, *tracks[:4], read["pose"][:, :2], read["imu"][:, 2:])
+        predict_scans(scans, due, movers)
         return self._values
 
 
-def _values(tracks: Tracks, observation: Mapping[str, Tensor]) -> Tensor:
-    tracks = tracks.in_base_frame(observation)
-    movers = in_order(tracks.position, tracks.velocity, tracks.radius, tracks.moves, COUNT)
-    return torch.cat((movers.flatten(1), predicted_scans(movers).flatten(1)), -1)
+def put_in_order(
+    found: Tensor, rows: Tensor, position: Tensor, velocity: Tensor, radius: Tensor, exists: Tensor, place: Tensor,
+    yaw: Tensor,
+) -> None:  # fmt: skip
+    """Writes the movers that come nearest in the next two seconds, the nearest first, to ``rows`` (bool ``[N]``).
 
-
-def in_order(position: Tensor, velocity: Tensor, radius: Tensor, exists: Tensor, count: int) -> Tensor:
-    """Returns the movers that come nearest in the next two seconds, the nearest first, ``[N, count, NUMBERS]``.
-
-    Positions and velocities in the base frame are ``[N, M, 2]``, the others ``[N, M]``. Where there are fewer, all
-    numbers are 0.
+    What is ``found`` are their numbers, ``[N, count, NUMBERS]``, 12 movers at most, in the frame of each rover at
+    ``place [N, 2]`` (m) and ``yaw [N, 1]`` (rad); 0 where there are fewer. Positions and velocities in the world are
+    ``[N, M, 2]``, radii and which movers there are ``[N, M]``.
     """
-    ways = torch.stack([position + time * velocity for time in APPROACH])
-    gap = (ways.norm(dim=-1).amin(0) - radius).masked_fill(~exists, math.inf)
-    order = gap.sort(dim=-1, stable=True).indices[:, :count]
-    every = torch.cat((position, velocity, radius[..., None]), -1) * exists[..., None]
-    return pad(every.gather(1, order[..., None].expand(-1, -1, NUMBERS)), (0, 0, 0, count - order.shape[1]))
+    # Importing NVIDIA Warp takes half a second.
+    from rover_rl.envs.sensors.movers_kernels import put_in_order
+    from rover_rl.native.warp import launch_rows, wp
+
+    heading = torch.cat((yaw.cos(), yaw.sin()), -1)
+    vectors = (wp.from_torch(part, dtype=wp.vec2) for part in (position, velocity, place, heading))
+    inputs = [*vectors, *map(wp.from_torch, (radius, exists, rows, found))]
+    launch_rows(put_in_order, found.shape[:1], inputs, found.device)
+
+
+def predict_scans(scans: Tensor, rows: Tensor, movers: Tensor) -> None:
+    """Writes the ranges of movers ``[N, COUNT, NUMBERS]`` at later instants, ``[N, instants, bearings]``, m.
+
+    The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
+    They are written to ``rows``, bool ``[N]``.
+    """
+    from rover_rl.envs.sensors.movers_kernels import predict_scans
+    from rover_rl.native.warp import launch_rows, wp
+
+    inputs = [*_rays(scans.device), math.tan(math.pi / BEARINGS), FARTHEST, *map(wp.from_torch, (movers, rows, scans))]
+    launch_rows(predict_scans, scans.shape[:1], inputs, scans.device)
+
+
+@cache
+def _rays(device: torch.device) -> tuple[Any, Any]:
+    """Directions of the rays of predicted scans, and the instants of these, as arrays of Warp."""
+    from rover_rl.native.warp import wp
+
+    angles = torch.arange(BEARINGS, device=device) * (2 * math.pi / BEARINGS)
+    rays = torch.stack((angles.cos(), angles.sin()), -1)
+    return wp.from_torch(rays, dtype=wp.vec2), wp.from_torch(torch.tensor(INSTANTS, device=device))
 
 
 def encoded(movers: Tensor) -> Tensor:
@@ -126,26 +145,6 @@ def movers_in_world(value: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
     """Returns the movers of values ``[N, 156]`` in the frame of the pose, ``[N, COUNT, NUMBERS]``."""
     place, velocity, radius = movers_of(value).split((2, 2, 1), -1)
     return torch.cat((pose[:, None, :2] + in_world(place, imu), in_world(velocity, imu), radius), -1)
-
-
-def predicted_scans(movers: Tensor) -> Tensor:
-    """Returns the ranges of movers ``[..., COUNT, NUMBERS]`` at later instants, ``[..., instants, bearings]``, m.
-
-    The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
-    """
-    place, velocity, radius = movers.split((2, 2, 1), -1)
-    center = torch.stack([place + time * velocity for time in INSTANTS], -3)
-    distance = center.norm(dim=-1)
-    wide = radius[..., None, :, 0] + distance * math.tan(math.pi / BEARINGS)
-    angles = torch.arange(BEARINGS, device=movers.device) * (2 * math.pi / BEARINGS)
-    rays = torch.stack((angles.cos(), angles.sin()), -1)
-    x, y = center[..., None, :, 0], center[..., None, :, 1]
-    along = x * rays[:, :1] + y * rays[:, 1:]
-    aside = y * rays[:, :1] - x * rays[:, 1:]
-    hit = (aside.abs() < wide[..., None, :]) & (along > -radius[..., None, None, :, 0])
-    near = (distance - radius[..., None, :, 0])[..., None, :].expand_as(hit)
-    near = near.masked_fill(~hit | (radius[..., None, None, :, 0] == 0), FARTHEST)
-    return near.amin(-1).clamp(0.0, FARTHEST)
 
 
 def belong_to_movers(x: Tensor, y: Tensor, movers: Tensor) -> Tensor:

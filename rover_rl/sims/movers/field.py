@@ -182,7 +182,8 @@ class MoverField:
         self._steps = self._steps + rows
         before = self.state.position
         self._change("advance", rows, self._together(rovers))
-        self._walked = self._walked + _length(self.state.position - before)
+        if self._tables.swing:
+            self._walked = self._walked + _length(self.state.position - before)
         self._place(rows)
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -239,7 +240,8 @@ class MoverField:
                 keys=self._mover_keys,
                 bits=self._bits,
             )
-            after = getattr(motion, method)(inputs).where(mine, after)
+            moved = getattr(motion, method)(inputs)
+            after = moved if motion.keeps_others and after is before else moved.where(mine, after)
         self.state = after
 
     def _bits(self, count: int) -> Tensor:
@@ -252,8 +254,10 @@ class MoverField:
         from rover_rl.worlds.movers.part_kernels import place
 
         assert self._own is not None
-        phase = self._walked * (2 * math.pi / STRIDE)
-        swing = (_length(self.state.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
+        swing = self._walked
+        if self._tables.swing:
+            phase = self._walked * (2 * math.pi / STRIDE)
+            swing = (_length(self.state.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
         terrains = self._terrains.of(self._worlds.slots)
         place(self._own, self._yaw, self._local, self.state, swing, terrains, rows, begins, self._dt)
 

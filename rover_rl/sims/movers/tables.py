@@ -31,10 +31,11 @@ class MoverTables:
         radius: radius of each mover, m.
         forms: parts of different kinds or sizes, by these.
         parts: what :class:`~rover_rl.worlds.movers.parts.Parts` are made of, by name.
+        swing: whether any part swings.
     """
 
     def __init__(self, device: torch.device) -> None:
-        self._device = device
+        self._device, self.swing = device, False
         self.motions: list[type[Motion]] = []
         self.forms: dict[tuple[str, tuple[float, float, float]], Part] = {}
         self.motion = SlotTable((), torch.int64, device, padding=-1)
@@ -56,6 +57,7 @@ class MoverTables:
         self.motion[slot] = torch.tensor([self.motions.index(motion) for motion in kinds], dtype=torch.int64)
         self.radius[slot] = torch.tensor([mover.radius for mover in movers])
         parts = [(number, part) for number, mover in enumerate(movers) for part in mover.shape.parts()]
+        self.swing = self.swing or any(part.swing for _, part in parts)
         values: dict[str, list] = {
             "kind": [KINDS.index(part.kind) for _, part in parts],
             "form": [self.form(part) for _, part in parts],

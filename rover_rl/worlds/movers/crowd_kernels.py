@@ -29,6 +29,9 @@ ROOT_3 = wp.constant(1.7320508)
 NEIGHBORS, MAX_ROVERS, MAX_LINES = wp.constant(10), wp.constant(4), 16
 WALL_TIME, NOISE, TINY = map(wp.constant, (0.5, 0.02, 1.0e-5))
 
+# Largest slope of distances to walls, which are interpolated: more than the root of 2.
+STEEPEST = wp.constant(1.5)
+
 Lines = wp.types.matrix(shape=(MAX_LINES, 4), dtype=float)
 Indices = wp.types.vector(length=NEIGHBORS, dtype=int)
 Distances = wp.types.vector(length=NEIGHBORS, dtype=float)
@@ -366,19 +369,26 @@ def wander(crowd: Crowd, before: States, after: States, row: int, mover: int):
         draws = draws + wp.int64(1)
     kept = walking.kept_distance(crowd, row, crowd.radius[row, mover])
     ahead = start + speed * dt * direction
-    wall = wall_at(crowd, row, ahead)
+    point = ahead
     edge = edge_at(crowd, row, mover, ahead)
-    if edge[0] < wall[0] - kept:
-        wall = wp.vec3(edge[0] + kept, edge[1], edge[2])
-    away = wp.vec2(wall[1], wall[2])
-    if wall[0] < kept:
-        direction = direction - 2.0 * wp.min(wp.dot(direction, away), 0.0) * away
-    point = walking.walked(crowd, row, start, speed * dt * direction, kept)
-    if crowd.settings[row, mover, START] > 0.0:
-        limits = walking.limits_of(crowd, row, mover, START)
-        point = wp.vec2(wp.clamp(point[0], limits[0], limits[1]), wp.clamp(point[1], limits[2], limits[3]))
-        if wall_at(crowd, row, point)[0] < kept - walking.SLACK:
-            point = start
+    room = before.room[row, mover] - STEEPEST * speed * dt
+    # In the open, looking up the distance to walls would take most of the time.
+    if room < 0.0 or edge[0] < 0.0 or walking.pieces_of(speed * dt * direction, kept) > 1:
+        wall = wall_at(crowd, row, ahead)
+        room = wall[0] - kept - walking.SLACK
+        if edge[0] < wall[0] - kept:
+            wall = wp.vec3(edge[0] + kept, edge[1], edge[2])
+        away = wp.vec2(wall[1], wall[2])
+        if wall[0] < kept:
+            direction = direction - 2.0 * wp.min(wp.dot(direction, away), 0.0) * away
+        point = walking.walked(crowd, row, start, speed * dt * direction, kept)
+        if crowd.settings[row, mover, START] > 0.0:
+            limits = walking.limits_of(crowd, row, mover, START)
+            point = wp.vec2(wp.clamp(point[0], limits[0], limits[1]), wp.clamp(point[1], limits[2], limits[3]))
+            if wall_at(crowd, row, point)[0] < kept - walking.SLACK:
+                point = start
+        if wp.length_sq(point - ahead) > 0.0:
+            room = 0.0
     # In a corner, it turns back.
     if wp.length(point - start) < 0.25 * speed * dt:
         direction = -direction
@@ -388,6 +398,7 @@ def wander(crowd: Crowd, before: States, after: States, row: int, mover: int):
     after.goal[row, mover] = direction
     after.clock[row, mover] = clock
     after.draws[row, mover] = draws
+    after.room[row, mover] = room
 
 
 @wp.kernel

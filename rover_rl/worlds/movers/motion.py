@@ -23,6 +23,7 @@ class MoverState:
         goal: where the mover goes, for motions that have goals, ``[N, M, 2]``, m.
         clock: time of a motion's own, such as until it changes its mind, ``[N, M]``, s.
         draws: number of times that the motion has drawn random numbers, int64 ``[N, M]``.
+        room: how far the mover is from meeting a wall, at least, for motions that keep it, ``[N, M]``, m.
     """
 
     position: Tensor
@@ -31,12 +32,13 @@ class MoverState:
     goal: Tensor
     clock: Tensor
     draws: Tensor
+    room: Tensor
 
     @classmethod
     def at_rest(cls, rows: int, movers: int, device: torch.device) -> MoverState:
         """Creates the state of movers at rest at the origin."""
         zeros, pairs = torch.zeros(rows, movers, device=device), torch.zeros(rows, movers, 2, device=device)
-        return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long())
+        return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long(), room=zeros)
 
     def padded(self, movers: int) -> MoverState:
         """Adds ``movers`` to each row, which rest at the origin."""
@@ -146,9 +148,11 @@ class Motion(ABC):
 
     Attributes:
         has_walls: whether the motion asks for ``inputs.walls``.
+        keeps_others: whether movers that are not ``inputs.mine`` are as before in the states that it returns.
     """
 
     has_walls: ClassVar[bool] = False
+    keeps_others: ClassVar[bool] = False
 
     def tensors(self) -> dict[str, Tensor]:
         """Returns the settings of one mover: by default each field, which must be a number.

@@ -63,6 +63,7 @@ class States:
     goal: wp.array2d[wp.vec2]
     clock: wp.array2d[float]
     draws: wp.array2d[wp.int64]
+    room: wp.array2d[float]
 
 
 def crowd_of(inputs: MotionInput) -> Any:
@@ -175,9 +176,15 @@ def free_way(crowd: Crowd, row: int, start: wp.vec2, end: wp.vec2, kept: float) 
 
 
 @wp.func
+def pieces_of(move: wp.vec2, kept: float) -> int:
+    """Number of pieces of a move, none of which is longer than half of the distance from walls."""
+    return wp.clamp(int(wp.ceil(2.0 * wp.length(move) / wp.max(kept, 0.01))), 1, 64)
+
+
+@wp.func
 def walked(crowd: Crowd, row: int, start: wp.vec2, move: wp.vec2, kept: float) -> wp.vec2:
     """Point to which a mover comes with a move, which walls stop or divert."""
-    pieces = wp.clamp(int(wp.ceil(2.0 * wp.length(move) / wp.max(kept, 0.01))), 1, 64)
+    pieces = pieces_of(move, kept)
     point = start
     for _piece in range(pieces):
         to = point + move / float(pieces)

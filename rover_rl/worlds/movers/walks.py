@@ -48,6 +48,7 @@ class _InKernels(Motion):
     """Base of the motions whose law is in :mod:`~rover_rl.worlds.movers.crowd_kernels`."""
 
     has_walls: ClassVar[bool] = True
+    keeps_others: ClassVar[bool] = True
     law: ClassVar[str]
     """Name of the motion in the kernels."""
 
