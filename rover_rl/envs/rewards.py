@@ -102,12 +102,14 @@ def _progress(outcome: TensorDictBase, _: TensorDictBase, config: RewardConfig) 
     progress = outcome.get("progress")
     counts = (progress.abs() > config.min_progress) & (outcome.get("alignment") > config.min_alignment)
     multiplier = config.final_reward_multiplier
-    return torch.where(counts, progress * (multiplier * config.distance_delta_scale), multiplier * config.idle_penalty)
+    idle = _number(multiplier * config.idle_penalty, progress.device)
+    return torch.where(counts, progress * (multiplier * config.distance_delta_scale), idle)
 
 
 def _general(outcome: TensorDictBase, _: TensorDictBase, config: RewardConfig) -> Tensor:
     early_flip = (outcome.get("phase") == StepEvent.FLIP) & (outcome.get("steps") <= config.flip_grace_steps)
-    return torch.where(early_flip, 0.0, config.general_penalty)
+    none, penalty = (_number(value, early_flip.device) for value in (0.0, config.general_penalty))
+    return torch.where(early_flip, none, penalty)
 
 
 def _clearance(outcome: TensorDictBase, observation: TensorDictBase, config: RewardConfig) -> Tensor:

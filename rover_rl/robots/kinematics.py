@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -52,8 +54,7 @@ class Kinematics:
         # Of each robot, [K, ...]. A copy from the host waits for the device: these are copied once.
         self._tables = {name: torch.stack(rows).to(device) for name, rows in numbers.items()}
         self._tables["is_car"] = torch.tensor(cars, device=device)[:, None]
-        # Of each row; one robot is that of all rows.
-        self._rows = self._tables if len(drives) == 1 else self._of_rows()
+        self._rows = self._of_rows()
 
     def advance(self, set_point: Tensor, command: Tensor) -> Tensor:
         """Returns the set points after a step with commands of the same shape, within the limits of the drives."""
@@ -72,7 +73,7 @@ class Kinematics:
         """Returns the targets of the joints in a step from one set point to another, with the speeds of their mean."""
         rows, mean = self._follow(), (before + after) * 0.5
         if not self._any_car:
-            return Joints(_product(rows["matrix"], mean), mean[:, :0])
+            return Joints(_product(self._columns["matrix"], mean), mean[:, :0])
         base, radius, _, *sides = rows["car"].split((1, 1, 1, 2, 2), -1)
         curvature = after[:, 1:2].tan() / base
         rear, front = (1 - curvature * side for side in sides)
@@ -80,7 +81,7 @@ class Kinematics:
         speeds = mean[:, :1] * rear / radius
         if self._all_cars:
             return Joints(speeds, angles)
-        speeds = self._choose(speeds, _product(rows["matrix"], mean))
+        speeds = self._choose(speeds, _product(self._columns["matrix"], mean))
         return Joints(speeds, self._choose(angles, torch.zeros_like(angles)))
 
     def odometry(self, joints: Joints) -> Tensor:
@@ -90,17 +91,22 @@ class Kinematics:
         """
         rows = self._follow()
         if not self._any_car:
-            return _product(rows["inverse"], joints.speeds)
+            return _product(self._columns["inverse"], joints.speeds)
         base, radius, _, _, sides = rows["car"].split((1, 1, 1, 2, 2), -1)
         # The mean of two, in the same order for any layout of the batch.
         speed = (joints.speeds[:, :1] + joints.speeds[:, 1:2]) / 2 * radius
         tangents = joints.angles.tan()
         curvatures = tangents / (base + sides * tangents)
         twist = torch.cat((speed, speed * ((curvatures[:, :1] + curvatures[:, 1:]) / 2)), -1)
-        return twist if self._all_cars else self._choose(twist, _product(rows["inverse"], joints.speeds))
+        return twist if self._all_cars else self._choose(twist, _product(self._columns["inverse"], joints.speeds))
 
     def _of_rows(self) -> dict[str, Tensor]:
-        return {name: table[self._index] for name, table in self._tables.items()}
+        rows = self._tables
+        # One robot is that of all rows.
+        if len(self._fleet.robots) > 1:
+            rows = {name: table[self._index] for name, table in rows.items()}
+        self._columns = {name: rows[name].unbind(1) for name in ("matrix", "inverse")}
+        return rows
 
     def _follow(self) -> dict[str, Tensor]:
         if self._fleet.index is not self._index and len(self._fleet.robots) > 1:
@@ -119,9 +125,10 @@ def _padded(numbers: Tensor, rows: int, columns: int) -> Tensor:
     return pad(numbers, (0, columns - numbers.shape[1], 0, rows - numbers.shape[0])).contiguous()
 
 
-def _product(columns: Tensor, vectors: Tensor) -> Tensor:
-    """Matrices by their columns, ``[N, n, k]`` or ``[1, n, k]``, times vectors ``[N, n]``: ``[N, k]``."""
-    result = vectors[:, :1] * columns[:, 0]
-    for n in range(1, columns.shape[1]):
-        result = torch.addcmul(result, vectors[:, n : n + 1], columns[:, n])
+def _product(columns: Sequence[Tensor], vectors: Tensor) -> Tensor:
+    """Matrices by their columns, ``[N, k]`` or ``[1, k]`` each, times vectors ``[N, n]``: ``[N, k]``."""
+    first, *others = zip(vectors.split(1, -1), columns, strict=True)
+    result = first[0] * first[1]
+    for values, column in others:
+        result = torch.addcmul(result, values, column)
     return result

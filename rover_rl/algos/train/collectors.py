@@ -136,9 +136,15 @@ def with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDic
     if ended.device.type == "cpu" and not ended.any():
         return current
     begun = env._reset(TensorDict({"_reset": ended}, current.batch_size, device=current.device))
+
+    def now(last: Tensor, new: Tensor | None) -> Tensor:
+        new_rows = ended if last.ndim == ended.ndim else ended.reshape(-1, *[1] * (last.ndim - 1))
+        return torch.where(new_rows, 0 if new is None else new, last)
+
     # The actor's outputs are left out: it writes them again.
-    kept = current.select(*begun.keys())
-    return kept.where(~ended.reshape(current.batch_size), begun, pad=0)
+    found = current.select(*begun.keys()).apply(now, begun, default=None)
+    assert found is not None
+    return found
 
 
 def _collector(

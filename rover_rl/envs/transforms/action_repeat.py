@@ -16,6 +16,7 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import UNOBSERVED
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.terminations import TOLD
+from rover_rl.tensordicts import unchecked_tensordict
 
 _GOALS, _GOAL = ("outcome", "goals"), EVENTS.index("goal_reached")
 
@@ -75,19 +76,22 @@ class ActionRepeat(Transform):
                 break
             rows = active.reshape(tensordict.batch_size)
             # A component may compare its entries of two steps.
-            current = tensordict.copy().update(next_tensordict)
-            next_tensordict = self._step_before(current.set("_step", rows))
+            current = {**dict(tensordict.items()), **dict(next_tensordict.items()), "_step": rows}
+            current = unchecked_tensordict(current, tensordict.batch_size, tensordict.device)
+            next_tensordict = self._step_before(current)
             step = _taken(next_tensordict, keys, active)
             total = [add(*values) for add, *values in zip(_ADDITIONS, total, step, strict=True)]
             # A termination of one's own tells nothing of rows that it has ended before.
             ends = {key: ended | (next_tensordict.get(key) & active) for key, ended in ends.items()}
         if UNOBSERVED in tensordict.keys():  # noqa: SIM118
             next_tensordict.update(self._before()[0].observe())
-        # A copy, because the environment keeps a reference to the outcome that it returns.
-        next_tensordict.set("outcome", next_tensordict.get("outcome").copy())
         sums, events, phase, goals = total
-        entries = dict(zip(keys, sums.split(1, -1), strict=True)) | ends | {("outcome", "phase"): phase, _GOALS: goals}
-        entries |= {("outcome", name): event for name, event in zip(EVENTS, events.split(1, -1), strict=True)}
+        *rewards, progress = sums.split(1, -1)
+        # A copy, because the environment keeps a reference to the outcome that it returns.
+        outcome = dict(next_tensordict.get("outcome").items()) | {"phase": phase, "progress": progress, "goals": goals}
+        outcome |= dict(zip(EVENTS, events.split(1, -1), strict=True))
+        entries = dict(zip(keys[:-1], rewards, strict=True)) | ends
+        entries["outcome"] = unchecked_tensordict(outcome, tensordict.batch_size, tensordict.device)
         for key, value in entries.items():
             next_tensordict.set(key, value)
         return next_tensordict

@@ -34,7 +34,7 @@ class StepClock(Transform):
     def __init__(self, env: RoverEnv, worker: int = 0, per_batch: bool = False) -> None:
         super().__init__()
         self._device = env.simulator.device
-        self._values = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
+        self._values = [float(worker), 0.0, 0.0]
         self._events: dict[int, list[tuple[Any, Any]]] | None = None
         if per_batch and self._device.type != "cpu":
             self._events = {1: [], 2: []}
@@ -75,7 +75,7 @@ class StepClock(Transform):
         for index, events in self._events.items():
             self._values[index] += sum(started.elapsed_time(ended) for started, ended in events) / 1000
             events.clear()
-        for name, value in zip(NAMES, self._values.tolist(), strict=True):
+        for name, value in zip(NAMES, self._values, strict=True):
             batch["next", _KEY, name].fill_(value)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -90,11 +90,8 @@ class StepClock(Transform):
         return self._write(tensordict_reset)
 
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self._events is None:
-            # Copied on the CPU, too, because the returned values must not change later.
-            values = self._values.to(tensordict.device or "cpu", copy=True)
-        else:
-            values = torch.zeros(3, dtype=torch.float64, device=tensordict.device)
+        kind: dict[str, Any] = {"dtype": torch.float64, "device": tensordict.device}
+        values = torch.tensor(self._values, **kind) if self._events is None else torch.zeros(3, **kind)
         entries = values.expand(*tensordict.batch_size, 3)
         for name, entry in zip(NAMES, entries.split(1, -1), strict=True):
             tensordict.set((_KEY, name), entry)
