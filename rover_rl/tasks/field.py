@@ -26,9 +26,9 @@ SETTINGS = {
 FIELD = Task(
     name="field",
     reason="What comes is faster than the rover and turns when it likes, so that it has to be dodged without a plan.",
-    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times until
-    # the body touches something for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle
-    # (rad) of the goal, speed and yaw rate (m/s, rad/s).
+    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
+    # a contact of the body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad)
+    # of the goal, speed and yaw rate (m/s, rad/s).
     observation=("lidar", "movers", "contact_times", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 300 fields, from few and slow movers (0) to many fast ones (1).

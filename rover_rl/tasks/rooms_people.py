@@ -28,9 +28,9 @@ SETTINGS = {
 ROOMS_PEOPLE = Task(
     name="rooms-people",
     reason="Doors are as wide as one: who comes through them has to be seen coming, waited for and given way to.",
-    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times until
-    # the body touches something for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle
-    # (rad) of the goal, speed and yaw rate (m/s, rad/s).
+    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
+    # a contact of the body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad)
+    # of the goal, speed and yaw rate (m/s, rad/s).
     observation=("lidar", "movers", "contact_times", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 300 floor plans with 2 to 10 people per 100 square meters, who wander.
