@@ -12,10 +12,9 @@ from scipy.ndimage import label
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rover_rl.native.warp import launch_rows, wp
+from rover_rl.native.warp import wp
 from rover_rl.robots import Robot
 from rover_rl.sims.free_space.cells import distance_to_cells
-from rover_rl.sims.free_space.path_kernels import look_up
 from rover_rl.sims.free_space.paths import spread
 from rover_rl.sims.free_space.space import free_space
 from rover_rl.worlds.table import SlotTable, in_threads
@@ -94,12 +93,19 @@ class GoalFields:
 
     def along(self, position: Tensor) -> tuple[Tensor, Tensor]:
         """Distance (m) from positions ``[N, ..., 2]`` to the goal of their row, and whether paths lead through them."""
-        points = position.reshape(len(position), -1, 2)
-        length, free = points.new_empty(points.shape[:2]), points.new_empty(points.shape[:2], dtype=torch.bool)
-        inputs = [wp.from_torch(self._fields), wp.from_torch(self._frame), wp.from_torch(points, dtype=wp.vec2)]
-        inputs += [wp.from_torch(length), wp.from_torch(free)]
-        launch_rows(look_up, length.shape, inputs, length.device)
-        return length.view(position.shape[:-1]), free.view(position.shape[:-1])
+        x, y, cell, rows, columns = (part.reshape(-1, *[1] * (position.ndim - 2)) for part in self._frame.unbind(-1))
+        column, row = (position[..., 0] - x) / cell, (position[..., 1] - y) / cell
+        inside = (column > -0.5) & (row > -0.5) & (column < columns - 0.5) & (row < rows - 0.5)
+        column, row = (torch.minimum(n.clamp(min=0), most - 1) for n, most in ((column, columns), (row, rows)))
+        left, low = torch.minimum(column.floor(), columns - 2), torch.minimum(row.floor(), rows - 2)
+        right, up = column - left, row - low
+        first = (low * columns + left).long()
+        above = first + columns.long()
+        corners = torch.stack((first, first + 1, above, above + 1), -1)
+        values = self._fields.gather(1, corners.flatten(1)).view_as(corners)
+        shares = torch.stack(((1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up), -1)
+        has_path = ~values.signbit().gather(-1, shares.argmax(-1, keepdim=True)).squeeze(-1)
+        return (values.abs() * shares).sum(-1), inside & has_path
 
     def _enter(self, worlds: list[int]) -> Tensor:
         """Returns the slots of worlds, whose grids are computed unless they are there: int64, on the CPU."""

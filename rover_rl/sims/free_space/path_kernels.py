@@ -167,37 +167,3 @@ def see(
         if y <= share:
             border[1] = border[1] + wp.sign(span[1])
         last = share
-
-
-@wp.kernel
-def look_up(
-    fields: wp.array2d[float], frames: wp.array2d[float], points: wp.array2d[wp.vec2], lengths: wp.array2d[float],
-    free: wp.array2d[wp.bool], first: int,
-):  # fmt: skip
-    """Length at a point of a row, between the centers of cells: see :meth:`GoalFields.along`; thread (row, point)."""
-    t, number = wp.tid()
-    row = first + t
-    cell, rows, columns = frames[row, 2], frames[row, 3], frames[row, 4]
-    x = (points[row, number][0] - frames[row, 0]) / cell
-    y = (points[row, number][1] - frames[row, 1]) / cell
-    inside = x > -0.5 and y > -0.5 and x < columns - 0.5 and y < rows - 0.5
-    x = wp.min(wp.max(x, 0.0), columns - 1.0)
-    y = wp.min(wp.max(y, 0.0), rows - 1.0)
-    left = wp.min(wp.floor(x), columns - 2.0)
-    low = wp.min(wp.floor(y), rows - 2.0)
-    right, up = x - left, y - low
-    # The lower limit keeps the index of NaN on the grid.
-    corner = wp.max(int(low) * int(columns) + int(left), 0)
-    length = float(0.0)
-    most = float(-1.0)
-    sign = float(1.0)
-    for n in range(4):
-        share = wp.where(n % 2 == 0, 1.0 - right, right) * wp.where(n < 2, 1.0 - up, up)
-        value = fields[row, corner + n % 2 + (n / 2) * int(columns)]
-        length += wp.abs(value) * share
-        if share > most:
-            most = share
-            # -0 has the sign of a cell without a path, too.
-            sign = wp.where(value == 0.0, 1.0 / value, value)
-    lengths[row, number] = length
-    free[row, number] = inside and sign > 0.0
