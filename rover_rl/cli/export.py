@@ -10,7 +10,7 @@ import tyro
 
 from rover_rl.algos.policy.names import load_policy, policy_name
 from rover_rl.cli.policies import ROBOT_OPTIONS
-from rover_rl.envs.sensors.suite import MOVERS, ROUTE
+from rover_rl.envs.sensors.suite import CONTACT_TIMES, MOVERS, ROUTE
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
 
@@ -51,6 +51,6 @@ class Export:
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
         observed = checkpoint.config.network.observation
-        if planned := " and ".join(key for key in (ROUTE, MOVERS) if key in observed):
+        if planned := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES) if key in observed):
             print(f"The file reads {planned} as input. rover-rl drive {out} plans on the robot (docs/export.md).")
         return 0
