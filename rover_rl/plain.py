@@ -1,4 +1,4 @@
-"""Conversion of configuration dataclasses to and from plain data for YAML and JSON, without PyTorch."""
+"""Converts configuration dataclasses to plain data for YAML and JSON, and back, without PyTorch."""
 
 from __future__ import annotations
 

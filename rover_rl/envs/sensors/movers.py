@@ -87,14 +87,24 @@ class _Reader:
 
 
 def put_in_order(
-    found: Tensor, rows: Tensor, position: Tensor, velocity: Tensor, radius: Tensor, exists: Tensor, place: Tensor,
+    found: Tensor,
+    rows: Tensor,
+    position: Tensor,
+    velocity: Tensor,
+    radius: Tensor,
+    exists: Tensor,
+    place: Tensor,
     yaw: Tensor,
-) -> None:  # fmt: skip
-    """Writes the movers that come nearest in the next two seconds, the nearest first, to ``rows`` (bool ``[N]``).
+) -> None:
+    """Writes the movers that come nearest in the next two seconds, the nearest first.
 
-    What is ``found`` are their numbers, ``[N, count, NUMBERS]``, 12 movers at most, in the frame of each rover at
-    ``place [N, 2]`` (m) and ``yaw [N, 1]`` (rad); 0 where there are fewer. Positions and velocities in the world are
-    ``[N, M, 2]``, radii and which movers there are ``[N, M]``.
+    Args:
+        found: where their numbers are written, in the frame of each rover, ``[N, count, NUMBERS]`` for a count of at
+            most 12; 0 where there are fewer.
+        rows: rows that are written, bool ``[N]``.
+        position, velocity: positions (m) and velocities (m/s) of movers in the world, ``[N, M, 2]``.
+        radius, exists: radii (m), and which movers there are, ``[N, M]``.
+        place, yaw: places (m) and headings (rad) of the rovers, ``[N, 2]`` and ``[N, 1]``.
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.envs.sensors.movers_kernels import put_in_order
@@ -110,7 +120,7 @@ def predict_scans(scans: Tensor, rows: Tensor, movers: Tensor) -> None:
     """Writes the ranges of movers ``[N, COUNT, NUMBERS]`` at later instants, ``[N, instants, bearings]``, m.
 
     The rays start where the rover is now, and are as wide as the angle between them, so that no mover is missed.
-    They are written to ``rows``, bool ``[N]``.
+    ``rows`` are those that are written, bool ``[N]``.
     """
     from rover_rl.envs.sensors.movers_kernels import predict_scans
     from rover_rl.native.warp import launch_rows, wp

@@ -73,29 +73,53 @@ def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
     return list if element == Nodetype.NAME or name[0] == "string" else partial(np.zeros, length, name[0])
 
 
-# Those of fields first.
-_NAMES = {
-    "builtin_interfaces": "Time Duration",
-    "std_msgs": "Header Empty String MultiArrayDimension MultiArrayLayout Float32MultiArray ColorRGBA",
-    "geometry_msgs": "Vector3 Point Quaternion Pose PoseStamped PoseArray PoseWithCovariance PoseWithCovarianceStamped "
-    "Twist TwistStamped TwistWithCovariance Transform TransformStamped",
-    "nav_msgs": "Odometry MapMetaData OccupancyGrid Path",
-    "sensor_msgs": "Imu LaserScan Image CompressedImage RegionOfInterest CameraInfo PointField PointCloud2",
-    "tf2_msgs": "TFMessage",
-    "rosgraph_msgs": "Clock",
-    "grid_map_msgs": "GridMapInfo GridMap",
-    "visualization_msgs": "UVCoordinate MeshFile Marker MarkerArray",
-    "diagnostic_msgs": "KeyValue DiagnosticStatus DiagnosticArray",
-    "rover_rl_msgs": "DriveStep",
-}
-_OPTIONS: dict[str, Any] = {"Time": {"base": _Time}, "Quaternion": {"w": 1.0}}
-for _package, _names in _NAMES.items():
-    for _name in _names.split():
-        globals()[_name] = message_class(f"{_package}/msg/{_name}", **_OPTIONS.get(_name, {}))
-
-
-def __getattr__(name: str) -> Any:  # for type checkers, which do not see the classes
-    raise AttributeError(f"module {__name__} has no message {name!r}")
+# Fields first.
+Time = message_class("builtin_interfaces/msg/Time", base=_Time)
+Duration = message_class("builtin_interfaces/msg/Duration")
+Header = message_class("std_msgs/msg/Header")
+Vector3 = message_class("geometry_msgs/msg/Vector3")
+Point = message_class("geometry_msgs/msg/Point")
+Quaternion = message_class("geometry_msgs/msg/Quaternion", w=1.0)
+Pose = message_class("geometry_msgs/msg/Pose")
+PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+PoseArray = message_class("geometry_msgs/msg/PoseArray")
+PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
+PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
+Twist = message_class("geometry_msgs/msg/Twist")
+TwistStamped = message_class("geometry_msgs/msg/TwistStamped")
+TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
+Odometry = message_class("nav_msgs/msg/Odometry")
+Imu = message_class("sensor_msgs/msg/Imu")
+LaserScan = message_class("sensor_msgs/msg/LaserScan")
+Image = message_class("sensor_msgs/msg/Image")
+CompressedImage = message_class("sensor_msgs/msg/CompressedImage")
+RegionOfInterest = message_class("sensor_msgs/msg/RegionOfInterest")
+CameraInfo = message_class("sensor_msgs/msg/CameraInfo")
+Empty = message_class("std_msgs/msg/Empty")
+String = message_class("std_msgs/msg/String")
+Transform = message_class("geometry_msgs/msg/Transform")
+TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
+TFMessage = message_class("tf2_msgs/msg/TFMessage")
+MapMetaData = message_class("nav_msgs/msg/MapMetaData")
+OccupancyGrid = message_class("nav_msgs/msg/OccupancyGrid")
+Clock = message_class("rosgraph_msgs/msg/Clock")
+PointField = message_class("sensor_msgs/msg/PointField")
+PointCloud2 = message_class("sensor_msgs/msg/PointCloud2")
+MultiArrayDimension = message_class("std_msgs/msg/MultiArrayDimension")
+MultiArrayLayout = message_class("std_msgs/msg/MultiArrayLayout")
+Float32MultiArray = message_class("std_msgs/msg/Float32MultiArray")
+GridMapInfo = message_class("grid_map_msgs/msg/GridMapInfo")
+GridMap = message_class("grid_map_msgs/msg/GridMap")
+Path = message_class("nav_msgs/msg/Path")
+ColorRGBA = message_class("std_msgs/msg/ColorRGBA")
+UVCoordinate = message_class("visualization_msgs/msg/UVCoordinate")
+MeshFile = message_class("visualization_msgs/msg/MeshFile")
+Marker = message_class("visualization_msgs/msg/Marker")
+MarkerArray = message_class("visualization_msgs/msg/MarkerArray")
+KeyValue = message_class("diagnostic_msgs/msg/KeyValue")
+DiagnosticStatus = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+DiagnosticArray = message_class("diagnostic_msgs/msg/DiagnosticArray")
+DriveStep = message_class("rover_rl_msgs/msg/DriveStep")
 
 
 def encode(message: Message) -> bytes:
