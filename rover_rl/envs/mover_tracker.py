@@ -49,7 +49,7 @@ class MoverTracker:
     a cluster belong together if each is the nearest of the other. Two legs are one person.
 
     - An object hidden in part is as large as its track, and its center follows from the edge that is seen.
-    - One that is hidden goes on at its velocity for up to 1.8 s, as long as its place is known within 0.35 m. One that
+    - One that is hidden goes on at its velocity for up to 1.8 s, as long as its place is known within 0.5 m. One that
       should be seen but is not ends after 0.3 s.
     - A track moves once its way is longer than its errors. Where one of its edges is mostly hidden, as that of a wall
       behind people, beams must also pass where it was.

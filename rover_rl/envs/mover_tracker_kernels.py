@@ -51,10 +51,10 @@ TWIN, TWIN_SPEED = wp.constant(0.35), wp.constant(0.6)
 NOISE, BEAM_NOISE, PART_NOISE, PAIR_NOISE, LEG_NOISE = map(wp.constant, (0.03, 0.2, 0.1, 0.03, 0.1))
 """Standard deviation of the center of a cluster: the least (m), and what is added in distances of two beams, for a
 hidden edge, for two legs, and for a slim track without two legs (m)."""
-ACCELERATION, FASTEST, TOP = map(wp.constant, (1.0, 1.5, 3.0))
+ACCELERATION, FASTEST, TOP = map(wp.constant, (2.0, 1.5, 3.0))
 """Standard deviations of the acceleration of a track (m/s^2) and of the velocity of a new one, and speed above which a
 track is an error (m/s)."""
-TURN = wp.constant(3.5)
+TURN = wp.constant(2.0)
 """Error of a prediction, in standard deviations, above which an object has turned."""
 NEAR_GATE, WIDE, GATE, UNLIKE = map(wp.constant, (0.25, 2.0, 0.9, 0.5))
 """Largest distance of a track from its cluster: what is always allowed (m), what is added in standard deviations of the
@@ -62,9 +62,9 @@ predicted position, and the limit (m). What a difference of the radii counts in 
 LOST, DOUBT, HIDDEN = map(wp.constant, (0.3, 0.5, 0.17))
 """Time without a cluster after which a track ends, s, and how fast it passes for what may lie between two beams, and
 for what is behind something else."""
-UNKNOWN = wp.constant(0.35)
+UNKNOWN = wp.constant(0.5)
 """Standard deviation of the position of a track above which it does not count, m."""
-SURE, CERTAIN, CONSISTENT = map(wp.constant, (2.0, 1.0, 3.0))
+SURE, CERTAIN, CONSISTENT = map(wp.constant, (2.0, 0.7, 3.0))
 """What a track that begins to move needs: number of scans, speed in standard deviations, and largest misfit."""
 SLOWEST, STILL = wp.constant(0.3), wp.constant(0.2)
 """Speed from which a track begins to move, and below which it rests, m/s."""

@@ -20,13 +20,14 @@ SETTINGS = {
     "privileged_critic": True,
     "curriculum": "learnability",
     "distribution": "grid",
+    "entropy_coef": 0.001,
     "expert": "predictive",
     "imitation": 0.1,
 }
 FIELD = Task(
     name="field",
     reason="What comes is faster than the rover and turns when it likes, so that it has to be dodged without a plan.",
-    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
+    # What a policy reads: 128 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
     # a contact of the body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad)
     # of the goal, speed and yaw rate (m/s, rad/s).
     observation=("lidar", "movers", "contact_times", "imu", "target", "velocities"),
@@ -35,10 +36,10 @@ FIELD = Task(
         world="field:0-299@0.2-1",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 64 segments, what moves in its scans, and
-        # what the rover would touch and when.
-        lidar=LidarConfig(points=64, beams=128, max_range=12.0, period=2),
-        sensors=("movers(period=4)", "contact_times(period=4)"),
+        # Sensors: a planar lidar of 128 beams all around, what moves in its scans, and what the rover would touch and
+        # when.
+        lidar=LidarConfig(points=128, beams=128, max_range=12.0, period=2),
+        sensors=("movers(period=2)", "contact_times(period=4)"),
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

@@ -15,16 +15,15 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way and the grip, and actions
-# that leave little to chance in the end.
+# Settings of learners: a reward for progress around walls, a critic that knows the way and the grip, and one of 55
+# actions at a time.
 SETTINGS = {
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
     "privileged_critic": True,
     "image_network": "patches",
-    "max_std": 1.0,
-    "final_std": 0.15,
+    "distribution": "grid",
 }
 HILLS = Task(
     name="hills",

@@ -17,16 +17,16 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way and the delays, no driving
-# backward, and actions that leave little to chance in the end.
+# Settings of learners: a reward for progress around walls, a critic that knows the way and the delays, and one of 55
+# actions at a time, none of them backward.
 SETTINGS = {
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
     "privileged_critic": True,
     "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
-    "max_std": 1.0,
-    "final_std": 0.15,
+    "distribution": "grid",
+    "entropy_coef": 0.001,
 }
 LATE = Task(
     name="late",

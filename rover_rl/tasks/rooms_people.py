@@ -8,8 +8,8 @@ from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarCon
 from rover_rl.tasks.task import Task
 
 # Settings of learners: a reward for progress around walls, a critic that knows the way and what moves, worlds that are
-# neither too easy nor too hard, and one of 55 actions at a time, none of them backward. The first tenth imitates a
-# planner that knows what moves, which drives nothing.
+# neither too easy nor too hard, and one of 55 actions at a time. The first tenth imitates a planner that knows what moves,
+# which drives nothing.
 SETTINGS = {
     "num_envs": 1024,
     "minibatch": 2048,
@@ -17,18 +17,18 @@ SETTINGS = {
     "rollout_length": 16,
     "gamma": 0.98,
     "action_repeat": 4,
-    "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
     "path_reward": 5.0,
     "privileged_critic": True,
     "curriculum": "learnability",
     "distribution": "grid",
+    "entropy_coef": 0.001,
     "expert": "predictive",
     "imitation": 0.1,
 }
 ROOMS_PEOPLE = Task(
     name="rooms-people",
     reason="Doors are as wide as one: who comes through them has to be seen coming, waited for and given way to.",
-    # What a policy reads: 64 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
+    # What a policy reads: 128 readings of the lidar (m), places, velocities and sizes of what moves (m, m/s), times to
     # a contact of the body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad)
     # of the goal, speed and yaw rate (m/s, rad/s).
     observation=("lidar", "movers", "contact_times", "imu", "target", "velocities"),
@@ -37,10 +37,10 @@ ROOMS_PEOPLE = Task(
         world="rooms+walkers:0-299@0-1",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 64 segments, what moves in its scans, and
-        # what the rover would touch and when.
-        lidar=LidarConfig(points=64, beams=128, max_range=12.0, period=2),
-        sensors=("movers(period=4)", "contact_times(period=4)"),
+        # Sensors: a planar lidar of 128 beams all around, what moves in its scans, and what the rover would touch and
+        # when.
+        lidar=LidarConfig(points=128, beams=128, max_range=12.0, period=2),
+        sensors=("movers(period=2)", "contact_times(period=4)"),
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),
