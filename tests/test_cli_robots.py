@@ -10,7 +10,7 @@ from PIL import Image
 from rover_rl.algos.evaluation import tasks
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.main import main
-from rover_rl.cli.policies import EnvOptions
+from rover_rl.cli.options import EnvOptions
 from rover_rl.cli.train import train_defaults
 from rover_rl.robots import RobotOptions, get_robot, robot_names
 from rover_rl.sims.effective_track import measured_track

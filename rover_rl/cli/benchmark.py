@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 import tyro
 
 from rover_rl.algos.policy.names import resolve_policies
-from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions
+from rover_rl.cli.options import BACKEND, SEVERAL_POLICIES, EnvOptions, Force, Workers
 from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
@@ -28,10 +28,8 @@ class _Benchmark:
     """Seed of the starts of all runs but the first."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    workers: Workers = None
+    force: Force = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.algos.policy.names import BASELINES, NO_POLICY, ResolvedPolicy, resolve_policies
-from rover_rl.cli.policies import SEVERAL_POLICIES, EnvOptions, is_bag
+from rover_rl.cli.options import SEVERAL_POLICIES, EnvOptions, Force, Workers, is_bag
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.files import check_outputs
@@ -85,15 +85,13 @@ class Evaluate:
     """Columns of the table: all, or names of metrics such as spl jerk (docs/evaluation.md).
     Default: success, clean, SPL, time, touched, where something moves also contacts with it and the least distance to
     it, and the endings that occur."""
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    workers: Workers = None
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
     html: Path | None = None
     """Page to write: up to 12 drives, the worst of each policy and usual ones, with a time slider, in one file that
     opens offline (needs the extra view)."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     topics: BagTopics = field(default_factory=BagTopics)
     task: tyro.conf.Suppress[Any] = None
     """Task whose test it is."""

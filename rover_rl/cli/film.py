@@ -10,7 +10,7 @@ import tyro
 
 from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
+from rover_rl.cli.options import BACKEND, ONE_POLICY, EnvOptions, Force, is_bag
 from rover_rl.cli.replays import check_page
 from rover_rl.files import check_outputs
 from rover_rl.sims.ros2.settings import BAG, BagTopics
@@ -68,8 +68,7 @@ class Film:
     """Playback speed; 2 is twice as fast as real time."""
     rewards: Path | None = None
     """File to plot the first rover's reward components to, such as rewards.png."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
     topics: BagTopics = field(default_factory=BagTopics)

@@ -14,7 +14,7 @@ import tyro
 
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.film import POLICY, how_it_ended
-from rover_rl.cli.policies import is_bag
+from rover_rl.cli.options import Force, is_bag
 from rover_rl.files import check_outputs
 from rover_rl.sims.ros2.settings import BagTopics
 
@@ -44,8 +44,7 @@ class Play:
     """Seed of starts and goals. Default: the stored ones."""
     show: bool = True
     """Open the film in the default viewer, if there is a display."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     topics: BagTopics = field(default_factory=BagTopics)
 
     def __call__(self) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from rover_rl.cli.options import Force
 from rover_rl.cli.task_text import describe, listed
 from rover_rl.files import check_outputs, written_whole
 from rover_rl.tasks.task import Task, get_task, task_names
@@ -29,8 +30,7 @@ class Tasks:
     """Task to describe: a name, or module:attribute. Default: list all."""
     out: Path | None = None
     """Picture to write. Default: tasks.png, and none of one task."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
 
     def __call__(self) -> int:
         tasks = [get_task(name) for name in ([self.task] if self.task else task_names())]

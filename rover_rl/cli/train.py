@@ -28,6 +28,7 @@ from rover_rl.algos.config import (
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.cli.help_text import FLAT
+from rover_rl.cli.options import Host, Port
 from rover_rl.cli.training_page import TrainingPage
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
@@ -80,10 +81,8 @@ class Train:
     them."""
     view: bool = False
     """Open a page with the learning curve and some of the rovers that learn (needs the extra view)."""
-    host: str = "127.0.0.1"
-    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    host: Host = "127.0.0.1"
+    port: Port = 8080
     run: Annotated[RunOptions, FLAT] = field(default_factory=RunOptions)
     env: Annotated[EnvConfig, FLAT] = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, FLAT] = field(default_factory=NetworkConfig)

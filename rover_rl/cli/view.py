@@ -10,7 +10,7 @@ import tyro
 
 from rover_rl.algos.policy.names import RANDOM, resolve_policy
 from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
-from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
+from rover_rl.cli.options import BACKEND, ONE_POLICY, EnvOptions, Host, Port, is_bag
 from rover_rl.cli.replays import drives_of_bag, drives_of_evaluation
 from rover_rl.sims.ros2.settings import BAG, BagTopics
 
@@ -42,10 +42,8 @@ class View:
     """Number of rovers that share a world, in which they meet."""
     seed: int = 0
     """Seed of starts and goals."""
-    host: str = "127.0.0.1"
-    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    host: Host = "127.0.0.1"
+    port: Port = 8080
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND.replace("bullet.", "warp."))] = None
     topics: BagTopics = field(default_factory=BagTopics)

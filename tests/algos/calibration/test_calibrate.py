@@ -17,7 +17,7 @@ from rover_rl.algos.calibration.calibrate import Calibration, calibrate
 from rover_rl.algos.calibration.reading import read_recording
 from rover_rl.algos.config_files import read_config
 from rover_rl.cli.main import main
-from rover_rl.cli.policies import read_env
+from rover_rl.cli.options import read_env
 from rover_rl.envs.config import EnvConfig, LimitsConfig
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.files import MADE
