@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +16,7 @@ from rover_rl.robots import Robot
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
-from rover_rl.worlds.solids import Solids, bounding_balls
+from rover_rl.worlds.solids import Solids
 
 TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
 _OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
@@ -179,10 +178,10 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
     outline = _outline(robot)
     reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
     touched = torch.zeros(len(position), dtype=torch.bool)
-    for obstacle in _obstacles_within(reach, position[:, :2], world):
+    for obstacle in world.obstacles:
+        near = (_near(position[:, :2], obstacle, reach) & ~touched).nonzero().squeeze(-1)
         normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
-        near = _near(position[:, :2], obstacle, reach) & ~touched
-        for poses in near.nonzero().squeeze(-1).split(_CHUNK):
+        for poses in near.split(_CHUNK):
             points = position[poses, None] + outline @ euler_to_matrix(angles[poses]).mT
             touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
     return touched
@@ -196,25 +195,6 @@ def _outline(robot: Robot) -> Tensor:
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))
     ends = torch.cartesian_prod(torch.tensor((back, front)), y)
     return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
-
-
-def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Solids]:
-    """Obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
-    if not world.obstacles:
-        return []
-    centers, radii = _circles(world)
-    nearest = torch.stack([torch.cdist(part, centers).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
-    # The margin covers rounding. Obstacles that are not near are sorted out later.
-    near = (nearest <= radii + reach + 1e-3).nonzero().squeeze(-1)
-    return [world.obstacles[index] for index in near.tolist()]
-
-
-@lru_cache(maxsize=64)
-def _circles(world: World) -> tuple[Tensor, Tensor]:
-    """Centers ``[N, 2]`` and radii ``[N]`` of the obstacles' bounding circles, seen from above, float64, m."""
-    outlines = Solids.of(world.obstacles).outlines
-    middles, radii = bounding_balls(np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).tolist())
-    return torch.from_numpy(middles), torch.from_numpy(radii)
 
 
 def _near(path: Tensor, obstacle: Solids, reach: float) -> Tensor:

@@ -115,13 +115,17 @@ class Sensors:
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
         pose_type, read_pose = poses.POSE_MESSAGES[settings.pose]
-        read_ranges = partial(read_scan, max_invalid=settings.max_invalid)
+        mount = settings.lidar_yaw, settings.lidar_inverted
         # The scan is last, as a rover publishes it last: when it wakes a step, the other messages have arrived.
         self.sources = {
             "imu": Source(connection.imu_topic, Imu, {"imu": lambda msg: poses.read_orientation(msg.orientation)}),
             "odometry": Source(settings.odometry_topic, Odometry, {"odometry": read_twist}),
             "pose": Source(settings.pose_topic, pose_type, {"pose": read_pose}),
-            "scan": Source(connection.scan_topic, LaserScan, {"scan": read_ranges}),
+            "scan": Source(
+                connection.scan_topic,
+                LaserScan,
+                {"scan": lambda msg: read_scan(msg, settings.max_invalid).mounted(*mount)},
+            ),
         }
         if settings.pose == "wheels":
             self.sources["odometry"].readers.update(self.sources.pop("pose").readers)

@@ -86,7 +86,7 @@ class Ros2Simulator(Simulator):
         self._limiter, self._throttled_log = CommandLimiter(settings.min_reversal), ThrottledLogger(_log)
         self._publishers_checked = -math.inf
         self._scan: ReceivedMessage | None = None
-        self._set_beams(GUARD_BEAMS)
+        self.scanner(GUARD_BEAMS)
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency, self.held = 0.0, False
         tapped: Any = TappedTransport(make_transport(settings.transport, settings.node))
@@ -94,7 +94,7 @@ class Ros2Simulator(Simulator):
         self.tap: Callable[[Tap], None] = tapped.tap
         self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
-        self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self.transport)
+        self._finalizer = weakref.finalize(self, self._commands.close)
         self._placer = Placer(settings, self._world.name, self.transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
         self._sensors = Sensors(self.transport, settings, connection, PoseEstimator(settings.pose))
@@ -183,30 +183,24 @@ class Ros2Simulator(Simulator):
         self._dt = self.control_dt
         return self.state()
 
-    def scanner(self, beams: int) -> Ros2Scanner:
-        self._set_beams(beams)
-        return Ros2Scanner(self, beams)
-
-    def _set_beams(self, beams: int) -> None:
-        self._beams = beams
+    def scanner(self, beams: int) -> Ros2Simulator:
+        """Returns the lidar, which scans when the rover's does: this simulator."""
+        self.angles = beam_angles(beams).float()
         # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
         # blocks all motion.
         self._ranges, self._seen = torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool)
         if self._scan:
-            self._ranges, self._seen = scans.aligned(self._mounted(self._scan), beams)
+            self._ranges, self._seen = scans.aligned(self._scan.value, beams)
+        return self
 
-    def _mounted(self, scan: ReceivedMessage) -> scans.Scan:
-        mounted: scans.Scan = scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted)
-        return mounted
-
-    def ranges(self) -> Tensor:
+    def scan(self, rows: Tensor | None = None) -> Tensor:
         return self._ranges.masked_fill(~self._seen & (self._scan is not None), self.settings.unseen_range)[None]
 
     def covered(self) -> Tensor:
         return self._seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        found = None if self._scan is None else scans.cut(self._mounted(self._scan), points)
+        found = None if self._scan is None else scans.cut(self._scan.value, points)
         return None if found is None else found[None]
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
@@ -290,7 +284,7 @@ class Ros2Simulator(Simulator):
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
         self._require_changes(scan)
         self._scan = scan
-        self._ranges, self._seen = scans.aligned(self._mounted(scan), self._beams)
+        self._ranges, self._seen = scans.aligned(scan.value, len(self.angles))
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
         """Waits for a scan with a number above ``after``. Stops the rover well before it counts as lost."""
@@ -392,18 +386,3 @@ class Ros2Simulator(Simulator):
     def _wheels_at_rest(self) -> bool:
         speed, yaw_rate = self._sensors.wheel_velocity.abs().tolist()
         return speed < REST_VELOCITY[0] and yaw_rate < REST_VELOCITY[1]
-
-
-class Ros2Scanner:
-    """Lidar of a live rover. It scans when the rover's does."""
-
-    def __init__(self, simulator: Ros2Simulator, beams: int) -> None:
-        self.angles, self._simulator = beam_angles(beams).float(), simulator
-
-    def scan(self, rows: Tensor | None = None) -> Tensor:
-        return self._simulator.ranges()
-
-
-def _stop_and_close(commands: Commands, transport: Transport) -> None:
-    commands.close()
-    transport.close()
