@@ -141,17 +141,3 @@ def test_it_stops_at_what_is_too_near_and_when_it_is_interrupted(wire, tmp_path,
     assert wire.sent["/cmd_vel"][-3:] == [ros.Twist()] * 3
     assert [drive.ending for drive in read_drives(tmp_path / "drive.mcap").drives] == [ending]
     robot.rover.close()
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["gridplanner", "--excite"], "leave out the policy and the goals"),
-        (["--excite", "--goal", "1", "1"], "leave out the policy and the goals"),
-        (["--goal", "1", "1"], "or drive with --excite"),
-        (["--excite", "--radius", "0"], "radius must be"),
-    ],
-)
-def test_wrong_options_are_told(options, told, capsys):
-    assert main(["drive", *options]) == 2
-    assert told in capsys.readouterr().err
