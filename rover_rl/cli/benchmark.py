@@ -15,8 +15,6 @@ from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
-    from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.envs.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,9 @@ def _parsed(worlds: str, count: int, names: str) -> list[int]:
 def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     from rover_rl.algos.benchmarks.suite import draw_worst_runs, print_results, run_suite, write_results
 
-    out, policies = options.out, _policies(suite.name, options)
+    out, environment = options.out, options.environment
+    resolved = resolve_policies(options.policies, (suite.name,), environment.given_robot)
+    policies = {one.name: (one.module, environment.description(one.module, options.backend)) for one in resolved}
     pictures = {name: out / f"worst-{re.sub('[:/]', '-', name)}.png" for name in policies}
     # Fails before the runs, which can take minutes.
     files = (out / "benchmark.json", out / "benchmark.csv", *pictures.values())
@@ -132,9 +132,3 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
     print("Worst runs: " + ", ".join(map(str, pictures.values())))
     return 0
-
-
-def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
-    environment = options.environment
-    resolved = resolve_policies(options.policies, (suite,), environment.given_robot)
-    return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

@@ -75,8 +75,7 @@ class Demo:
 
     def _test(self, policy: Checkpoint) -> Evaluation:
         from rover_rl.algos.evaluation.episodes import stored_episodes
-        from rover_rl.algos.evaluation.evaluate import evaluate
-        from rover_rl.algos.evaluation.tasks import test_env
+        from rover_rl.algos.evaluation.evaluate import evaluate, test_env
 
         actor, name, task = policy.make_actor(), f"policy after {policy.steps:,} steps", get_task(TASK)
         episodes, env = stored_episodes(TASK).first(self.episodes), test_env(task, actor)
@@ -107,8 +106,7 @@ class Demo:
 
     def _compare(self) -> None:
         from rover_rl.algos.evaluation.episodes import choose_episodes
-        from rover_rl.algos.evaluation.evaluate import Request, evaluate_all
-        from rover_rl.algos.evaluation.tasks import test_env
+        from rover_rl.algos.evaluation.evaluate import Request, evaluate_all, test_env
         from rover_rl.algos.policy.names import resolve_policies
 
         print(f"4. {', '.join(POLICIES)} drive in worlds that no training has seen", flush=True)

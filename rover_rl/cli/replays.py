@@ -32,13 +32,8 @@ def check_page(path: Path) -> None:
 def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPolicy], file: Path, page: Path) -> int:
     """Writes a page with the drives of evaluations that went worst, and some that went well. Returns their number.
 
-    The evaluations share the drives of the page: the more there are, the fewer are of each, failures first.
-
-    Args:
-        evaluations: evaluations of the policies.
-        policies: policies, by whose name the evaluations are found.
-        file: ``evaluation.json`` that holds the evaluations.
-        page: HTML file to write.
+    The evaluations, which ``file`` holds, share the drives of the page: the more there are, the fewer are of each,
+    failures first. ``policies`` are those that drove in them.
     """
     from rover_rl.algos.evaluation.results import read_evaluation
     from rover_rl.algos.video.recording import record_stored

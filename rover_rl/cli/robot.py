@@ -25,7 +25,7 @@ MAX_BEAMS = 16_383  # largest number of rays that Bullet casts in one call
 
 
 @dataclass(frozen=True)
-class RobotCommand:
+class Robot:
     """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, tf, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.

@@ -169,7 +169,9 @@ def train_defaults(args: Sequence[str]) -> Train:
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
     if given.randomize is not None:
-        config = replace(config, env=imperfect(config.env, _imperfection(given.randomize)))
+        if len(given.randomize) > 1:
+            raise ValueError(f"--randomize takes one name, got {' '.join(given.randomize)}")
+        config = replace(config, env=imperfect(config.env, (given.randomize or ["typical"])[0]))
     parts = {part: getattr(config, part) for part in PARTS} | {"run": RunOptions(**vars(config.run))}
     settings = None if isinstance(config.env.backend, str) else config.env.backend
     if settings is not None:
@@ -177,12 +179,6 @@ def train_defaults(args: Sequence[str]) -> Train:
     # tyro makes options of the fields that the default has: those of the algorithm.
     named = {"first_word": task, "learner": given.learner}
     return Train(algo=config.algo, backend_settings=settings, **named, **parts)  # type: ignore[arg-type]
-
-
-def _imperfection(names: Sequence[str]) -> str:
-    if len(names) > 1:
-        raise ValueError(f"--randomize takes one name, got {' '.join(names)}")
-    return names[0] if names else "typical"
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:

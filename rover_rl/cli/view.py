@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -51,6 +51,10 @@ class View:
     def __call__(self) -> int:
         check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
         check_seed(self.seed)
+        # Says first if the extra is missing.
+        from rover_rl.view.page import check_address
+
+        check_address(self.host, self.port)
         viewer = self._open_replay() if is_bag(self.policy) or self.evaluation else self._open()
         print(f"Page: {viewer.address} (Ctrl-C ends it)", flush=True)
         try:
@@ -62,11 +66,8 @@ class View:
         return 0
 
     def _open_replay(self) -> ReplayPage:
-        from rover_rl.view.page import check_address
-        from rover_rl.view.replay import ReplayPage
-
-        check_address(self.host, self.port)
         from rover_rl.algos.evaluation.results import read_evaluation
+        from rover_rl.view.replay import ReplayPage
 
         if is_bag(self.policy):
             from rover_rl.algos.deploy.recorded_drives import read_drives
@@ -81,31 +82,20 @@ class View:
         return ReplayPage(drives, self.host, self.port)
 
     def _open(self) -> Viewer:
-        # Says first if the extra is missing.
-        from rover_rl.view.page import check_address
-        from rover_rl.view.viewer import Viewer
-
-        check_address(self.host, self.port)
         from rover_rl.algos.experiments.runs import RunFiles
         from rover_rl.envs.make import make_env
+        from rover_rl.view.viewer import Viewer
 
         run = RunFiles.find(Path(self.policy))
-        word = RANDOM if run is not None and not run.policies() else self.policy
-        if run is not None and run.policies():
-            word = str(run.policies()[-1])
+        word = self.policy if run is None else next(map(str, reversed(run.policies())), RANDOM)
         policy = resolve_policy(word, () if self.world is None else (self.world,), self.environment.robot)
         backend = self.backend or ("warp" if self.environment.env is None else None)
         described = self.environment.description(policy.module, backend)
         world = policy.worlds[0] if policy.worlds else "moon"
         config = replace(described, world=world, num_envs=self.rovers, agents=self.agents, seed=self.seed)
+        page: dict[str, Any] = {"name": self.policy, "host": self.host, "port": self.port}
         return Viewer(
-            make_env(replace(config, end_on_goal=False)),
-            policy.module,
-            name=self.policy,
-            host=self.host,
-            port=self.port,
-            find_policy=self._find,
-            run=run,
+            make_env(replace(config, end_on_goal=False)), policy.module, find_policy=self._find, run=run, **page
         )
 
     def _find(self, name: str) -> Policy | None:

@@ -26,11 +26,7 @@ class LivePage(Page):
     The stop button calls ``on_stop`` in the loop of the server, which waits for nothing else: neither for the
     policy nor for the thread that drives. From then on, :meth:`check` raises an error, and no action gets through.
 
-    Args:
-        host, port: as for :class:`~rover_rl.view.Viewer`.
-
     Attributes:
-        address: address of the page.
         on_stop: function that stops the rover at once, such as ``Ros2Simulator.halt``.
     """
 

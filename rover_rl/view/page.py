@@ -68,9 +68,7 @@ def close_page(server: viser.ViserServer) -> None:
 class Page(ABC):
     """A page that a thread of its own keeps up to date, from :meth:`start` to :meth:`close`. A context manager.
 
-    Args:
-        host: address that the page is served on. ``"0.0.0.0"`` lets other machines reach it.
-        port: port of the page; 0 takes a free one.
+    ``host`` and ``port`` are those of :class:`~rover_rl.view.Viewer`.
 
     Attributes:
         address: address of the page, for a browser on this machine.

@@ -37,13 +37,9 @@ GRAY = (0.5, 0.5, 0.5)
 
 
 class RobotFrames:
-    """Frames of a robot and of its sensors.
+    """Frames of a robot and of its sensors: of the lidar, turned by ``lidar_yaw`` (rad), the IMU and the ``devices``.
 
-    Args:
-        devices: cameras and 3D lidars whose images and points are published.
-        lidar_yaw: direction in which the lidar's zero angle points, rad.
-        is_localized: whether to tell where ``odom`` is in ``world``. Else, another node tells where it is in ``map``,
-            such as one that maps.
+    If it ``is_localized``, they tell where ``odom`` is in ``world``. Else, another node tells where it is in ``map``.
     """
 
     def __init__(

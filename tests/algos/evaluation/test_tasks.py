@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_rl.algos.evaluation.tasks import split_task
+from rover_rl.cli.evaluate import split_task
 from rover_rl.tasks.task import get_task
 
 
