@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
-TASK = "inspect"
-"""Task that is learned. Policies are tested on the first of its 256 stored start-goal pairs."""
-FILMED = 16.0
-"""Duration of the drive that is filmed, s."""
+TASK = "inspect"  # task that is learned. Policies are tested on the first of its 256 stored start-goal pairs.
+FILMED = 16.0  # duration of the drive that is filmed, s
 POLICIES = ("pretrained:crowd", "gridplanner-moving", "scripted")
 UNSEEN = {"plaza:50000-50015": "people in a plaza", "field:50000-50015@1": "fast obstacles in a field"}
 """Worlds that no training has seen, in which the policies are compared."""

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from rover_rl.envs.config import EnvConfig
 
 _OF_TASK = "The name of a task before them (rover-rl tasks) judges them in its test."
-EXACT = "exact"
-"""Name of exact sensors beside those of imperfections."""
+EXACT = "exact"  # name of exact sensors beside those of imperfections
 
 
 class _Run(NamedTuple):

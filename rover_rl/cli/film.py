@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.video.film import Style
     from rover_rl.algos.video.recording import Recording
 
-FILMED = 20.0
-"""Default duration of a film in endless mode, s."""
+FILMED = 20.0  # default duration of a film in endless mode, s
 POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a bag ({BAG}): of rover-rl drive, or of ROS 2.")
 
 

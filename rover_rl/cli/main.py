@@ -36,10 +36,8 @@ from rover_rl.files import STANDARD_OUTPUT, errors_name
 from rover_rl.option_names import options_of_command
 from rover_rl.registry import perhaps
 
-PROGRAM = "rover-rl"
-"""Name of the program."""
-BROKEN_PIPE = 141
-"""Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
+PROGRAM = "rover-rl"  # name of the program
+BROKEN_PIPE = 141  # exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell
 
 _OUT_OF_MEMORY = re.compile("allocate memory|out of memory|Failed to allocate")
 """What PyTorch's and Warp's errors say if there is not enough memory."""

@@ -21,10 +21,8 @@ from rover_rl.sims.ros2.settings import BagTopics
 if TYPE_CHECKING:
     from rover_rl.algos.video.recording import Recording
 
-FOLDER = Path("runs/play")
-"""Folder of the films of policies that have no folder of their own."""
-WIDTH, HEIGHT = 400, 300
-"""Size of the films, pixels."""
+FOLDER = Path("runs/play")  # folder of the films of policies that have no folder of their own
+WIDTH, HEIGHT = 400, 300  # size of the films, pixels
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation, StoredEvaluation
     from rover_rl.algos.video.recording import Recording
 
-DRIVES, DRIVES_EACH = 12, 6
-"""Largest number of drives in a page, and of those of one evaluation."""
-SECONDS = 240.0
-"""Largest duration of all drives in a page together, s. Of a longer drive, the end is shown."""
+DRIVES, DRIVES_EACH = 12, 6  # largest number of drives in a page, and of those of one evaluation
+SECONDS = 240.0  # largest duration of all drives in a page together, s. Of a longer drive, the end is shown.
 
 
 def check_page(path: Path) -> None:

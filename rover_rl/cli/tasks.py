@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from rover_rl.robots import Robot
     from rover_rl.worlds import World
 
-WIDTH, INDENT = 110, 19
-"""Width of a line, and of the names before it."""
+WIDTH, INDENT = 110, 19  # width of a line, and of the names before it
 
 
 @dataclass(frozen=True)

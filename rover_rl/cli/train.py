@@ -37,10 +37,8 @@ from rover_rl.sims.backends import name_of
 if TYPE_CHECKING:
     from rover_rl.algos.train.run import TrainingSummary
 
-FAILED = 2
-"""Exit code after an error, such as an invalid option or a missing file."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+FAILED = 2  # exit code after an error, such as an invalid option or a missing file
+INTERRUPTED = 130  # exit code after Ctrl-C
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rover_rl.view.viewer import Viewer
 
-LEAST = 19
-"""Lowest priority of a process."""
+LEAST = 19  # lowest priority of a process
 _PROGRAM = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
 
 

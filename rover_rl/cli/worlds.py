@@ -19,8 +19,7 @@ from rover_rl.robots.options import RobotOptions, with_options
 if TYPE_CHECKING:
     from rover_rl.worlds import World
 
-MANY_MOVERS = 5.0
-"""Number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors."""
+MANY_MOVERS = 5.0  # number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors
 
 
 @dataclass(frozen=True)

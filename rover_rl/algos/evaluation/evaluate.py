@@ -50,8 +50,7 @@ SMALL = 16  # number of episodes below which starting processes takes longer tha
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
 MADE_FOR = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
 """Settings of an environment that a policy was made for."""
-_KEPT = (*MADE_FOR, "terminate", "control_rate", "compensate_delay")
-"""Settings that it is evaluated with by default."""
+_KEPT = (*MADE_FOR, "terminate", "control_rate", "compensate_delay")  # settings that it is evaluated with by default
 _OWN = ("lidar", "sensors", "action", "heading_gains", "compensate_delay")
 """Settings that an entry brings along: what it makes of the sensors, and how it steers."""
 

@@ -39,25 +39,16 @@ _OF_WORLD = ("success_rate", "contact_free_success_rate", _TIME, "mover_contact_
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of a policy on episodes: with one goal each, or endless, where a reached goal is followed by a new one.
+    """Results of a policy on episodes with one goal each, or endless: a reached goal is followed by a new one."""
 
-    Attributes:
-        name: name of the policy.
-        episodes: starts and goals, in the order of the trajectories.
-        action_repeat: number of steps that each action was held for.
-        seconds: time limit of an episode, s.
-        imperfection: name of that of the sensors; empty if none was asked for.
-        jam: whether a long collision ended an endless episode.
-    """
-
-    name: str
-    episodes: EpisodeSet
-    action_repeat: int
-    seconds: float
+    name: str  #: Name of the policy.
+    episodes: EpisodeSet  #: Starts and goals, in the order of the trajectories.
+    action_repeat: int  #: Number of steps that each action was held for.
+    seconds: float  #: Time limit of an episode, s.
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
-    imperfection: str = ""
-    jam: bool = True
+    imperfection: str = ""  #: Name of that of the sensors; empty if none was asked for.
+    jam: bool = True  #: Whether a long collision ended an endless episode.
 
     @property
     def endless(self) -> bool:

@@ -24,63 +24,36 @@ _CHUNK = 4096  # number of poses that are tested against an obstacle at once: ab
 
 
 class Encounters(NamedTuple):
-    """What happens between the rover and movers in an episode of T steps, at the start and after each step.
+    """What happens between the rover and movers at the start and after each of T steps. Distances are horizontal."""
 
-    Attributes:
-        contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
-        gap: horizontal distance from the disc of the robot's radius to the surface of the nearest mover, 0 if they
-            overlap, float32 ``[T + 1]``, m.
-        center_distance: horizontal distance between the origins of rover and nearest mover, float32 ``[T + 1]``, m.
-    """
-
-    contact: Tensor
-    gap: Tensor
-    center_distance: Tensor
+    contact: Tensor  #: Whether the rover touched a mover in the step, bool ``[T + 1]``.
+    gap: Tensor  #: Distance from the disc of the robot's radius to the nearest mover, at least 0, ``[T + 1]``, m.
+    center_distance: Tensor  #: Distance between the origins of rover and nearest mover, ``[T + 1]``, m.
 
 
 class MoverTrack(NamedTuple):
-    """Where the P solids of the movers are, at the start and after each step, or after the last steps of an episode.
+    """Where the P solids of the movers are, at the start and after each step, or after the last steps of an episode."""
 
-    Attributes:
-        kind: index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
-        half: half of the length, width and height, float32 ``[P, 3]``, m.
-        mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
-        position: centers, float32 ``[T + 1, P, 3]``, m.
-        orientation: unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
-    """
-
-    kind: Tensor
-    half: Tensor
-    mover: Tensor
-    position: Tensor
-    orientation: Tensor
+    kind: Tensor  #: Index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
+    half: Tensor  #: Half of the length, width and height, float32 ``[P, 3]``, m.
+    mover: Tensor  #: Index of the solid's mover in the world's ``movers``, int64 ``[P]``.
+    position: Tensor  #: Centers, float32 ``[T + 1, P, 3]``, m.
+    orientation: Tensor  #: Unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Record of one episode of T steps.
+    """Record of one episode of T steps."""
 
-    Attributes:
-        position: positions at the start and after each step, float32 ``[T + 1, 3]``, m.
-        angles: roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
-        collision: whether each step ends in a collision, as the task defines it, bool ``[T]``.
-        goal: whether each step reaches a goal, bool ``[T]``.
-        ending: ``"goal"``, or another one of ``rover_rl.algos.driving``.
-        reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
-        dt: duration of a step, s.
-        encounters: what happens between the rover and movers; ``None`` if the world has none.
-        movers: where the movers are; ``None`` if the world has none, or if this was not asked for.
-    """
-
-    position: Tensor
-    angles: Tensor
-    collision: Tensor
-    goal: Tensor
-    ending: str
-    reversals: float = math.nan
-    dt: float = CONTROL_DT
-    encounters: Encounters | None = None
-    movers: MoverTrack | None = None
+    position: Tensor  #: Positions at the start and after each step, float32 ``[T + 1, 3]``, m.
+    angles: Tensor  #: Roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
+    collision: Tensor  #: Whether each step ends in a collision, as the task defines it, bool ``[T]``.
+    goal: Tensor  #: Whether each step reaches a goal, bool ``[T]``.
+    ending: str  #: ``"goal"``, or another one of ``rover_rl.algos.driving``.
+    reversals: float = math.nan  #: Changes of the commanded turning direction; nan if commands are not recorded.
+    dt: float = CONTROL_DT  #: Duration of a step, s.
+    encounters: Encounters | None = None  #: What happens between the rover and movers; ``None`` without movers.
+    movers: MoverTrack | None = None  #: Where the movers are; ``None`` without movers, or if it was not asked for.
 
     def __len__(self) -> int:
         return len(self.collision)

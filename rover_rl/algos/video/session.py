@@ -37,8 +37,7 @@ KEPT = 600  # number of steps that are kept
 VALUE = "value"  # name of the record of the estimated value
 KEPT_EPISODES = 12  # number of rows of the table of episodes
 FREE = 3  # level of the cells of a map from which on they are free
-Critic: TypeAlias = Callable[[TensorDictBase], float]
-"""Estimates the value of an observation ``[1]``."""
+Critic: TypeAlias = Callable[[TensorDictBase], float]  # estimates the value of an observation ``[1]``
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,8 @@ from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.world import World
 
 MAP, WORLD, ODOM, BASE, LIDAR, IMU = "map", "world", "odom", "base_link", "lidar_link", "imu_link"
-MAP_CELL = 0.05
-"""Side of a cell of the map, m."""
-OCCUPIED = 100
-"""What an occupied cell of a ``nav_msgs/OccupancyGrid`` has; a free one has 0."""
+MAP_CELL = 0.05  # side of a cell of the map, m
+OCCUPIED = 100  # what an occupied cell of a ``nav_msgs/OccupancyGrid`` has; a free one has 0
 OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of an image in those of its camera: to the right, down and ahead (REP 103)."""
 GRAY = (0.5, 0.5, 0.5)

@@ -241,9 +241,6 @@ class Sensors:
         known = (each[1:] for each in reversed([*self._poses]) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self.world_pose
 
-    def receive_clock(self, msg: Any) -> None:
-        self.messages.put("clock", seconds_of(msg.clock))
-
     def state_age(self) -> float | None:
         """Returns the time since the latest pose or IMU orientation was measured, s; ``None`` if it is not known.
 

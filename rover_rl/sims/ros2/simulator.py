@@ -18,7 +18,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, scans
 from rover_rl.sims.ros2.commands import STOP, Commands
 from rover_rl.sims.ros2.ground import LivePoints
-from rover_rl.sims.ros2.messages import Clock
+from rover_rl.sims.ros2.messages import Clock, seconds_of
 from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -261,7 +261,8 @@ class Ros2Simulator(Simulator):
         return position[None], orientation[None]
 
     def follow_clock(self) -> None:
-        self.transport.subscribe(self.settings.clock_topic, Clock, self._sensors.receive_clock)
+        put = self._sensors.messages.put
+        self.transport.subscribe(self.settings.clock_topic, Clock, lambda msg: put("clock", seconds_of(msg.clock)))
 
     def state_age(self) -> Tensor:
         """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""

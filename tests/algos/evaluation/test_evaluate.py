@@ -26,8 +26,10 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
+from rover_rl.cli.evaluate import split_task
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, Randomization
 from rover_rl.robots import get_robot
+from rover_rl.tasks import get_task
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import ahead, straight
@@ -316,3 +318,15 @@ def test_the_command_refuses_in_one_line_before_anything_is_driven(
     monkeypatch.setattr("rover_rl.algos.evaluation.evaluate.evaluate", None)
     assert message in failed("evaluate", *given.replace("RUN", str(run)).split())
     assert not (run / "new").exists()
+
+
+def test_the_first_word_names_a_task_unless_it_names_a_policy_or_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert split_task(("mazes", "scripted")) == (get_task("mazes"), ("scripted",))
+    assert split_task(("rover_rl.tasks.field:FIELD",)) == (get_task("field"), ())
+    policies = ("pretrained:anywhere", "scripted"), ("rover_rl.algos.policy.dwa:DynamicWindowPolicy", "scripted"), ()
+    assert all(split_task(words) == (None, words) for words in policies)
+    (tmp_path / "mazes").mkdir()
+    assert split_task(("mazes",)) == (None, ("mazes",))

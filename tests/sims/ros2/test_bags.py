@@ -43,8 +43,7 @@ from tests.sims.ros2.processes import until
 from tests.sims.ros2.test_driving import AHEAD, COURSE, GOAL, interrupt, straight
 from tests.sims.ros2.wire import SimulatedRobot
 
-TAIL = 6000
-"""Length of the end of a bag that is torn off, bytes."""
+TAIL = 6000  # length of the end of a bag that is torn off, bytes
 NANO = 1_000_000_000
 FORWARD = BagTopics(pose="/pose", lidar_yaw=0.0)
 

@@ -18,8 +18,7 @@ from rover_rl.sims.ros2.messages import CompressedImage, Image, LaserScan, Twist
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import SimulatedRobot
 
-FAR = ("drive", "scripted", "--world", "maze", "--goal", "9", "9")
-"""A drive that does not end soon."""
+FAR = ("drive", "scripted", "--world", "maze", "--goal", "9", "9")  # a drive that does not end soon
 
 
 @pytest.fixture

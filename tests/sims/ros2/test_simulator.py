@@ -20,8 +20,7 @@ from tests.envs import transcription as contract
 from tests.envs.contract.witness import check_witnessed, witness
 from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
-POSE = torch.tensor([[1.0, 2.0, 0.5]])
-"""Pose of the rover before a reset."""
+POSE = torch.tensor([[1.0, 2.0, 0.5]])  # pose of the rover before a reset
 
 
 @pytest.fixture
