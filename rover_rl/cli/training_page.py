@@ -27,9 +27,7 @@ _PROGRAM = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
 class TrainingPage:
     """Starts and ends the process of the page. A context manager.
 
-    Raises:
-        ImportError: if the extra ``view`` is not installed.
-        OSError: if the port is taken.
+    Raises ``ImportError`` if the extra ``view`` is not installed, and ``OSError`` if the port is taken.
     """
 
     def __init__(self, host: str, port: int) -> None:

@@ -147,10 +147,10 @@ class Metric:
     unit: str  #: ``"%"`` for proportions, which are numbers up to 1, else that of the value.
     meaning: str  #: Short description for the legend; empty for endings, whose heading describes them.
     top: str | Callable[[Row], float]
-    """Numerator: a column of :func:`episode_row`, or a function of the row. A flag makes a proportion."""
-    bottom: str | None = None  #: Denominator, a column; ``None``: the metric is the mean over episodes.
+    """Numerator, a column of :func:`episode_row` or a function of the row. A flag makes a proportion."""
+    bottom: str | None = None  #: Denominator, a column; with ``None``, the metric is the mean over episodes.
     of: Literal["goal", "endless", "movers", "all"] = "all"
-    """Episodes that have it: of ``"goal"`` evaluations, ``"endless"`` ones, those with ``"movers"``, or ``"all"``."""
+    """Which episodes have it, of ``"goal"`` evaluations, ``"endless"`` ones, those with ``"movers"``, or ``"all"``."""
     default: bool = False  #: Whether tables have the column by default.
     root: bool = False  #: Whether it is the square root of the ratio.
 
