@@ -57,13 +57,6 @@ class Ros2Simulator(Simulator):
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
         robot: description of the rover; its limits apply to the commands, unless the settings override them.
         settings, connection: settings of the connection, its topics, and the time to wait for the first scan.
-
-    Attributes:
-        latency: time between the arrival of the scan and the command of the last step, s.
-        held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
-        on_command: function that is called in each step once the command is sent, before the wait for the next scan.
-        tap: passes all messages that are sent and received to a function, such as
-            :meth:`~rover_rl.algos.deploy.bags.DriveBag.add`.
     """
 
     # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
@@ -88,10 +81,11 @@ class Ros2Simulator(Simulator):
         self._scan: ReceivedMessage | None = None
         self.scanner(GUARD_BEAMS)
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
-        self.latency, self.held = 0.0, False
+        self.latency = 0.0  # time between the arrival of the scan and the command of the last step, s
+        self.held = False  # whether the last forward speed was canceled, as it led towards unseen directions
         tapped: Any = TappedTransport(make_transport(settings.transport, settings.node))
         self.transport: Transport = tapped
-        self.tap: Callable[[Tap], None] = tapped.tap
+        self.tap: Callable[[Tap], None] = tapped.tap  # passes all messages to a function, such as DriveBag.add
         self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
         self._finalizer = weakref.finalize(self, self._commands.close)
@@ -101,7 +95,8 @@ class Ros2Simulator(Simulator):
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
         self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
-        self.follow_tf, self.arrivals, self.on_command = self._sensors.follow_tf, self._sensors.arrivals, lambda: None
+        self.follow_tf, self.arrivals = self._sensors.follow_tf, self._sensors.arrivals
+        self.on_command: Callable[[], object] = lambda: None  # called in each step before the wait for the next scan
         self.wait_for_robot(connection.timeout)
 
     @property
