@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.native.mujoco import Rollout, mujoco
 from rover_rl.robots import Robot
-from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.mujoco.model import MAX_FELT, make_model, scaled_model
 from rover_rl.sims.rover_state import SIDES, Force, by_side
-from rover_rl.sims.world_groups import GroupedSimulator, WorldGroup
+from rover_rl.sims.world_groups import GroupedSimulator, NearParts, WorldGroup
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 

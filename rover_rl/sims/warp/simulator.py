@@ -26,8 +26,7 @@ from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.placing import place
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
-from rover_rl.sims.warp.models import ModelTable
-from rover_rl.sims.warp.state_buffers import StateBuffers
+from rover_rl.sims.warp.models import ModelTable, StateBuffers
 from rover_rl.worlds import Terrain, World, hull
 from rover_rl.worlds.ground_kernels import measure_clearance
 from rover_rl.worlds.movers.parts import Parts
