@@ -152,7 +152,8 @@ Change: TypeAlias = Callable[[WorldGroup, np.ndarray, Any], None]
 class GroupedSimulator(Simulator):
     """Base of simulators on the CPU that keep consecutive rovers in the same world together.
 
-    A simulator has :meth:`_group`. Each of the threads works on a share of the rovers of every world.
+    ``worlds`` holds the world of each rover. Without ``settings``, the physics of a simulator has its defaults. Each
+    simulator has :meth:`_group`. Each of the threads works on a share of the rovers of every world.
     """
 
     features: frozenset[Feature] = frozenset({"contacts", "dynamics", "movers", "contact_force", "wheel_torque"})

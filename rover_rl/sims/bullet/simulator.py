@@ -48,10 +48,7 @@ RAYS_PER_BLOCK = 8192
 
 
 class BulletSimulator(GroupedSimulator):
-    """Simulator in PyBullet. Consecutive rovers in the same world share Bullet clients for the physics and the lidar.
-
-    ``worlds`` holds the world of each rover. Without ``settings``, the physics has its defaults.
-    """
+    """Simulator in PyBullet. Consecutive rovers in the same world share clients for the physics and the lidar."""
 
     features = GroupedSimulator.features | {"lidar"}
 
