@@ -152,15 +152,13 @@ def load(task: Task, entry: str) -> Trained:
 
 def has_planner(found: ResolvedPolicy) -> bool:
     """Whether a planner drives beside a policy: as the prior of its network, or in its action."""
-    env = getattr(found.module, "made_for", None)
-    residual = env is not None and env.action.kind == "residual"
+    residual = (env := getattr(found.module, "made_for", None)) is not None and env.action.kind == "residual"
     return residual or (found.config is not None and found.config.network.prior != "none")
 
 
 def judge(task: Task, found: Trained, name: str, action_repeat: int | None) -> list[Evaluation]:
     """Evaluates a policy in a task's test, as ``rover-rl evaluate TASK POLICY`` does: once for each range of worlds."""
-    policy = for_task(task, found.policy)
-    env = test_env(task, policy)
+    env = test_env(task, policy := for_task(task, found.policy))
     options = {"name": name, "env": env, "seconds": task.seconds, "action_repeat": action_repeat}
     sets = [choose_episodes(one, task.episodes, robot=env.robot, workers=found.workers) for one in env.world_names]
     return evaluate_all([Request(policy, episodes, options) for episodes in sets], found.workers)
