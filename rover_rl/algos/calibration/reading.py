@@ -39,13 +39,19 @@ class Stream(NamedTuple):
     age: np.ndarray | None
     values: np.ndarray
 
+    @property
+    def slope(self) -> np.ndarray:
+        """Slope of the ground by an IMU, downhill ahead and to the left (imaginary): sines."""
+        return self.values[:, 2] + 1j * self.values[:, 3]
+
 
 class Recording(NamedTuple):
     """Commands and readings of a drive.
 
-    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s) and yaw (rad,
-    unwrapped); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not finite without
-    a return), whose beams are ``increment`` apart, rad. Sensors that were not recorded are ``None``.
+    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s), yaw (rad, unwrapped)
+    and the slope of the ground ahead and to the left, downhill (sines); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN
+    without one); ``scan`` the ranges (m; not finite without a return), whose beams are ``increment`` apart, rad.
+    Sensors that were not recorded are ``None``.
     """
 
     commands: Stream
@@ -128,7 +134,9 @@ def _stream(topic: str, role: str, rows: list[Any], clock: np.ndarray, begin: fl
     keep = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
     stamp, values = stamp[keep], values[keep]
     if role in ("imu", "pose"):
-        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:])))
+        x, y, z, w = values[:, -4:].T
+        slope = (2 * (w * y - x * z), -2 * (w * x + y * z)) if role == "imu" else ()
+        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:]), *slope))
     if role == "imu" and np.isnan(values).any():
         # An IMU without orientation: its yaw rate adds up.
         values[:, 1] = cumulative_trapezoid(values[:, 0], stamp, initial=0)
