@@ -98,7 +98,8 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     scale, ratio, late = (estimates.get(name) for name in ("wheel_scale", "yaw_ratio", "pose_late"))
     body = np.array([1 / scale.value if scale else 1.0, ratio.value if ratio else 1.0])
     place = _places(recording, late.value if late else 0.0)
-    slope = np.interp(windows.start, recording.imu.stamp, recording.imu.slope) if recording.imu else np.zeros(1)
+    imu = recording.imu
+    slope = np.interp(windows.start, imu.stamp, imu.values[:, 2:] @ np.array((1, 1j))) if imu else np.zeros(1)
     told, errors, kept, drive = [], [], windows.weight.astype(bool), robot.drive
     # Before, the robot follows the limits of its drive at once.
     speed = [1.0, 0.0, *[drive.max_linear_acceleration] * 2, drive.max_speed]
@@ -124,10 +125,7 @@ def _widened(name: str, estimate: Estimate) -> Estimate:
 def _of_bodies(
     recording: Recording, robot: Robot, dynamics: base.Dynamics
 ) -> tuple[dict[str, Estimate], set[str], float]:
-    """What other sensors tell of the wheels and stamps, names of what they cannot, and how far the base slides.
-
-    They cannot tell what they repeat of the odometry. See :func:`rover_rl.algos.calibration.sensors.slide`.
-    """
+    """What other sensors tell of wheels and stamps, what they cannot, as they repeat the odometry, and the slide."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, column) for column in odometry.values.T)
     still, one = sensors.pure(odometry, 0, sensors.IN_PLACE), Estimate(1.0, 1.0, 1.0)
@@ -164,7 +162,7 @@ def _of_bodies(
                 left = Curve(path.time - late["pose_late"].value, path.total.imag)
                 if yields := sensors.slide(odometry, imu, left, scale.value, turning.ratio.value):
                     slid = yields.value
-                    if imu is None or np.median(np.abs(imu.slope)) < LEVEL:
+                    if imu is None or np.median(np.hypot(*imu.values[:, 2:].T)) < LEVEL:
                         numbers["friction"] = _friction(robot, numbers["track"], yields)
         fastest = max(float(dynamics.values[base.NAMES.index(f"speed_{name}")]) for name in base.LIMITS[:2])
         if (slipped := sensors.friction(odometry, way, scale.value, fastest)) is not None:
@@ -188,7 +186,7 @@ def _friction(robot: Robot, track: Estimate, slide: Estimate) -> Estimate:
     ahead = np.array(track)[:, None] / 2 - np.abs(y)
     value, low, high = 1 / (ahead**2 / np.hypot(ahead, x) ** 3).mean(1)
     one, other = sorted((low, high))
-    return Estimate(value / slide.value, one / slide.high, other / slide.low)
+    return Estimate(float(value / slide.value), float(one / slide.high), float(other / slide.low))
 
 
 def _places(recording: Recording, late: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

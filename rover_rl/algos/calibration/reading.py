@@ -39,11 +39,6 @@ class Stream(NamedTuple):
     age: np.ndarray | None
     values: np.ndarray
 
-    @property
-    def slope(self) -> np.ndarray:
-        """Slope of the ground by an IMU, downhill ahead and to the left (imaginary): sines."""
-        return self.values[:, 2] + 1j * self.values[:, 3]
-
 
 class Recording(NamedTuple):
     """Commands and readings of a drive.

@@ -157,7 +157,7 @@ def slide(odometry: Stream, imu: Stream | None, way: Curve, scale: float, ratio:
     centrifugal force, the base then yields in proportion to how fast it turns. ``way`` is that to the left.
     """
     time, (speed, rate) = odometry.stamp, odometry.values.T
-    slope = 0.0 if imu is None else np.interp(time, imu.stamp, imu.slope.imag)
+    slope = 0.0 if imu is None else np.interp(time, imu.stamp, imu.values[:, 3])
     force = slope - speed / scale * rate * ratio / GRAVITY
     yields = Curve.integral(time, np.abs(rate) * ratio * force)
     at = _shared(yields, way)
