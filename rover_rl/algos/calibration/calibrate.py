@@ -150,7 +150,7 @@ def _of_bodies(
         if name in told:
             numbers["yaw_ratio"] = told[name].ratio
     name = next((name for name in curves if name in told or name not in aligned), "")
-    if way is not None and "way" in told:
+    if path is not None and way is not None and "way" in told:
         numbers["wheel_scale"] = scale = one.per(told["way"].ratio)
         turning = align(turned, curves[name], still) if name else None
         if turning is not None:
