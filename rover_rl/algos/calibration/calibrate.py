@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -17,7 +17,6 @@ from rover_rl.robots.drives import SkidSteer
 
 HORIZONS = (0.2, 1.0, 3.0)  # of prediction, s
 TIME_ERROR, RELATIVE_ERROR = 0.01, 0.02  # least half widths of intervals: of times, s, and of others, a share of them
-LEVEL = 0.05  # median slope (sine) of the ground below which sliding in turns tells the friction
 STEPS = "drive ten steps from rest to full speed and back to a full stop"
 TURNS = "turn in place for 10 s both ways, in steps from rest to the full yaw rate"
 WITH_POSE = "record a pose that is not computed from the wheels"
@@ -89,7 +88,7 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     """
     windows = base.make_windows(recording.commands, recording.odometry)
     dynamics = base.fit_dynamics(windows)
-    bodies, repeated, slide = _of_bodies(recording, robot, dynamics)
+    bodies, repeated = _of_bodies(recording, robot, dynamics)
     fitted = {name: _widened(name, each) for name, each in {**bodies, **dynamics.told}.items()}
     estimates: dict[str, Estimate | None] = {**fitted, **sensors.noise(recording)}
     numbers = {name: number._replace(estimate=estimates.get(name)) for name, number in NUMBERS.items()}
@@ -98,17 +97,13 @@ def calibrate(recording: Recording, robot: Robot) -> Calibration:
     scale, ratio, late = (estimates.get(name) for name in ("wheel_scale", "yaw_ratio", "pose_late"))
     body = np.array([1 / scale.value if scale else 1.0, ratio.value if ratio else 1.0])
     place = _places(recording, late.value if late else 0.0)
-    imu = recording.imu
-    slope = np.interp(windows.start, imu.stamp, imu.values[:, 2:] @ np.array((1, 1j))) if imu else np.zeros(1)
     told, errors, kept, drive = [], [], windows.weight.astype(bool), robot.drive
     # Before, the robot follows the limits of its drive at once.
     speed = [1.0, 0.0, *[drive.max_linear_acceleration] * 2, drive.max_speed]
     before = np.array([0.0, *speed, 1.0, 0.0, *[drive.max_angular_acceleration] * 2, drive.max_yaw_rate])
-    cases = (before, False, 1.0, 0.0), (dynamics.values, dynamics.lag_first, body, slide)
-    for values, lag_first, part, slides in cases:
+    for values, lag_first, part in ((before, False, 1.0), (dynamics.values, dynamics.lag_first, body)):
         told.append(base.predict(values[None], windows, lag_first)[0][kept])
-        twists = base.simulate(values[None], windows, lag_first)[0] * part
-        errors.append(_errors(twists, slides, slope, windows, *place))
+        errors.append(_errors(base.simulate(values[None], windows, lag_first)[0] * part, windows, *place))
     measured = windows.at[kept], windows.measured[kept]
     restless = _restless(recording, *place[:2])
     return Calibration(numbers, *measured, told[0], told[1], np.array(errors), restless)
@@ -122,10 +117,8 @@ def _widened(name: str, estimate: Estimate) -> Estimate:
     return Estimate(value, low if name.endswith("_late") else max(low, 0.0), max(high, value + wide))
 
 
-def _of_bodies(
-    recording: Recording, robot: Robot, dynamics: base.Dynamics
-) -> tuple[dict[str, Estimate], set[str], float]:
-    """What other sensors tell of wheels and stamps, what they cannot, as they repeat the odometry, and the slide."""
+def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> tuple[dict[str, Estimate], set[str]]:
+    """What other sensors tell of the wheels and stamps, and names of what they cannot, as they repeat the odometry."""
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, column) for column in odometry.values.T)
     still, one = sensors.pure(odometry, 0, sensors.IN_PLACE), Estimate(1.0, 1.0, 1.0)
@@ -133,7 +126,7 @@ def _of_bodies(
     curves = {name: Curve(each.stamp, each.values[:, column]) for name, each, column in yaws if each}
     curves = {name: curve for name, curve in curves.items() if not np.isnan(curve.total).any()}
     found = {name: align(turned, curve) for name, curve in curves.items()}
-    slid, path = 0.0, None if pose is None else sensors.way_of(pose, imu)
+    path = None if pose is None else sensors.way_of(pose, imu)
     way = None if path is None else Curve(path.time, path.total.real)
     if way is not None:
         # In bows, the wheels of a skid-steer base slip along the way, too.
@@ -160,10 +153,9 @@ def _of_bodies(
                 width = robot.drive.track(robot.wheels)
                 numbers["track"] = Estimate(*(width * each for each in slip))
                 left = Curve(path.time - late["pose_late"].value, path.total.imag)
-                if yields := sensors.slide(odometry, imu, left, scale.value, turning.ratio.value):
-                    slid = yields.value
-                    if imu is None or np.median(np.hypot(*imu.values[:, 2:].T)) < LEVEL:
-                        numbers["friction"] = _friction(robot, numbers["track"], yields)
+                slide = sensors.slide(odometry, imu, left, scale.value, turning.ratio.value)
+                if slide is not None:
+                    numbers["friction"] = _friction(robot, numbers["track"], slide)
         fastest = max(float(dynamics.values[base.NAMES.index(f"speed_{name}")]) for name in base.LIMITS[:2])
         if (slipped := sensors.friction(odometry, way, scale.value, fastest)) is not None:
             # A body that slips turns late, too, and its yaw does not tell whether stamps are.
@@ -171,7 +163,7 @@ def _of_bodies(
     repeated = {"wheel_scale", "slip", "track", "friction"} if "way" in aligned.keys() - told else set[str]()
     if curves and not name:
         repeated |= {"yaw_ratio", "slip", "track"}
-    return numbers | late, repeated, slid
+    return numbers | late, repeated
 
 
 def _friction(robot: Robot, track: Estimate, slide: Estimate) -> Estimate:
@@ -211,22 +203,20 @@ def _restless(recording: Recording, time: np.ndarray, place: np.ndarray) -> np.n
     return np.array(ways)
 
 
-def _errors(twists: np.ndarray, slide: float, slope: np.ndarray, windows: base.Windows, *place: Any) -> list[float]:
+def _errors(
+    twists: np.ndarray, windows: base.Windows, time: np.ndarray, place: np.ndarray, yaw: np.ndarray
+) -> list[float]:
     """Returns medians of the errors of the place after each horizon, from velocities ``[W, N, 2]``, m.
 
-    The base slides on ground of the ``slope`` ``[W]`` at its start. ``place`` are times, places (x + iy) and yaws.
     They are those of the windows in which the robot drives or turns, of all if it never does.
     """
-    time, gone_to, yaw = place
     speed, rate = np.moveaxis(base.STEP * twists[:, round(base.WARMUP / base.STEP) :], -1, 0)
-    heading, start = np.exp(1j * np.cumsum(rate, 1)), windows.start
-    force = slope[:, None] / heading - 1j * speed * rate / (base.STEP**2 * sensors.GRAVITY)
-    way = np.cumsum((speed + slide * np.abs(rate) * force) * heading, 1)
+    way, start = np.cumsum(speed * np.exp(1j * np.cumsum(rate, 1)), 1), windows.start
     moves = np.abs(windows.measured).max((1, 2)) > 0.1
     moves |= not moves.any()
     errors = []
     for horizon in HORIZONS:
-        gone = np.interp(start + horizon, time, gone_to) - np.interp(start, time, gone_to)
+        gone = np.interp(start + horizon, time, place) - np.interp(start, time, place)
         told = way[:, round(min(horizon, base.HORIZON) / base.STEP) - 1]
         turned = gone * np.exp(-1j * np.interp(start, time, yaw))
         errors.append(float(np.median(np.abs(told - turned)[moves])))

@@ -44,9 +44,8 @@ class Recording(NamedTuple):
     """Commands and readings of a drive.
 
     ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s), yaw (rad, unwrapped)
-    and the slope of the ground ahead and to the left, downhill (sines); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN
-    without one); ``scan`` the ranges (m; not finite without a return), whose beams are ``increment`` apart, rad.
-    Sensors that were not recorded are ``None``.
+    and tilt (rad, if small); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not
+    finite without a return), whose beams are ``increment`` apart, rad. Sensors that were not recorded are ``None``.
     """
 
     commands: Stream
@@ -129,9 +128,9 @@ def _stream(topic: str, role: str, rows: list[Any], clock: np.ndarray, begin: fl
     keep = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
     stamp, values = stamp[keep], values[keep]
     if role in ("imu", "pose"):
-        x, y, z, w = values[:, -4:].T
-        slope = (2 * (w * y - x * z), -2 * (w * x + y * z)) if role == "imu" else ()
-        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:]), *slope))
+        x, y = values[:, -4:-2].T
+        tilt = (2 * np.hypot(x, y),) if role == "imu" else ()
+        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:]), *tilt))
     if role == "imu" and np.isnan(values).any():
         # An IMU without orientation: its yaw rate adds up.
         values[:, 1] = cumulative_trapezoid(values[:, 0], stamp, initial=0)

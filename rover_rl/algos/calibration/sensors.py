@@ -26,6 +26,7 @@ LEAST_BLOCKS = 4  # least number of blocks with motion
 PIECE, LEAST_PIECES = 3.0, 3  # duration (s) and least number of the pieces at rest that tell the bias of the IMU
 SAME = 0.004  # difference to odometry of a pose that is made of it, m and rad, and of their ratio to 1
 GRAVITY = 9.81  # m/s^2
+LEVEL = 0.05  # largest median tilt of ground on which sliding in turns tells the friction, rad
 
 
 class Estimate(NamedTuple):
@@ -153,13 +154,13 @@ def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
 def slide(odometry: Stream, imu: Stream | None, way: Curve, scale: float, ratio: float) -> Estimate | None:
     """Returns how far a skid-steer base slides to a side for each rad that it turns, m, by a force of its weight.
 
-    Coulomb friction opposes the slip of the wheels in a turn. To another force, such as gravity on a slope or the
-    centrifugal force, the base then yields in proportion to how fast it turns. ``way`` is that to the left.
+    Coulomb friction opposes the slip of the wheels in a turn. To another force, here the centrifugal one, the base then
+    yields in proportion to how fast it turns. ``way`` is that to the left. ``None`` where the IMU tells a slope.
     """
+    if imu is not None and np.median(np.abs(imu.values[:, 2])) > LEVEL:
+        return None
     time, (speed, rate) = odometry.stamp, odometry.values.T
-    slope = 0.0 if imu is None else np.interp(time, imu.stamp, imu.values[:, 3])
-    force = slope - speed / scale * rate * ratio / GRAVITY
-    yields = Curve.integral(time, np.abs(rate) * ratio * force)
+    yields = Curve.integral(time, -np.abs(rate) * ratio * speed / scale * rate * ratio / GRAVITY)
     at = _shared(yields, way)
     told, seen, keep = yields.change(at), way.change(at), np.ones(len(at))
     for _ in range(5):
