@@ -10,8 +10,7 @@
 - ``gpu``: speed on a GPU, skipped without one; see :mod:`benchmarks.gpu`.
 
 Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
-and its load. Run nothing else at the same time. Lines tell what is measured, and what was found. Writes ``bench.json``
-to ``runs/bench/``.
+and its load. Run nothing else at the same time. Writes ``bench.json`` to ``runs/bench/``.
 """
 
 from __future__ import annotations

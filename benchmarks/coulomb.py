@@ -27,15 +27,11 @@ class Motion(NamedTuple):
 
 
 def steady_motion(robot: Robot, center: float, linear: float, angular: float) -> Motion:
-    """Steady motion in which the friction forces and their moment balance (quasi-static).
+    """Steady motion of a robot with two axles, in which the friction forces and their moment balance (quasi-static).
 
-    Inertial forces are neglected. The load of each axle follows from the ``center`` of mass, x in the base frame (m),
-    and is distributed uniformly over the width of the treads. The friction coefficient does not matter, as all forces
-    are proportional to it.
-
-    Args:
-        robot: robot with two axles.
-        linear, angular: commanded forward speed (m/s) and yaw rate (rad/s).
+    Its commands are ``linear`` (m/s) and ``angular`` (rad/s). Inertial forces are neglected. The load of each axle
+    follows from the ``center`` of mass, x in the base frame (m), and is distributed uniformly over the width of the
+    treads. The friction coefficient does not matter, as all forces are proportional to it.
     """
     hubs = np.array(robot.wheels.hubs)
     front, rear = hubs[:, 0].max(), hubs[:, 0].min()

@@ -10,12 +10,11 @@ from rover_rl.sims import Backend, make_simulator
 from rover_rl.sims.backends import BACKENDS, resolve_backend
 from rover_rl.worlds import Terrain, World
 
-HARDWARE = ("ros2",)  # built-in backends that are no simulators
-
 
 def installed_engines() -> list[str]:
     """Names of the simulators of the package whose libraries are installed, Bullet first."""
-    engines = sorted((name for name in BACKENDS if name not in HARDWARE), key=lambda name: (name != "bullet", name))
+    # A live rover is no simulator.
+    engines = sorted((name for name in BACKENDS if name != "ros2"), key=lambda name: (name != "bullet", name))
     return [name for name in engines if _is_installed(name)]
 
 

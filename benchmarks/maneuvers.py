@@ -75,11 +75,8 @@ def drive(
 ) -> Trajectories:
     """Drives rovers from rest, each in its world, and returns their poses at the start and after each step.
 
-    Args:
-        engine: name or settings of a simulator, as for all maneuvers.
-        starts: start poses: x, y (m) and yaw (rad), ``[N, 3]``.
-        commands: commands in turn: forward speed (m/s) and yaw rate (rad/s), ``[2]`` or ``[N, 2]``, and for how many
-            seconds.
+    The ``engine`` is the name or the settings of a simulator, as for all maneuvers. ``starts`` are x, y (m) and yaw
+    (rad), ``[N, 3]``. A command is speed (m/s) and yaw rate (rad/s), ``[2]`` or ``[N, 2]``, and for how many seconds.
     """
     simulator = make_simulator(engine, worlds=worlds, robot=get_robot(robot))
     states = [simulator.reset(torch.ones(len(worlds), dtype=torch.bool), starts)]

@@ -26,7 +26,7 @@ from rover_rl.algos.evaluation.trajectory import count_runs
 from rover_rl.algos.policy.names import resolve_policies
 from rover_rl.algos.policy.runner import Policy, sensors_for
 from rover_rl.checks import MAX_COUNT
-from rover_rl.cli.policies import EnvOptions
+from rover_rl.cli.options import EnvOptions
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.native.threads import single_threaded

@@ -32,7 +32,7 @@ that do not exist, one after another, and goes on where it was stopped.
 - Over several **seeds**, it is the interquartile mean with its 95 % interval, a stratified bootstrap over the seeds
   ([Agarwal et al., 2021](https://arxiv.org/abs/2108.13264)), which is too narrow with three. Of one seed and of
   planners, it is that of all episodes, with its Wilson interval.
-- **Touched** is the share of episodes with a contact, and the time is that of the episodes that reach the goal.
+- **Touched** is the share of episodes that come within 1 cm of an obstacle, and the time that of those that succeed.
 - *Planners* are not trained. `expert` knows the map, which no learner does. An entry **with planner** has one in its
   network or in its action. Learners of `field` and `rooms-people` imitate one in the first tenth of their training.
 

@@ -31,8 +31,10 @@ from benchmarks.other_libraries import LIBRARIES, Meter, OtherActor, run_program
 from benchmarks.task_page import CARDS, PAGE, draw, read_cards, write_card
 from rover_rl import LEARNING_DEFAULTS, __version__
 from rover_rl.algos.config import SACConfig, task_config, with_settings
+from rover_rl.algos.evaluation.episodes import choose_episodes
+from rover_rl.algos.evaluation.evaluate import Request, evaluate_all, for_task, test_env
 from rover_rl.algos.evaluation.metrics import compute_metrics
-from rover_rl.algos.evaluation.tasks import judge
+from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.experiments.runs import WINDOW, Run, continued
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, RANDOM, ResolvedPolicy, is_baseline, resolve_policy
 from rover_rl.algos.policy.runner import Policy
@@ -150,9 +152,16 @@ def load(task: Task, entry: str) -> Trained:
 
 def has_planner(found: ResolvedPolicy) -> bool:
     """Whether a planner drives beside a policy: as the prior of its network, or in its action."""
-    env = getattr(found.module, "made_for", None)
-    residual = env is not None and env.action.kind == "residual"
+    residual = (env := getattr(found.module, "made_for", None)) is not None and env.action.kind == "residual"
     return residual or (found.config is not None and found.config.network.prior != "none")
+
+
+def judge(task: Task, found: Trained, name: str, action_repeat: int | None) -> list[Evaluation]:
+    """Evaluates a policy in a task's test, as ``rover-rl evaluate TASK POLICY`` does: once for each range of worlds."""
+    env = test_env(task, policy := for_task(task, found.policy))
+    options = {"name": name, "env": env, "seconds": task.seconds, "action_repeat": action_repeat}
+    sets = [choose_episodes(one, task.episodes, robot=env.robot, workers=found.workers) for one in env.world_names]
+    return evaluate_all([Request(policy, episodes, options) for episodes in sets], found.workers)
 
 
 def make_card(options: Options, command: str) -> Path:
@@ -169,7 +178,7 @@ def make_card(options: Options, command: str) -> Path:
         if kind == "entry" and options.name in (None, *ours):
             raise ValueError(f"an entry that is there already needs a name of its own: {entry} --name NAME")
     name, repeat = options.label, options.action_repeat or found.action_repeat
-    driven = judge(task, found.policy, name, action_repeat=repeat, workers=found.workers)
+    driven = judge(task, found, name, repeat)
     rows, endings = [row for one in driven for row in one.table], Counter(end for one in driven for end in one.endings)
     metrics, curve = compute_metrics(rows), found.curve
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

@@ -9,6 +9,7 @@ import fcntl
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,21 @@ _REGISTRIES = ("sims.backends", "robots", "worlds", "envs.rewards")
 def backend(request: pytest.FixtureRequest) -> str:
     """Name of a simulation backend."""
     return request.param
+
+
+@pytest.fixture
+def failed(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that fails; returns its one line of complaint."""
+    from rover_rl.cli import main
+
+    def run(*args: object) -> str:
+        capsys.readouterr()
+        assert main([str(arg) for arg in args]) == 2
+        captured = capsys.readouterr()
+        assert (captured.out, captured.err.count("\n")) == ("", 1)
+        return captured.err
+
+    return run
 
 
 @pytest.fixture

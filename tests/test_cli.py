@@ -4,6 +4,7 @@ import json
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +27,6 @@ from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.imperfections import imperfect
 from rover_rl.worlds import WORLDS
 from tests.full_disk import largest_file
-
-
-def failed(capsys: pytest.CaptureFixture[str], *args: object) -> str:
-    """Runs a command that fails; returns its one line of complaint."""
-    assert main([str(arg) for arg in args]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 def exits(capsys: pytest.CaptureFixture[str], line: str, code: int) -> str:
@@ -87,10 +79,8 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("train --backend warp --world maze --physics fast", "unknown physics 'fast'"),
     ],
 )
-def test_a_wrong_command_line_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], line: str, expected: str
-) -> None:
-    assert failed(capsys, *line.split()).startswith(f"rover-rl: {expected}")
+def test_a_wrong_command_line_is_refused_in_one_line(failed: Callable[..., str], line: str, expected: str) -> None:
+    assert failed(*line.split()).startswith(f"rover-rl: {expected}")
 
 
 @pytest.mark.parametrize(
@@ -113,35 +103,33 @@ def test_options_that_a_command_does_not_take_are_refused_with_what_it_takes(
     assert [part for part in named if part not in told] == []
 
 
-def test_a_run_without_a_checkpoint_says_what_to_do(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_run_without_a_checkpoint_says_what_to_do(failed: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("algo: ppo\n")
     expected = f"no checkpoint at {tmp_path}/checkpoint.pt: the run has written none yet; if it has ended, go on with"
-    assert failed(capsys, "evaluate", tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
-    assert "is not the folder of a run" in failed(capsys, "evaluate", tmp_path.parent)
-    assert "is damaged, or no checkpoint" in failed(capsys, "evaluate", tmp_path / "config.yaml")
-    assert failed(capsys, "evaluate", tmp_path / "no.pt").startswith("rover-rl: no checkpoint at")
+    assert failed("evaluate", tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
+    assert "is not the folder of a run" in failed("evaluate", tmp_path.parent)
+    assert "is damaged, or no checkpoint" in failed("evaluate", tmp_path / "config.yaml")
+    assert failed("evaluate", tmp_path / "no.pt").startswith("rover-rl: no checkpoint at")
     (tmp_path / "foreign.pt").write_text("not a checkpoint")
-    assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
+    assert "no checkpoint of rover_rl" in failed("evaluate", tmp_path / "foreign.pt")
 
 
-def test_settings_that_cannot_be_read_are_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_settings_that_cannot_be_read_are_refused_in_one_line(failed: Callable[..., str], tmp_path: Path) -> None:
     for text in ("algo: [\n", "[" * 5000, "algo: ppo\nday: 2001-99-99\n"):
-        assert "given.yaml is no YAML" in failed(capsys, "train", "--config", written(tmp_path, text))
-    assert "must name an algo" in failed(capsys, "train", "--config", written(tmp_path, "algo: [ppo]\n"))
-    assert "is a folder, and settings are in a file" in failed(capsys, "train", "--config", tmp_path)
-    assert "is not the folder of a run" in failed(capsys, "train", "--resume", tmp_path)
+        assert "given.yaml is no YAML" in failed("train", "--config", written(tmp_path, text))
+    assert "must name an algo" in failed("train", "--config", written(tmp_path, "algo: [ppo]\n"))
+    assert "is a folder, and settings are in a file" in failed("train", "--config", tmp_path)
+    assert "is not the folder of a run" in failed("train", "--resume", tmp_path)
     for half in ("", "algo: ppo\nworld: mo"):
         (tmp_path / "config.yaml").write_text(half)
-        assert "config.yaml is empty, or cut short" in failed(capsys, "train", "--resume", tmp_path)
+        assert "config.yaml is empty, or cut short" in failed("train", "--resume", tmp_path)
 
 
 FILM = "film scripted --world maze --backend warp --seconds 0.1 --width 64 --height 48 --out"
 
 
 def test_without_space_the_file_is_named_and_nothing_is_left(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    failed: Callable[..., str], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     # Compiling kernels writes files.
     assert main([*FILM.split(), str(tmp_path / "before.gif")]) == 0
@@ -153,7 +141,7 @@ def test_without_space_the_file_is_named_and_nothing_is_left(
             (f"{FILM} {tmp_path}/film.gif", "film.gif"),
             (f"train --runs {tmp_path} --name run", "run/config.yaml"),
         ):
-            assert failed(capsys, *line.split()) == f"rover-rl: {tmp_path}/{file}: File too large\n"
+            assert failed(*line.split()) == f"rover-rl: {tmp_path}/{file}: File too large\n"
         assert main([*evaluate.split(), str(tmp_path)]) == 2
     told = capsys.readouterr()
     assert told.err == f"rover-rl: {tmp_path}/evaluation.json: File too large\n"
@@ -166,7 +154,9 @@ SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-s
 
 
 @pytest.mark.slow
-def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_train_go_on_then_evaluate(
+    failed: Callable[..., str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     given = ["train", "--algo", "ppo", "--world", "maze", "--randomize", "--epochs", "1", *SIZE]
     reward = "tests.envs.test_specs:CollisionHeat"
     with pytest.warns(UserWarning, match=f"no component of reward='{reward}' pays for a goal"):
@@ -176,12 +166,12 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert str(folder / "checkpoint.pt") in told
     assert "Time went into: simulator" in told
     assert (folder / "learning_curve.png").is_file()
-    assert "already" in failed(capsys, "train", "--runs", tmp_path, "--name", "run")
+    assert "already" in failed("train", "--runs", tmp_path, "--name", "run")
 
     with pytest.warns(UserWarning, match="pays for a goal"):
         assert main(["train", "--resume", str(folder), "--total-steps", "128"]) == 0
     assert "after 128 steps" in capsys.readouterr().out
-    message = failed(capsys, "train", "--resume", folder, "--world", "moon")
+    message = failed("train", "--resume", folder, "--world", "moon")
     assert f"{folder} is trained with world='maze'" in message
     assert f"use --from {folder}" in message
 
@@ -193,7 +183,7 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "scripted" in capsys.readouterr().out
 
 
-def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_settings_come_from_a_file_and_options_go_first(failed: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nlearning_starts: 8\n")
     runs = ["--runs", str(tmp_path), "--name", "run"]
     size = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "32"]
@@ -203,14 +193,13 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
     assert config.algorithm.learning_starts == 8
     parts = (config.env.world, config.network.hidden, config.env.num_envs, config.algorithm.gradient_steps)
     assert parts == ("maze", (8,), 4, 1)
-    capsys.readouterr()
-    assert "--algo is ppo" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--algo", "ppo")
-    assert "give one of them" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
-    assert "no settings at" in failed(capsys, "train", "--resume", tmp_path / "nothing")
-    assert "does not know: ['sped']" in failed(capsys, "train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
+    assert "--algo is ppo" in failed("train", "--config", tmp_path / "mine.yaml", "--algo", "ppo")
+    assert "give one of them" in failed("train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
+    assert "no settings at" in failed("train", "--resume", tmp_path / "nothing")
+    assert "does not know: ['sped']" in failed("train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
 
 
-def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_policy_is_trained_further_in_another_world(failed: Callable[..., str], tmp_path: Path) -> None:
     given = ["--from", "pretrained:moon-ppo", "--world", "maze", "--total-steps", "16", "--num-envs", "4"]
     assert main(["train", *given, "--rollout-length", "4", "--runs", str(tmp_path), "--name", "run"]) == 0
     config, source = read_config(tmp_path / "run" / "config.yaml"), load_pretrained("moon-ppo").config
@@ -218,12 +207,11 @@ def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixt
     assert chosen == ("pretrained:moon-ppo", "maze", source.network)
     assert config.algorithm.learning_rate < source.algorithm.learning_rate
     assert (config.run.total_steps, config.run.max_minutes) == (16, None)
-    capsys.readouterr()
     given = ["train", "--from", tmp_path / "run", "--runs", tmp_path / "more"]
-    assert "hidden=(128, 128) of the policy" in failed(capsys, *given, "--hidden", "8")
-    assert "the policy was made for lidar points 32" in failed(capsys, *given, "--lidar.points", "16")
-    assert "give one of them" in failed(capsys, *given, "--resume", tmp_path / "run")
-    assert "no checkpoint at" in failed(capsys, "train", "--from", tmp_path / "nothing")
+    assert "hidden=(128, 128) of the policy" in failed(*given, "--hidden", "8")
+    assert "the policy was made for lidar points 32" in failed(*given, "--lidar.points", "16")
+    assert "give one of them" in failed(*given, "--resume", tmp_path / "run")
+    assert "no checkpoint at" in failed("train", "--from", tmp_path / "nothing")
     assert not (tmp_path / "more").exists()
 
 
@@ -334,21 +322,19 @@ def test_the_training_begins_with_the_untrained_policy_of_its_seed(tmp_path: Pat
     assert not all(torch.allclose(value, other.actor[name]) for name, value in before.actor.items())
 
 
-def test_robot_and_drive_take_the_description_of_an_environment(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_robot_and_drive_take_the_description_of_an_environment(failed: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "tank.yaml").write_text("robot: tank\n")
-    assert "unknown robot 'tank'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml")
-    assert "unknown world 'mars'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml", "--world", "mars")
+    assert "unknown robot 'tank'" in failed("robot", "--env", tmp_path / "tank.yaml")
+    assert "unknown world 'mars'" in failed("robot", "--env", tmp_path / "tank.yaml", "--world", "mars")
     (tmp_path / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
     driven = ["drive", "pretrained:moon-ppo", "--goal", "1", "1", "--dry-run", "--bag", tmp_path / "drive.mcap"]
-    message = failed(capsys, *driven, "--env", tmp_path / "forward.yaml")
+    message = failed(*driven, "--env", tmp_path / "forward.yaml")
     assert "the policy was made for actions" in message
-    assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))
+    assert "there is no setting sped" in failed("robot", "--env", written(tmp_path, "sped: 3"))
 
 
 def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_outside_of_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    failed: Callable[..., str], tmp_path: Path
 ) -> None:
     for folder, north_up in (("knows", True), ("free", False)):
         config = training_config("ppo", world="maze:3", hidden=(8,), north_up=north_up, mirror_augmentation=False)
@@ -357,9 +343,9 @@ def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_ou
         Checkpoint(config=config, steps=0, actor=actor).save(tmp_path / folder / "checkpoint.pt")
     elsewhere = ["--world", "moon", "--goal", "1", "1", "--goal", "99", "0"]
     known, outside = "recognizes the places of maze:3, where it was trained, and --world is moon", "the goal 99 0 is"
-    assert known in failed(capsys, "drive", tmp_path / "knows", *elsewhere)
-    assert outside in failed(capsys, "drive", tmp_path / "knows", *elsewhere, "--allow-other-world")
-    assert outside in failed(capsys, "drive", tmp_path / "free", *elsewhere)
+    assert known in failed("drive", tmp_path / "knows", *elsewhere)
+    assert outside in failed("drive", tmp_path / "knows", *elsewhere, "--allow-other-world")
+    assert outside in failed("drive", tmp_path / "free", *elsewhere)
 
 
 @pytest.mark.parametrize(
@@ -374,13 +360,13 @@ def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_ou
     ],
 )
 def test_parts_and_settings_that_do_not_work_are_one_sentence(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, message: str
+    failed: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, message: str
 ) -> None:
     (tmp_path / "my_parts.py").write_text(
         "number = 4\n\ndef needy(what):\n    return what\n\ndef needier(seed, what):\n    return what\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    assert message in failed(capsys, "train", *options.split(), "--runs", tmp_path / "runs")
+    assert message in failed("train", *options.split(), "--runs", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
 
 
@@ -407,7 +393,7 @@ def test_training_is_randomized_by_the_name_of_a_preset() -> None:
     ],
 )
 def test_a_place_that_cannot_be_written_to_is_told_with_the_option_that_names_another(
-    option: str, command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    option: str, command: list[str], failed: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A file in place of the folder, and a folder that is read-only, which root does not notice.
     file, folder = tmp_path / "file", tmp_path / "folder"
@@ -416,7 +402,5 @@ def test_a_place_that_cannot_be_written_to_is_told_with_the_option_that_names_an
     usual = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder and usual(path, mode))
     for place, reason in ((file, "is no folder"), (folder, "may not be written to")):
-        assert main([word.replace("OUT", str(place)) for word in command]) == 2
-        told = capsys.readouterr().err
+        told = failed(*(word.replace("OUT", str(place)) for word in command))
         assert f"cannot be written, since {place} {reason}: name another place with {option}\n" in told
-        assert told.count("\n") == 1

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from rover_rl.algos.evaluation import tasks
+from rover_rl.algos.evaluation import evaluate
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.main import main
-from rover_rl.cli.policies import EnvOptions
+from rover_rl.cli.options import EnvOptions
 from rover_rl.cli.train import train_defaults
 from rover_rl.robots import RobotOptions, get_robot, robot_names
 from rover_rl.sims.effective_track import measured_track
@@ -61,7 +61,7 @@ def test_options_of_a_robot_are_part_of_its_name_in_all_commands() -> None:
 
 def test_a_policy_drives_with_the_robot_that_is_named_in_place_of_those_of_a_task() -> None:
     planner, race = resolve_policy("gridplanner", ("forest:1",), "racer").module, get_task("race")
-    env = tasks.test_env(race, planner)
+    env = evaluate.test_env(race, planner)
     with pytest.raises(ValueError, match="made for the robot racer"):
         EnvOptions().description(planner, None, env)
     driven = EnvOptions(robot="racer").description(planner, None, env)

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Union
 import tyro
 
 from rover_rl.algos.policy.names import resolve_policies
-from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions
+from rover_rl.cli.options import BACKEND, SEVERAL_POLICIES, EnvOptions, Force, Workers
 from rover_rl.files import check_outputs
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
-    from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.envs.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -28,10 +26,8 @@ class _Benchmark:
     """Seed of the starts of all runs but the first."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    workers: Workers = None
+    force: Force = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +113,9 @@ def _parsed(worlds: str, count: int, names: str) -> list[int]:
 def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     from rover_rl.algos.benchmarks.suite import draw_worst_runs, print_results, run_suite, write_results
 
-    out, policies = options.out, _policies(suite.name, options)
+    out, environment = options.out, options.environment
+    resolved = resolve_policies(options.policies, (suite.name,), environment.given_robot)
+    policies = {one.name: (one.module, environment.description(one.module, options.backend)) for one in resolved}
     pictures = {name: out / f"worst-{re.sub('[:/]', '-', name)}.png" for name in policies}
     # Fails before the runs, which can take minutes.
     files = (out / "benchmark.json", out / "benchmark.csv", *pictures.values())
@@ -134,9 +132,3 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
     print("Worst runs: " + ", ".join(map(str, pictures.values())))
     return 0
-
-
-def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
-    environment = options.environment
-    resolved = resolve_policies(options.policies, (suite,), environment.given_robot)
-    return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

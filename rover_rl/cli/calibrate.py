@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from rover_rl.cli.help_text import FLAT
-from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.cli.options import Force, OptionsOfRobot
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -35,14 +35,12 @@ class Calibrate:
     are any (needs the extra ros2)."""
     robot: str = "rover_zero"
     """Robot whose limits and track count before the calibration: a name, a URDF file, or module:attribute."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
     out: Path = Path("runs/calibration")
     """Folder to write to."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
 
     def __call__(self) -> int:
         outputs = [self.out / file for file in FILES]

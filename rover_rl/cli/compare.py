@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from rover_rl.cli.options import Force
 from rover_rl.files import check_outputs
 
 
@@ -26,8 +27,7 @@ class Compare:
     """Success rate that a run takes some steps and minutes to."""
     out: Path = Path("runs/comparison")
     """Folder to write to."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
 
     def __call__(self) -> int:
         from rover_rl.algos.experiments.comparison import compare, print_comparison, write_comparison

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
-TASK = "inspect"
-"""Task that is learned. Policies are tested on the first of its 256 stored start-goal pairs."""
-FILMED = 16.0
-"""Duration of the drive that is filmed, s."""
+TASK = "inspect"  # task that is learned. Policies are tested on the first of its 256 stored start-goal pairs.
+FILMED = 16.0  # duration of the drive that is filmed, s
 POLICIES = ("pretrained:crowd", "gridplanner-moving", "scripted")
 UNSEEN = {"plaza:50000-50015": "people in a plaza", "field:50000-50015@1": "fast obstacles in a field"}
 """Worlds that no training has seen, in which the policies are compared."""
@@ -75,8 +73,7 @@ class Demo:
 
     def _test(self, policy: Checkpoint) -> Evaluation:
         from rover_rl.algos.evaluation.episodes import stored_episodes
-        from rover_rl.algos.evaluation.evaluate import evaluate
-        from rover_rl.algos.evaluation.tasks import test_env
+        from rover_rl.algos.evaluation.evaluate import evaluate, test_env
 
         actor, name, task = policy.make_actor(), f"policy after {policy.steps:,} steps", get_task(TASK)
         episodes, env = stored_episodes(TASK).first(self.episodes), test_env(task, actor)
@@ -107,8 +104,7 @@ class Demo:
 
     def _compare(self) -> None:
         from rover_rl.algos.evaluation.episodes import choose_episodes
-        from rover_rl.algos.evaluation.evaluate import Request, evaluate_all
-        from rover_rl.algos.evaluation.tasks import test_env
+        from rover_rl.algos.evaluation.evaluate import Request, evaluate_all, test_env
         from rover_rl.algos.policy.names import resolve_policies
 
         print(f"4. {', '.join(POLICIES)} drive in worlds that no training has seen", flush=True)

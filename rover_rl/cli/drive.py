@@ -21,7 +21,7 @@ from rich.live import Live
 from rover_rl import checks
 from rover_rl.algos.policy.names import NO_POLICY, ResolvedPolicy, resolve_policy
 from rover_rl.cli.help_text import FLAT
-from rover_rl.cli.policies import LIVE_POLICY, ROBOT_OPTIONS, read_env
+from rover_rl.cli.options import LIVE_POLICY, OptionsOfRobot, Port, read_env
 from rover_rl.cli.ros_arguments import RosArguments, renamed
 from rover_rl.envs.config import SCAN_POSE, ActionConfig, EnvConfig, GuardConfig, Randomization
 from rover_rl.envs.sensors.suite import LIDAR_MASK
@@ -81,8 +81,7 @@ class Drive:
     """YAML file of EnvConfig, or a run's config.yaml. Default: the environment that the policy was made for."""
     robot: str | None = None
     """Robot: a name, a URDF file, or module:attribute. Default: the robot that the policy was made for."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     clearance: float = 0.2
     """Lidar reading below which the drive ends, m; at least 0.5 with --excite."""
     patience: float = 30.0
@@ -109,8 +108,7 @@ class Drive:
     """Open a page with the scan, a stop button and keys to drive by hand (needs the extra view)."""
     host: str = "127.0.0.1"
     """Address to serve the page on; 0.0.0.0 lets other machines reach it, and drive."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    port: Port = 8080
     connection: Annotated[Connection, FLAT] = field(default_factory=Connection)
     settings: Annotated[Ros2Settings, FLAT] = field(default_factory=Ros2Settings)
     ros_args: RosArguments = field(default_factory=dict)

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.algos.policy.names import BASELINES, NO_POLICY, ResolvedPolicy, resolve_policies
-from rover_rl.cli.policies import SEVERAL_POLICIES, EnvOptions, is_bag
+from rover_rl.algos.policy.names import BASELINES, NO_POLICY, PRETRAINED, ResolvedPolicy, resolve_policies
+from rover_rl.cli.options import SEVERAL_POLICIES, EnvOptions, Force, Workers, is_bag
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
+from rover_rl.envs.parts import TASKS
 from rover_rl.files import check_outputs
+from rover_rl.registry import is_path
 from rover_rl.robots import get_robots, names_several
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.ros2.settings import BAG, BagTopics
+from rover_rl.tasks.task import Task
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -27,11 +30,9 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import EnvConfig
-    from rover_rl.tasks.task import Task
 
 _OF_TASK = "The name of a task before them (rover-rl tasks) judges them in its test."
-EXACT = "exact"
-"""Name of exact sensors beside those of imperfections."""
+EXACT = "exact"  # name of exact sensors beside those of imperfections
 
 
 class _Run(NamedTuple):
@@ -85,22 +86,18 @@ class Evaluate:
     """Columns of the table: all, or names of metrics such as spl jerk (docs/evaluation.md).
     Default: success, clean, SPL, time, touched, where something moves also contacts with it and the least distance to
     it, and the endings that occur."""
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    workers: Workers = None
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
     html: Path | None = None
     """Page to write: up to 12 drives, the worst of each policy and usual ones, with a time slider, in one file that
     opens offline (needs the extra view)."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     topics: BagTopics = field(default_factory=BagTopics)
     task: tyro.conf.Suppress[Any] = None
     """Task whose test it is."""
 
     def __call__(self) -> int:
-        from rover_rl.algos.evaluation.tasks import split_task
-
         task, policies = split_task(self.policies)
         return self._evaluate() if task is None else self._of_task(task, policies)._evaluate()
 
@@ -123,10 +120,9 @@ class Evaluate:
         )
 
     def _evaluate(self) -> int:
-        from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all
+        from rover_rl.algos.evaluation.evaluate import check_options, evaluate_all, for_task
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
-        from rover_rl.algos.evaluation.tasks import for_task
 
         if self.html is not None:
             check_page(self.html)
@@ -215,7 +211,7 @@ class Evaluate:
         return [*names] or [None]
 
     def _env(self, policy: Policy | None, backend: str | None, imperfection: str = "") -> EnvConfig:
-        from rover_rl.algos.evaluation.tasks import test_env
+        from rover_rl.algos.evaluation.evaluate import test_env
 
         env = self.environment.description(policy, backend, self.task and test_env(self.task, policy))
         env = imperfect(env, imperfection) if imperfection else env
@@ -263,3 +259,17 @@ class Evaluate:
                     endless.append(_Run(Request(policy.module, again, {**settings, "jam": self.jam}), imperfection))
             runs += endless
         return runs
+
+
+def split_task(words: tuple[str, ...]) -> tuple[Task | None, tuple[str, ...]]:
+    """Returns the task that the first word names, if it names one, and the other words.
+
+    A word that is a file or folder is none, nor is the ``"module:attribute"`` of something else.
+    """
+    if not words or words[0].startswith(PRETRAINED) or Path(words[0]).exists():
+        return None, words
+    if words[0] in TASKS.names() or is_path(words[0]):
+        found = TASKS.find(words[0])
+        if isinstance(found, Task):
+            return found, words[1:]
+    return None, words

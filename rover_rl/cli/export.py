@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from rover_rl.algos.policy.names import load_policy, policy_name
-from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.cli.options import Force, OptionsOfRobot
 from rover_rl.envs.sensors.suite import CONTACT_TIMES, MOVERS, ROUTE
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
@@ -30,12 +30,10 @@ class Export:
     robot: str | None = None
     """Robot that the file is for, of a policy that was made for several: a name, a URDF file, or module:attribute.
     Default: the robot that the policy was made for."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     out: Path | None = None
     """File to write. Default: the name of the policy with the suffix .onnx or .pt2."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
 
     def __call__(self) -> int:
         from rover_rl.algos.deploy.export import SUFFIXES, export

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from rover_rl.algos.policy.names import ResolvedPolicy, resolve_policy
-from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
+from rover_rl.checks import MAX_COUNT, MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
+from rover_rl.cli.options import BACKEND, ONE_POLICY, EnvOptions, Force, is_bag
 from rover_rl.cli.replays import check_page
 from rover_rl.files import check_outputs
 from rover_rl.sims.ros2.settings import BAG, BagTopics
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.video.film import Style
     from rover_rl.algos.video.recording import Recording
 
-FILMED = 20.0
-"""Default duration of a film in endless mode, s."""
+FILMED = 20.0  # default duration of a film in endless mode, s
 POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a bag ({BAG}): of rover-rl drive, or of ROS 2.")
 
 
@@ -68,8 +67,7 @@ class Film:
     """Playback speed; 2 is twice as fast as real time."""
     rewards: Path | None = None
     """File to plot the first rover's reward components to, such as rewards.png."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
     topics: BagTopics = field(default_factory=BagTopics)
@@ -91,6 +89,7 @@ class Film:
     def _check(self) -> None:
         self._style.check(self.out if self.html is None else Path("page.gif"))
         check_at_least(1, MAX_COUNT, count=self.count)
+        check_at_least(1, MAX_ROVERS, rovers=self.rovers or 1)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
         single = self.episode is not None or self.failures or is_bag(self.policy)
@@ -120,15 +119,19 @@ class Film:
         return Style(self.view, self.width, self.height, self.fps, self.speed)
 
     def _film(self, recording: Recording, out: Path, of: str) -> None:
-        from rover_rl.algos.video.film import film_recording
-
-        shown = recording if self.seconds is None else recording.last(self.seconds)
-        if self.html is not None:
-            _write_page(shown, out)
-        else:
-            film_recording(shown, out, self._style)
+        self._write(recording if self.seconds is None else recording.last(self.seconds), out)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
         print(f"Film: {out}: episode {recording.episode} {of}{where}, {how_it_ended(recording)}", flush=True)
+
+    def _write(self, recording: Recording, out: Path) -> None:
+        if self.html is not None:
+            from rover_rl.view.replay import write_replay
+
+            write_replay([recording], out)
+        else:
+            from rover_rl.algos.video.film import film_recording
+
+            film_recording(recording, out, self._style)
 
     def _resolve(self) -> ResolvedPolicy:
         return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.given_robot)
@@ -180,8 +183,9 @@ class Film:
         self._film(drive, self._out, f"of the episodes for {world}")
 
     def _film_endless(self) -> None:
+        import torch
+
         from rover_rl.algos.evaluation.plots import draw_reward_components
-        from rover_rl.algos.video.film import film
         from rover_rl.algos.video.recording import record_endless
         from rover_rl.worlds.pool import WorldPool
 
@@ -192,28 +196,16 @@ class Film:
         rows = self.rovers or (1 if alone else 16)
         seconds = FILMED if self.seconds is None else self.seconds
         env = self.environment.description(policy.module, self.backend)
-        if self.html is not None:
-            recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
-            _write_page(recording, self.html)
-            print(f"Page: {self.html}")
-            return
-        drive = {"world": world, "seconds": seconds, "seed": self.seed or 0, "rows": rows, "env": env}
-        rollout = film(policy.module, self.out, self._style, **drive)  # type: ignore[arg-type]
-        print(f"Film: {self.out}")
+        recording = record_endless(policy.module, world, seconds=seconds, rows=rows, seed=self.seed or 0, env=env)
+        self._write(recording, self._out)
+        print(f"{'Page' if self.html else 'Film'}: {self._out}")
         if self.rewards is not None:
-            draw_reward_components(rollout, self.rewards)
+            draw_reward_components(torch.stack(recording.steps), self.rewards)
             print(f"Rewards: {self.rewards}")
 
     @property
     def _out(self) -> Path:
         return self.html or self.out
-
-
-def _write_page(recording: Recording, path: Path) -> None:
-    # Importing viser takes seconds.
-    from rover_rl.view.replay import write_replay
-
-    write_replay([recording], path)
 
 
 def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:

@@ -19,8 +19,7 @@ from tyro.constructors import (
 
 FLAT = tyro.conf.arg(name="")
 """Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden."""
-_UNSET = ("None", "")
-"""Defaults that say nothing."""
+_UNSET = ("None", "")  # defaults that say nothing
 
 
 class ReadableHelp(ConstructorRegistry):

@@ -25,7 +25,7 @@ from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film
 from rover_rl.cli.help_text import ReadableHelp
 from rover_rl.cli.play import Play
-from rover_rl.cli.robot import RobotCommand
+from rover_rl.cli.robot import Robot
 from rover_rl.cli.robots import Robots
 from rover_rl.cli.ros_arguments import split_ros_arguments
 from rover_rl.cli.tasks import Tasks
@@ -36,31 +36,14 @@ from rover_rl.files import STANDARD_OUTPUT, errors_name
 from rover_rl.option_names import options_of_command
 from rover_rl.registry import perhaps
 
-PROGRAM = "rover-rl"
-"""Name of the program."""
-BROKEN_PIPE = 141
-"""Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
+PROGRAM = "rover-rl"  # name of the program
+BROKEN_PIPE = 141  # exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell
 
 _OUT_OF_MEMORY = re.compile("allocate memory|out of memory|Failed to allocate")
 """What PyTorch's and Warp's errors say if there is not enough memory."""
 
-COMMANDS = {
-    "evaluate": Evaluate,
-    "compare": Compare,
-    "benchmark": Benchmark,
-    "play": Play,
-    "view": View,
-    "film": Film,
-    "tasks": Tasks,
-    "worlds": Worlds,
-    "robots": Robots,
-    "demo": Demo,
-    "robot": RobotCommand,
-    "drive": Drive,
-    "calibrate": Calibrate,
-    "dataset": Dataset,
-    "export": Export,
-}
+_KINDS = (Evaluate, Compare, Benchmark, Play, View, Film, Tasks, Worlds, Robots, Demo, Robot, Drive)
+COMMANDS = {kind.__name__.lower(): kind for kind in (*_KINDS, Calibrate, Dataset, Export)}
 """Commands by name, without train, whose options depend on the algorithm."""
 
 

@@ -14,17 +14,15 @@ import tyro
 
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.cli.film import POLICY, how_it_ended
-from rover_rl.cli.policies import is_bag
+from rover_rl.cli.options import Force, is_bag
 from rover_rl.files import check_outputs
 from rover_rl.sims.ros2.settings import BagTopics
 
 if TYPE_CHECKING:
     from rover_rl.algos.video.recording import Recording
 
-FOLDER = Path("runs/play")
-"""Folder of the films of policies that have no folder of their own."""
-WIDTH, HEIGHT = 400, 300
-"""Size of the films, pixels."""
+FOLDER = Path("runs/play")  # folder of the films of policies that have no folder of their own
+WIDTH, HEIGHT = 400, 300  # size of the films, pixels
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,7 @@ class Play:
     """Seed of starts and goals. Default: the stored ones."""
     show: bool = True
     """Open the film in the default viewer, if there is a display."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     topics: BagTopics = field(default_factory=BagTopics)
 
     def __call__(self) -> int:

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation, StoredEvaluation
     from rover_rl.algos.video.recording import Recording
 
-DRIVES, DRIVES_EACH = 12, 6
-"""Largest number of drives in a page, and of those of one evaluation."""
-SECONDS = 240.0
-"""Largest duration of all drives in a page together, s. Of a longer drive, the end is shown."""
+DRIVES, DRIVES_EACH = 12, 6  # largest number of drives in a page, and of those of one evaluation
+SECONDS = 240.0  # largest duration of all drives in a page together, s. Of a longer drive, the end is shown.
 
 
 def check_page(path: Path) -> None:
@@ -32,13 +30,8 @@ def check_page(path: Path) -> None:
 def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPolicy], file: Path, page: Path) -> int:
     """Writes a page with the drives of evaluations that went worst, and some that went well. Returns their number.
 
-    The evaluations share the drives of the page: the more there are, the fewer are of each, failures first.
-
-    Args:
-        evaluations: evaluations of the policies.
-        policies: policies, by whose name the evaluations are found.
-        file: ``evaluation.json`` that holds the evaluations.
-        page: HTML file to write.
+    The evaluations, which ``file`` holds, share the drives of the page: the more there are, the fewer are of each,
+    failures first. ``policies`` are those that drove in them.
     """
     from rover_rl.algos.evaluation.results import read_evaluation
     from rover_rl.algos.video.recording import record_stored

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.help_text import FLAT
-from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
+from rover_rl.cli.options import OptionsOfRobot, read_env
 from rover_rl.cli.ros_arguments import RosArguments, node_name, renamed
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
@@ -25,7 +25,7 @@ MAX_BEAMS = 16_383  # largest number of rays that Bullet casts in one call
 
 
 @dataclass(frozen=True)
-class RobotCommand:
+class Robot:
     """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array, tf, clock and images.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
@@ -50,8 +50,7 @@ class RobotCommand:
     """Seed of the start pose."""
     robot: str | None = None
     """Robot: a name, a URDF file, or module:attribute. Default: rover_zero."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     backend: str | None = None
     """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 import tyro
 
-from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.cli.options import Force, OptionsOfRobot
 from rover_rl.files import check_outputs, written_whole
 from rover_rl.robots.options import RobotOptions, with_options
 
@@ -27,12 +27,10 @@ class ShowRobot:
 
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
     """Robot to draw: a name, a URDF file, or module:attribute."""
-    options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    options: OptionsOfRobot = field(default_factory=RobotOptions)
     out: Path | None = None
     """Picture to write. Default: the robot's name with .robot.png, in this folder."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     backend: str = "warp"
     """Simulator that a skid-steer robot spins in, for its effective track."""
 

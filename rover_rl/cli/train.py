@@ -28,6 +28,7 @@ from rover_rl.algos.config import (
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.cli.help_text import FLAT
+from rover_rl.cli.options import Host, Port
 from rover_rl.cli.training_page import TrainingPage
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.imperfections import imperfect
@@ -36,10 +37,8 @@ from rover_rl.sims.backends import name_of
 if TYPE_CHECKING:
     from rover_rl.algos.train.run import TrainingSummary
 
-FAILED = 2
-"""Exit code after an error, such as an invalid option or a missing file."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+FAILED = 2  # exit code after an error, such as an invalid option or a missing file
+INTERRUPTED = 130  # exit code after Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -80,10 +79,8 @@ class Train:
     them."""
     view: bool = False
     """Open a page with the learning curve and some of the rovers that learn (needs the extra view)."""
-    host: str = "127.0.0.1"
-    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    host: Host = "127.0.0.1"
+    port: Port = 8080
     run: Annotated[RunOptions, FLAT] = field(default_factory=RunOptions)
     env: Annotated[EnvConfig, FLAT] = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, FLAT] = field(default_factory=NetworkConfig)
@@ -170,7 +167,9 @@ def train_defaults(args: Sequence[str]) -> Train:
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
     if given.randomize is not None:
-        config = replace(config, env=imperfect(config.env, _imperfection(given.randomize)))
+        if len(given.randomize) > 1:
+            raise ValueError(f"--randomize takes one name, got {' '.join(given.randomize)}")
+        config = replace(config, env=imperfect(config.env, (given.randomize or ["typical"])[0]))
     parts = {part: getattr(config, part) for part in PARTS} | {"run": RunOptions(**vars(config.run))}
     settings = None if isinstance(config.env.backend, str) else config.env.backend
     if settings is not None:
@@ -178,12 +177,6 @@ def train_defaults(args: Sequence[str]) -> Train:
     # tyro makes options of the fields that the default has: those of the algorithm.
     named = {"first_word": task, "learner": given.learner}
     return Train(algo=config.algo, backend_settings=settings, **named, **parts)  # type: ignore[arg-type]
-
-
-def _imperfection(names: Sequence[str]) -> str:
-    if len(names) > 1:
-        raise ValueError(f"--randomize takes one name, got {' '.join(names)}")
-    return names[0] if names else "typical"
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:

@@ -20,17 +20,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rover_rl.view.viewer import Viewer
 
-LEAST = 19
-"""Lowest priority of a process."""
+LEAST = 19  # lowest priority of a process
 _PROGRAM = f"import sys; from {__name__} import main; main(*sys.argv[1:])"
 
 
 class TrainingPage:
     """Starts and ends the process of the page. A context manager.
 
-    Raises:
-        ImportError: if the extra ``view`` is not installed.
-        OSError: if the port is taken.
+    Raises ``ImportError`` if the extra ``view`` is not installed, and ``OSError`` if the port is taken.
     """
 
     def __init__(self, host: str, port: int) -> None:

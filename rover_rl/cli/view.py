@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from rover_rl.algos.policy.names import RANDOM, resolve_policy
 from rover_rl.checks import MAX_ROVERS, check_at_least, check_seed
-from rover_rl.cli.policies import BACKEND, ONE_POLICY, EnvOptions, is_bag
+from rover_rl.cli.options import BACKEND, ONE_POLICY, EnvOptions, Host, Port, is_bag
 from rover_rl.cli.replays import drives_of_bag, drives_of_evaluation
 from rover_rl.sims.ros2.settings import BAG, BagTopics
 
@@ -42,10 +42,8 @@ class View:
     """Number of rovers that share a world, in which they meet."""
     seed: int = 0
     """Seed of starts and goals."""
-    host: str = "127.0.0.1"
-    """Address to serve the page on; 0.0.0.0 lets other machines reach it."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    host: Host = "127.0.0.1"
+    port: Port = 8080
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND.replace("bullet.", "warp."))] = None
     topics: BagTopics = field(default_factory=BagTopics)
@@ -53,6 +51,10 @@ class View:
     def __call__(self) -> int:
         check_at_least(1, MAX_ROVERS, rovers=self.rovers, agents=self.agents)
         check_seed(self.seed)
+        # Says first if the extra is missing.
+        from rover_rl.view.page import check_address
+
+        check_address(self.host, self.port)
         viewer = self._open_replay() if is_bag(self.policy) or self.evaluation else self._open()
         print(f"Page: {viewer.address} (Ctrl-C ends it)", flush=True)
         try:
@@ -64,11 +66,8 @@ class View:
         return 0
 
     def _open_replay(self) -> ReplayPage:
-        from rover_rl.view.page import check_address
-        from rover_rl.view.replay import ReplayPage
-
-        check_address(self.host, self.port)
         from rover_rl.algos.evaluation.results import read_evaluation
+        from rover_rl.view.replay import ReplayPage
 
         if is_bag(self.policy):
             from rover_rl.algos.deploy.recorded_drives import read_drives
@@ -83,31 +82,20 @@ class View:
         return ReplayPage(drives, self.host, self.port)
 
     def _open(self) -> Viewer:
-        # Says first if the extra is missing.
-        from rover_rl.view.page import check_address
-        from rover_rl.view.viewer import Viewer
-
-        check_address(self.host, self.port)
         from rover_rl.algos.experiments.runs import RunFiles
         from rover_rl.envs.make import make_env
+        from rover_rl.view.viewer import Viewer
 
         run = RunFiles.find(Path(self.policy))
-        word = RANDOM if run is not None and not run.policies() else self.policy
-        if run is not None and run.policies():
-            word = str(run.policies()[-1])
+        word = self.policy if run is None else next(map(str, reversed(run.policies())), RANDOM)
         policy = resolve_policy(word, () if self.world is None else (self.world,), self.environment.robot)
         backend = self.backend or ("warp" if self.environment.env is None else None)
         described = self.environment.description(policy.module, backend)
         world = policy.worlds[0] if policy.worlds else "moon"
         config = replace(described, world=world, num_envs=self.rovers, agents=self.agents, seed=self.seed)
+        page: dict[str, Any] = {"name": self.policy, "host": self.host, "port": self.port}
         return Viewer(
-            make_env(replace(config, end_on_goal=False)),
-            policy.module,
-            name=self.policy,
-            host=self.host,
-            port=self.port,
-            find_policy=self._find,
-            run=run,
+            make_env(replace(config, end_on_goal=False)), policy.module, find_policy=self._find, run=run, **page
         )
 
     def _find(self, name: str) -> Policy | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 import tyro
 
 from rover_rl.checks import check_seed
-from rover_rl.cli.policies import ROBOT_OPTIONS
+from rover_rl.cli.options import Force, OptionsOfRobot
 from rover_rl.files import check_outputs, written_whole
 from rover_rl.option_names import options_of_command
 from rover_rl.robots.options import RobotOptions, with_options
@@ -19,8 +19,7 @@ from rover_rl.robots.options import RobotOptions, with_options
 if TYPE_CHECKING:
     from rover_rl.worlds import World
 
-MANY_MOVERS = 5.0
-"""Number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors."""
+MANY_MOVERS = 5.0  # number of movers per 100 m^2 above which many episodes end in a contact, in rooms with doors
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,7 @@ class ImportWorld:
     """File to import."""
     out: Path | None = None
     """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
     spawn: tuple[float, ...] | None = None
@@ -101,12 +99,10 @@ class ShowWorld:
     """World to draw: a file, a name, or module:attribute."""
     out: Path | None = None
     """Picture to write. Default: the world's name with .world.png, in this folder."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     robot: str = "rover_zero"
     """Robot whose free space is drawn: a name, a URDF file, or module:attribute."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     seed: int = 0
     """Seed of the start and the goal."""
 
@@ -135,12 +131,10 @@ class Worlds:
     """Worlds to draw, by name, as module:attribute, or as a file. Default: all registered worlds."""
     robot: str = "rover_zero"
     """Robot whose free space is drawn: a name, a URDF file, or module:attribute."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     out: Path = Path("worlds")
     """Folder to write the maps to."""
-    force: bool = False
-    """Write over files that rover-rl did not make."""
+    force: Force = False
     action: Annotated[
         Union[  # noqa: UP007
             Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],

@@ -104,11 +104,8 @@ class MassTable:
     def total(self, chassis_mass: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Returns the mass ``[N]``, center of mass ``[N, 3]`` and inertia about it ``[N, 3, 3]`` of whole rovers.
 
-        The inertia leaves out that of wheels about their axles, as the spin of a wheel is a state of its own.
-
-        Args:
-            chassis_mass: masses of the chassis, ``[N]``, float64; the inertia of the chassis scales with its mass.
-            index: robot of each rover, int64 ``[N]``.
+        ``index [N]`` is each one's robot. The inertia of a chassis scales with its mass, ``chassis_mass [N]``, float64.
+        That of wheels about their axles is left out, as the spin of a wheel is a state of its own.
         """
         own = {name: values[index] for name, values in self._tensors.items()}
         mass = chassis_mass + own["wheels_mass"]

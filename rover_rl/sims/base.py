@@ -39,7 +39,7 @@ class Scanner(Protocol):
         """
 
 
-class LiveRover(Protocol):
+class LiveRover(Scanner, Protocol):
     """What a real rover has and a simulated one does not: messages, which have an age, and what is in them.
 
     A ``topic`` of ``None`` is that of the connection. Images have ``size`` rows and columns.
@@ -62,9 +62,6 @@ class LiveRover(Protocol):
 
     def covered(self) -> Tensor:
         """Which beams of the latest scan a valid reading covers, bool ``[1, beams]``."""
-
-    def ranges(self) -> Tensor:
-        """Beams of the latest scan, ``[1, beams]``, m."""
 
     def segments(self, points: int) -> Tensor | None:
         """Nearest reading of each segment of the latest raw scan, ``[1, points]``, m; ``inf`` for none.

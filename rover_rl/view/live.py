@@ -23,15 +23,9 @@ FRAMES = 15  # number of updates of the page, 1/s
 class LivePage(Page):
     """Page of a live rover. A context manager.
 
-    The stop button calls ``on_stop`` in the loop of the server, which waits for nothing else: neither for the
-    policy nor for the thread that drives. From then on, :meth:`check` raises an error, and no action gets through.
-
-    Args:
-        host, port: as for :class:`~rover_rl.view.Viewer`.
-
-    Attributes:
-        address: address of the page.
-        on_stop: function that stops the rover at once, such as ``Ros2Simulator.halt``.
+    The stop button calls ``on_stop``, such as ``Ros2Simulator.halt``, which stops the rover at once, in the loop of the
+    server, which waits for nothing else: neither for the policy nor for the thread that drives. From then on,
+    :meth:`check` raises an error, and no action gets through.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:

@@ -68,20 +68,13 @@ def close_page(server: viser.ViserServer) -> None:
 class Page(ABC):
     """A page that a thread of its own keeps up to date, from :meth:`start` to :meth:`close`. A context manager.
 
-    Args:
-        host: address that the page is served on. ``"0.0.0.0"`` lets other machines reach it.
-        port: port of the page; 0 takes a free one.
-
-    Attributes:
-        address: address of the page, for a browser on this machine.
-        playing: whether what the page shows goes on.
-        speed: how fast it goes, times real time.
+    ``host``, ``port`` and ``address`` are those of :class:`~rover_rl.view.Viewer`.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
         self.server = open_page(host, port)
         self.address = address_of(self.server.get_host(), self.server.get_port())
-        self.playing, self.speed = True, 1.0
+        self.playing, self.speed = True, 1.0  # whether what the page shows goes on, and how fast, times real time
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 

@@ -34,8 +34,7 @@ COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, GREY, "#8b5e3c", "#4b5563")  # 
 REWARD = "reward "  # prefix of the records of reward components
 PICTURE = 192  # width or height of the picture of an image, pixels, whichever is larger
 ACTIONS = ("speed, m/s", "heading, rad")  # names of the parts of an action
-Load: TypeAlias = Callable[[], tuple[Policy, Critic | None]]
-"""Loads a policy, and its critic if it has one."""
+Load: TypeAlias = Callable[[], tuple[Policy, Critic | None]]  # loads a policy, and its critic if it has one
 STALE = 30.0  # age from which on what is written is no longer live, s. Updates of the policy take some seconds
 
 

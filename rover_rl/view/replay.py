@@ -91,11 +91,11 @@ def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[s
         temporary.write_text(page.replace("</body>", f"{_overlay(recordings, captions)}</body>"), encoding="utf-8")
 
 
-def caption_of(moment: Moment) -> str:
-    """Time, speed, distance to the goal and recent event of the first rover as text."""
-    distance = torch.dist(moment.rover.position[0, :2].cpu(), moment.goal[0].cpu()).item()
+def caption_of(moment: Moment, row: int = 0) -> str:
+    """Time, speed, distance to the goal and recent event of a rover as text."""
+    distance = torch.dist(moment.rover.position[row, :2].cpu(), moment.goal[row].cpu()).item()
     # Without the minus of a small negative number that is rounded to zero.
-    speed = round(moment.rover.linear_velocity[0].item(), 2) + 0.0
+    speed = round(moment.rover.linear_velocity[row].item(), 2) + 0.0
     event, since = moment.event
     recent = f" · {event}" if event and moment.seconds < since + 3 else ""
     return f"{moment.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m{recent}"
@@ -133,9 +133,7 @@ def _curve_plot(name: str, values: np.ndarray) -> str:
 class ReplayPage(Page):
     """Page with recorded drives and a time slider.
 
-    Args:
-        drives: functions that return the recorded drives, by title. The page calls one when its drive is chosen.
-        host, port: as for :class:`~rover_rl.view.Viewer`.
+    ``drives`` are functions that return the recorded drives, by title. The page calls one when its drive is chosen.
     """
 
     def __init__(self, drives: Mapping[str, Callable[[], Recording]], host: str = HOST, port: int = PORT) -> None:

@@ -212,13 +212,9 @@ class Stage:
         self._server.scene.add_frame(self._name(layer), show_axes=False, visible=shown)
 
     def show(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
-        """Shows a moment, and lets the camera follow.
+        """Shows the rovers ``rows`` (int64) in a moment of all rovers, and lets the camera follow the rover ``row``.
 
-        Args:
-            moment: moment of all rovers.
-            row: rover that is followed, whose rays, path and movers are shown.
-            rows: rovers that are shown, int64.
-            pose: poses at which rovers are drawn, which may be between those of two moments.
+        That one's rays, path and movers are shown. ``pose``, at which rovers are drawn, may be between two moments.
         """
         assert self._robot is not None
         position, orientation = pose.position[rows].numpy(), pose.orientation[rows].numpy()

@@ -33,6 +33,7 @@ from rover_rl.native.threads import single_threaded
 from rover_rl.robots import ROBOTS
 from rover_rl.view.page import HOST, PORT, Page, Pilot, Recorder, check_address
 from rover_rl.view.panels import LiveMoment, Load, Panels, TrainingPanel, episode_table
+from rover_rl.view.replay import caption_of
 from rover_rl.view.stage import MAP, Stage
 from rover_rl.worlds import world_names
 
@@ -339,11 +340,5 @@ class Viewer(Page):
         if self.error:
             self._status.content = f"**Paused.** {self.error}"
             return
-        distance, speed = (session.history.get(name, [0.0])[-1] for name in ("distance", "speed"))
-        event, since = session.event
-        recent = f" · **{event}**" if event and session.seconds < since + 3 else ""
-        driver = "by hand" if self.pilot.active else "policy"
-        world = session.rovers.worlds[session.row].name
-        self._status.content = (
-            f"{world} · {session.seconds:.1f} s · {speed:.2f} m/s · goal {distance:.1f} m · {driver}{recent}"
-        )
+        driver, world = "by hand" if self.pilot.active else "policy", session.rovers.worlds[session.row].name
+        self._status.content = f"{world} · {driver} · {caption_of(session.moment(), session.row)}"

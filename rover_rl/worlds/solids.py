@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import groupby
-from typing import overload
 
 import numpy as np
 import torch
@@ -65,12 +64,6 @@ class Solids(Sequence["Solids"]):
 
     def __len__(self) -> int:
         return len(self.shapes)
-
-    @overload
-    def __getitem__(self, index: int) -> Solids: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Solids: ...
 
     def __getitem__(self, index: int | slice) -> Solids:
         if isinstance(index, slice):

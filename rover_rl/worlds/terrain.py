@@ -142,13 +142,9 @@ class Terrain:
 def plane_at(xy: Tensor, grid: Sequence[Any], height_of: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Interpolates heights on the two triangles of each cell, at points ``xy [..., 2]`` (m).
 
-    Args:
-        xy: points.
-        grid: numbers of :attr:`Terrain.grid`, or tensors with them that fit ``[...]``.
-        height_of: returns the heights with indices ``[...]``, counted row by row.
-
-    Returns:
-        Height (m), and rises of the triangle along x and along y over the length of the cell (m), ``[...]`` each.
+    ``grid`` is :attr:`Terrain.grid`, as numbers or tensors that fit ``[...]``, and ``height_of`` returns the heights
+    with indices ``[...]``, counted row by row. Returns the height (m), and the rises of the triangle along x and along
+    y over the length of the cell (m), ``[...]`` each.
     """
     x, y, cell, rows, columns = grid
     u = ((xy[..., 0] - x) / cell).clamp(min=0).clamp(max=columns - 1)

@@ -12,7 +12,7 @@ import torch
 from rover_rl import RoverEnv
 from rover_rl.robots import get_robot
 from rover_rl.sims import make_scanner
-from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
+from rover_rl.sims.bullet.simulator import RAYS_PER_CALL
 from rover_rl.sims.rays import seen
 from rover_rl.sims.warp.plane_scanner import PlaneScanner
 from rover_rl.worlds import Terrain, World, box, get_world

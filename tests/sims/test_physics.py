@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.worlds import Terrain, World, box
-from tests.sims.driven import FLAT, ROVER, drive, placed, slope
+from rover_rl.worlds import Terrain, World
+from tests.sims.driven import FLAT, ROVER, WALLED, drive, placed, slope
 
 ORIGIN = [(0.0, 0.0, 0.0)]
 DT = 0.05
@@ -70,8 +70,7 @@ def test_rovers_pass_through_one_another(backend):
 
 
 def test_walls_stop_the_rover(backend):
-    world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
-    last = drive(placed(backend, world, ORIGIN), (1.0, 0.0), 60)[-1]
+    last = drive(placed(backend, WALLED, ORIGIN), (1.0, 0.0), 70)[-1]
     # The front of the wheels is 0.2635 m ahead of the base frame.
     tolerance = 0.01 if backend == "mujoco" else 0.05
-    assert last.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=tolerance)
+    assert last.position[0, 0].item() == pytest.approx(2.5 - 0.2635, abs=tolerance)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,14 +30,6 @@ window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()
 window.cancelAnimationFrame = clearTimeout;
 """
 """Lets a page draw four times a second. Software draws as often as it is asked to, on all cores."""
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Waits until a condition holds."""
-    deadline = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.02)
 
 
 def settle(viewer: Viewer) -> None:

@@ -14,11 +14,11 @@ from PIL import Image
 from rover_rl.algos.experiments.runs import RunFiles
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.view.live import LivePage
-from tests.view.conftest import settle, training_in, until
+from tests.sims.ros2.processes import until
+from tests.view.conftest import settle, training_in
 
 pytestmark = pytest.mark.slow
-TINY: Any = {"width": 40, "height": 40}
-"""Size of a page that software draws soon, which leaves time for another one."""
+TINY: Any = {"width": 40, "height": 40}  # size of a page that software draws soon, which leaves time for another one
 
 
 def test_a_person_watches_and_pauses(open_viewer, open_page):

@@ -36,7 +36,8 @@ from rover_rl.view.panels import lidar_picture, reward_bars, sensor_picture, spr
 from rover_rl.view.replay import ReplayPage, write_replay
 from rover_rl.view.stage import CUT, without_high_walls
 from rover_rl.worlds import box, get_world
-from tests.view.conftest import settle, training_in, until
+from tests.sims.ros2.processes import until
+from tests.view.conftest import settle, training_in
 
 
 def paused(viewer: Viewer) -> Viewer:

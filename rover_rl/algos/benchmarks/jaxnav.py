@@ -89,8 +89,7 @@ class JaxNav(Suite):
     robot = ", with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding)"
     lidar = "200 beams in 360 degrees, up to 6 m"
 
-    unsolvable: int = 0
-    """Number of levels that are left out because they have no path."""
+    unsolvable: int = 0  #: Number of levels that are left out because they have no path.
     goal_radius: float = GOAL_RADIUS
     seconds: float = SECONDS
 

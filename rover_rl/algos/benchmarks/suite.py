@@ -83,33 +83,21 @@ def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, mover
 
 @dataclass(kw_only=True)
 class Suite(ABC):
-    """Courses of a benchmark, and how runs of them are scored. Raises ``ValueError`` for a number out of range.
+    """Courses of a benchmark, and how runs of them are scored. Raises ``ValueError`` for a number out of range."""
 
-    Attributes:
-        name: name of the benchmark.
-        score_name: key of a run's score.
-        columns: headings and units of the metrics in a table, by key.
-        places: what a table calls the worlds.
-        worlds, robot, lidar: how worlds, robot and lidar differ from the original benchmark.
-    """
-
-    name: ClassVar[str]
-    score_name: ClassVar[str]
-    columns: ClassVar[Mapping[str, tuple[str, str]]]
-    places: ClassVar[str] = "worlds"
-    worlds: ClassVar[str]
-    robot: ClassVar[str]
-    lidar: ClassVar[str]
+    name: ClassVar[str]  #: Name of the benchmark.
+    score_name: ClassVar[str]  #: Key of a run's score.
+    columns: ClassVar[Mapping[str, tuple[str, str]]]  #: Headings and units of the metrics in a table, by key.
+    places: ClassVar[str] = "worlds"  #: What a table calls the worlds.
+    worlds: ClassVar[str]  #: How the worlds differ from those of the original benchmark.
+    robot: ClassVar[str]  #: How the robot differs from that of the original benchmark.
+    lidar: ClassVar[str]  #: How the lidar differs from that of the original benchmark.
 
     courses: Sequence[Course] = field(kw_only=False)
-    runs: int = 1
-    """Number of runs of each course. All but the first start near the given start."""
-    seed: int = 0
-    """Seed of these starts."""
-    goal_radius: float
-    """Distance from the goal at which it is reached, m."""
-    seconds: float
-    """Time limit of a run, s."""
+    runs: int = 1  #: Number of runs of each course. All but the first start near the given start.
+    seed: int = 0  #: Seed of these starts.
+    goal_radius: float  #: Distance from the goal at which it is reached, m.
+    seconds: float  #: Time limit of a run, s.
 
     def __post_init__(self) -> None:
         check_at_least(1, MAX_RUNS, runs=self.runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ NUMBERS = {
     "yaw_ratio": Number("yaw rate for each of odometry", "", f"record an IMU or a pose, and {TURNS}"),
     "slip": Number("effective track for each of the drive", "", f"{WITH_POSE}, and {TURNS}"),
     "track": Number("effective track", "m", f"{WITH_POSE}, and {TURNS}"),
-    "friction": Number("friction", "", f"{WITH_POSE}, and accelerate and brake until the wheels slip"),
+    "friction": Number("friction", "", f"{WITH_POSE}, and drive arcs on level ground"),
     **{f"{name}_late": Number(f"stamps of {name} after those of odometry", "s", TURNS) for name in SENSORS[1:]},
     "odometry_noise": Number("noise of odometry, relative", "", STEPS),
     "imu_noise": Number("noise of the yaw of the IMU", "rad", STAND),
@@ -121,10 +122,12 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
     odometry, pose, imu, scan = recording.odometry, recording.pose, recording.imu, recording.scan
     wheels, turned = (Curve.integral(odometry.stamp, column) for column in odometry.values.T)
     still, one = sensors.pure(odometry, 0, sensors.IN_PLACE), Estimate(1.0, 1.0, 1.0)
-    curves = {name: Curve(each.stamp, each.values[:, -1]) for name, each in (("imu", imu), ("pose", pose)) if each}
+    yaws = ("imu", imu, 1), ("pose", pose, 2)
+    curves = {name: Curve(each.stamp, each.values[:, column]) for name, each, column in yaws if each}
     curves = {name: curve for name, curve in curves.items() if not np.isnan(curve.total).any()}
     found = {name: align(turned, curve) for name, curve in curves.items()}
-    way = None if pose is None else sensors.way_of(pose, imu)
+    path = None if pose is None else sensors.way_of(pose, imu)
+    way = None if path is None else Curve(path.time, path.total.real)
     if way is not None:
         # In bows, the wheels of a skid-steer base slip along the way, too.
         straight = sensors.pure(odometry, 1, sensors.STRAIGHT)
@@ -140,7 +143,7 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
         if name in told:
             numbers["yaw_ratio"] = told[name].ratio
     name = next((name for name in curves if name in told or name not in aligned), "")
-    if way is not None and "way" in told:
+    if path is not None and way is not None and "way" in told:
         numbers["wheel_scale"] = scale = one.per(told["way"].ratio)
         turning = align(turned, curves[name], still) if name else None
         if turning is not None:
@@ -149,14 +152,33 @@ def _of_bodies(recording: Recording, robot: Robot, dynamics: base.Dynamics) -> t
             if isinstance(robot.drive, SkidSteer):
                 width = robot.drive.track(robot.wheels)
                 numbers["track"] = Estimate(*(width * each for each in slip))
+                left = Curve(path.time - late["pose_late"].value, path.total.imag)
+                slide = sensors.slide(odometry, imu, left, scale.value, turning.ratio.value)
+                if slide is not None:
+                    numbers["friction"] = _friction(robot, numbers["track"], slide)
         fastest = max(float(dynamics.values[base.NAMES.index(f"speed_{name}")]) for name in base.LIMITS[:2])
-        if (slid := sensors.friction(odometry, way, scale.value, fastest)) is not None:
+        if (slipped := sensors.friction(odometry, way, scale.value, fastest)) is not None:
             # A body that slips turns late, too, and its yaw does not tell whether stamps are.
-            numbers["friction"], late = slid[0], {"pose_late": slid[1]}
+            numbers["friction"], late = slipped[0], {"pose_late": slipped[1]}
     repeated = {"wheel_scale", "slip", "track", "friction"} if "way" in aligned.keys() - told else set[str]()
     if curves and not name:
         repeated |= {"yaw_ratio", "slip", "track"}
     return numbers | late, repeated
+
+
+def _friction(robot: Robot, track: Estimate, slide: Estimate) -> Estimate:
+    """Returns the friction by how far a skid-steer base slides in turns, and its effective track, m.
+
+    A patch of a wheel slips by ``s = (track / 2 - |y|, x)`` for each rad. Coulomb friction ``mu N s / |s|`` changes
+    with the velocity to the left by ``mu N s_x^2 / |s|^3``, and the sum over all patches holds the force to that side.
+    """
+    hubs = np.array(robot.wheels.hubs)[:, :2] - np.mean(robot.wheels.hubs, 0)[:2]
+    half = np.array((0.0, robot.wheels.width / math.sqrt(12)))
+    x, y = np.concatenate((hubs - half, hubs + half)).T
+    ahead = np.array(track)[:, None] / 2 - np.abs(y)
+    value, low, high = 1 / (ahead**2 / np.hypot(ahead, x) ** 3).mean(1)
+    one, other = sorted((low, high))
+    return Estimate(float(value / slide.value), float(one / slide.high), float(other / slide.low))
 
 
 def _places(recording: Recording, late: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -43,9 +43,9 @@ class Stream(NamedTuple):
 class Recording(NamedTuple):
     """Commands and readings of a drive.
 
-    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s) and yaw (rad,
-    unwrapped); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not finite without
-    a return), whose beams are ``increment`` apart, rad. Sensors that were not recorded are ``None``.
+    ``commands`` and ``odometry`` have speed (m/s) and yaw rate (rad/s); ``imu`` yaw rate (rad/s), yaw (rad, unwrapped)
+    and tilt (rad, if small); ``pose`` x, y (m) and yaw (rad, unwrapped; NaN without one); ``scan`` the ranges (m; not
+    finite without a return), whose beams are ``increment`` apart, rad. Sensors that were not recorded are ``None``.
     """
 
     commands: Stream
@@ -128,7 +128,9 @@ def _stream(topic: str, role: str, rows: list[Any], clock: np.ndarray, begin: fl
     keep = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
     stamp, values = stamp[keep], values[keep]
     if role in ("imu", "pose"):
-        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:])))
+        x, y = values[:, -4:-2].T
+        tilt = (2 * np.hypot(x, y),) if role == "imu" else ()
+        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:]), *tilt))
     if role == "imu" and np.isnan(values).any():
         # An IMU without orientation: its yaw rate adds up.
         values[:, 1] = cumulative_trapezoid(values[:, 0], stamp, initial=0)

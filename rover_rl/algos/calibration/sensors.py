@@ -26,6 +26,7 @@ LEAST_BLOCKS = 4  # least number of blocks with motion
 PIECE, LEAST_PIECES = 3.0, 3  # duration (s) and least number of the pieces at rest that tell the bias of the IMU
 SAME = 0.004  # difference to odometry of a pose that is made of it, m and rad, and of their ratio to 1
 GRAVITY = 9.81  # m/s^2
+LEVEL = 0.05  # largest median tilt of ground on which sliding in turns tells the friction, rad
 
 
 class Estimate(NamedTuple):
@@ -80,21 +81,20 @@ class Alignment(NamedTuple):
 def align(reference: Curve, other: Curve, weight: Curve | None = None) -> Alignment | None:
     """Compares a sensor with odometry.
 
-    The shift is that with the least squared difference of changes over half a second, where residuals above three
-    robust standard deviations are left out. Intervals are a bootstrap over blocks of 3 s. ``None`` if there is too
-    little motion where ``weight`` is 1, or the sensors do not agree.
+    The shift is that with the least squared difference of changes over half a second. Their weights fall with the
+    residuals (Geman and McClure, 1987), as a pose that jumps has large ones. Intervals are a bootstrap over blocks of
+    3 s. ``None`` if there is too little motion where ``weight`` is 1, or the sensors do not agree.
     """
     at, shifts = _shared(reference, other), np.arange(-FARTHEST, FARTHEST + FINE / 2, FINE)
     if len(at) < LEAST_BLOCKS * BLOCK:
         return None
     seen, told = other.change(at), np.stack([reference.change(at - shift) for shift in shifts])
-    keep = np.ones(len(at)) if weight is None else (np.interp(at, *weight) > 0.5).astype(float)
-    for _ in range(3):
+    keep = allowed = np.ones(len(at)) if weight is None else (np.interp(at, *weight) > 0.5).astype(float)
+    for _ in range(5):
         product, square = (_by_block(keep * each) for each in (told * seen, told**2))
         shift, gain = _best(product.sum(-1), square.sum(-1), shifts)
         rest = np.abs(seen - gain * reference.change(at - shift))
-        usual = 1.48 * np.median(rest[keep > 0]) if keep.any() else 0.0
-        keep = keep * (rest < 3 * usual + 0.05 * np.abs(seen).max())
+        keep = allowed * _weights(rest, allowed, 0.01 * np.abs(seen).max())
     moving = (square[len(shifts) // 2] > MOVING**2 * BLOCK).sum()
     if moving < LEAST_BLOCKS or not (keep * rest**2).sum() < 0.3 * (keep * seen**2).sum():
         return None
@@ -103,6 +103,12 @@ def align(reference: Curve, other: Curve, weight: Curve | None = None) -> Alignm
     apart = median_abs_deviation(np.interp(at, *other) - np.interp(at - shift, *reference), scale="normal")
     repeats = bool(apart < SAME and abs(gain - 1) < SAME)
     return Alignment(late, ratio, repeats) if late.high - late.low < 0.1 else None
+
+
+def _weights(rest: np.ndarray, allowed: np.ndarray, least: float) -> np.ndarray:
+    """Returns weights of residuals whose scale is three robust standard deviations, and ``least`` more."""
+    usual = 1.48 * np.median(rest[allowed > 0]) if allowed.any() else 0.0
+    return 1 / (1 + (rest / (3 * usual + least + 1e-9)) ** 2) ** 2
 
 
 def _shared(one: Curve, other: Curve) -> np.ndarray:
@@ -135,14 +141,35 @@ def _vertex(left: Any, middle: Any, right: Any) -> Any:
 
 
 def way_of(pose: Stream, imu: Stream | None) -> Curve | None:
-    """Returns the way that a pose tells along its heading, else along that of the IMU, m."""
+    """Returns the way that a pose tells ahead, and to the left (imaginary), by its heading, else by the IMU's, m."""
     x, y, yaw = pose.values.T
     if np.isnan(yaw).any():
         if imu is None:
             return None
         yaw = np.interp(pose.stamp, imu.stamp, imu.values[:, 1])
     ahead = np.diff(x + 1j * y) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
-    return Curve(pose.stamp, np.append(0.0, np.cumsum(ahead.real)))
+    return Curve(pose.stamp, np.append(0.0, np.cumsum(ahead)))
+
+
+def slide(odometry: Stream, imu: Stream | None, way: Curve, scale: float, ratio: float) -> Estimate | None:
+    """Returns how far a skid-steer base slides to a side for each rad that it turns, m, by a force of its weight.
+
+    Coulomb friction opposes the slip of the wheels in a turn. To another force, here the centrifugal one, the base then
+    yields in proportion to how fast it turns. ``way`` is that to the left. ``None`` where the IMU tells a slope.
+    """
+    if imu is not None and np.median(np.abs(imu.values[:, 2])) > LEVEL:
+        return None
+    time, (speed, rate) = odometry.stamp, odometry.values.T
+    yields = Curve.integral(time, -np.abs(rate) * ratio * speed / scale * rate * ratio / GRAVITY)
+    at = _shared(yields, way)
+    told, seen, keep = yields.change(at), way.change(at), np.ones(len(at))
+    for _ in range(5):
+        product, square = (_by_block(keep * each) for each in (told * seen, told**2))
+        found = product.sum() / max(square.sum(), 1e-12)
+        keep = _weights(np.abs(seen - found * told), np.abs(told) > 1e-4, 1e-3)
+    draws = _resampled(len(product))
+    estimate = Estimate.of(found, draws @ product / np.maximum(draws @ square, 1e-12))
+    return estimate if estimate.high - estimate.low < 0.5 * found else None
 
 
 def never(events: np.ndarray, time: np.ndarray, at: np.ndarray, before: float, after: float) -> np.ndarray:

@@ -40,15 +40,9 @@ class DriveBag:
     Besides the messages that :meth:`add` gets, it has the goal (``geometry_msgs/PoseStamped``) of each drive, its steps
     (``rover_rl_msgs/DriveStep``) and its ending (``std_msgs/String``). A thread writes, so that a disk that is slow or
     full never delays a drive: a warning says that messages are missing. If the program is killed, the file is read up
-    to its last message.
+    to its last message. The names of world, policy and robot, and the time limit of each drive (s), are metadata.
 
-    Args:
-        path: new file.
-        world, policy, robot: names, which are written as metadata.
-        seconds: time limit of each drive, s.
-
-    Raises:
-        FileExistsError: if there is such a file.
+    Raises ``FileExistsError`` if there is such a file.
     """
 
     def __init__(self, path: Path, world: str, policy: str, seconds: float, robot: str = "rover_zero") -> None:

@@ -42,25 +42,15 @@ POSE_TOLERANCE = 1.0
 
 @dataclass(frozen=True)
 class Moment:
-    """Status of a drive after a step.
+    """Status of a drive after a step."""
 
-    Attributes:
-        distance: distance to the goal, m.
-        speed: forward speed from the wheel odometry, m/s.
-        nearest: smallest lidar reading, m.
-        latency: time from the arrival of the scan to the command that was computed from it, s.
-        command: forward speed (m/s) and yaw rate (rad/s) that were sent.
-        held: whether the forward speed was set to 0, because no lidar beam covers the direction of travel.
-        seconds: time since the drive to this goal began, s.
-    """
-
-    distance: float
-    speed: float
-    nearest: float
-    latency: float
-    command: tuple[float, float]
-    held: bool
-    seconds: float
+    distance: float  #: Distance to the goal, m.
+    speed: float  #: Forward speed from the wheel odometry, m/s.
+    nearest: float  #: Smallest lidar reading, m.
+    latency: float  #: Time from the arrival of the scan to the command that was computed from it, s.
+    command: tuple[float, float]  #: Forward speed (m/s) and yaw rate (rad/s) that were sent.
+    held: bool  #: Whether the forward speed was set to 0, because no lidar beam covers the direction of travel.
+    seconds: float  #: Time since the drive to this goal began, s.
 
 
 @single_threaded()

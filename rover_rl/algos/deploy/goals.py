@@ -25,11 +25,8 @@ class GoalTopic:
     A goal replaces the one that is driven to, and a ``std_msgs/Empty`` on ``TOPIC/cancel`` gives it up. A
     ``std_msgs/String`` on ``TOPIC/status``, which late subscribers get, too, tells what is done: ``waiting``,
     ``driving to X Y``, the ending of the last drive, or why a goal is refused. Goals are x and y, m. One in another
-    frame than the rover's pose is transformed by tf: where that frame is at the stamp of the goal, or now for stamp 0.
-
-    Args:
-        require: raises ``ValueError`` for a goal that is not driven to.
-        pose_frame, frames: returns the frame of the rover's pose, and transforms of tf.
+    frame than the rover's pose (``pose_frame``) is transformed by tf (``frames``): where that frame is at the stamp of
+    the goal, or now for stamp 0. ``require`` raises ``ValueError`` for a goal that is refused.
     """
 
     def __init__(

@@ -50,30 +50,20 @@ _SEEDS_OF_A_WORLD = 2**32  # distance of the first draws of two worlds with cons
 
 @dataclass(frozen=True)
 class EpisodeSet:
-    """A set of starts and goals for evaluation, in one world or in several.
+    """A set of starts and goals for evaluation, in one world or in several."""
 
-    Attributes:
-        name: name of the world or of the range of worlds as requested, such as ``"maze:7"``.
-        pool: worlds of the episodes.
-        seed: seed of the first draw.
-        start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
-        goal: goals, float32 ``[count, 2]``, m.
-        shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m.
-        offset: index of the first episode in the set that this is a part of.
-        world_index: index of each episode's world in the pool, int64 ``[count]``; 0 by default.
-        endless: whether a reached goal is followed by a new one. Starts, goals and lengths, which the environment
-            draws then, are nan.
-    """
-
-    name: str
-    pool: WorldPool
-    seed: int
-    start: Tensor
-    goal: Tensor
-    shortest: Tensor
-    offset: int = 0
+    name: str  #: Name of the world or of the range of worlds as requested, such as ``"maze:7"``.
+    pool: WorldPool  #: Worlds of the episodes.
+    seed: int  #: Seed of the first draw.
+    start: Tensor  #: Start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
+    goal: Tensor  #: Goals, float32 ``[count, 2]``, m.
+    shortest: Tensor  #: Lengths of the shortest paths to the edges of the goal discs, float32 ``[count]``, m.
+    offset: int = 0  #: Index of the first episode in the set that this is a part of.
     world_index: Tensor = None  # type: ignore[assignment]  # Never None after __post_init__.
+    """Index of each episode's world in the pool, int64 ``[count]``; 0 by default."""
     endless: bool = False
+    """Whether a reached goal is followed by a new one. Starts, goals and lengths, which the environment draws then, are
+    nan."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pool", WorldPool.of(self.pool))

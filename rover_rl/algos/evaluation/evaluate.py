@@ -29,6 +29,7 @@ from rover_rl.algos.policy.runner import Policy, default_action_repeat, sensors_
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs.config import EnvConfig, RobotLike, require_match
 from rover_rl.envs.make import add_terms
+from rover_rl.envs.parts import HEADING
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import first_of_group
 from rover_rl.native.threads import single_threaded
@@ -38,6 +39,7 @@ from rover_rl.robots import get_robots, names_several
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.settings import CONTROL_DT
+from rover_rl.tasks.task import Task
 
 ROWS = 8
 """Number of rovers of a part of an evaluation in one world. With more rovers, more of them wait for the last one. In
@@ -46,19 +48,11 @@ take hardly more time."""
 BATCHED_PER_PART = 128  # EPISODES_PER_PART of several worlds in Warp, which steps many rovers almost as fast as few
 SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
-_KEPT = (
-    "robot",
-    "lidar",
-    "sensors",
-    "action",
-    "task",
-    "terminate",
-    "heading_gains",
-    "limits",
-    "control_rate",
-    "compensate_delay",
-)
-"""Settings of the environment that a policy was made for, which it is evaluated with by default."""
+MADE_FOR = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
+"""Settings of an environment that a policy was made for."""
+_KEPT = (*MADE_FOR, "terminate", "control_rate", "compensate_delay")  # settings that it is evaluated with by default
+_OWN = ("lidar", "sensors", "action", "heading_gains", "compensate_delay")
+"""Settings that an entry brings along: what it makes of the sensors, and how it steers."""
 
 
 def evaluate(
@@ -181,6 +175,25 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     if made_for is not None:
         require_match(made_for, env)
     return replace(env, privileged=False)
+
+
+def test_env(task: Task, policy: Policy | None) -> EnvConfig:
+    """Returns the environment of a task's test for a policy, with the sensors and the action that it was made for.
+
+    The baselines have the contract's action.
+    """
+    env = task.test_env
+    made_for: EnvConfig | None = getattr(policy, "made_for", None)
+    if made_for is not None:
+        return replace(env, **{key: getattr(made_for, key) for key in _OWN})
+    is_baseline = type(policy).__module__.startswith("rover_rl.")
+    return replace(env, action=replace(env.action, kind=HEADING)) if is_baseline else env
+
+
+def for_task(task: Task, policy: Policy | None) -> Policy | None:
+    """Returns a policy that reads a task's observation, where its file does not say what it was trained with."""
+    reading = getattr(policy, "reading", None)
+    return policy if reading is None else reading(task.test_env, task.observation)
 
 
 def default_backend(robot: RobotLike) -> str:

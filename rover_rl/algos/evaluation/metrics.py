@@ -29,8 +29,7 @@ PERSONAL = 1.2  #: Distance between rover and mover below which the rover intrud
 FREEZING = 2.0  #: Distance between rover and mover within which a rover that stands still counts as frozen, m.
 RESAMPLES = 2000  #: Number of bootstrap resamples.
 ENDING = "ending_"  #: First part of the names of metrics that are shares of endings.
-Row: TypeAlias = dict[str, Any]
-"""An episode in the table: see :func:`episode_row`."""
+Row: TypeAlias = dict[str, Any]  # an episode in the table: see :func:`episode_row`
 
 
 @dataclass(frozen=True)
@@ -142,27 +141,18 @@ def episode_row(trajectory: Trajectory, walls: Tensor, shortest: float = math.na
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric: its column in tables, and the columns of episodes that it is the ratio of.
+    """A metric: its column in tables, and the columns of episodes that it is the ratio of."""
 
-    Attributes:
-        heading: heading of the column.
-        unit: ``"%"`` for proportions, which are numbers up to 1, else that of the value.
-        meaning: short description for the legend; empty for endings, whose heading describes them.
-        top: numerator: a column of :func:`episode_row`, or a function of the row. A flag makes a proportion.
-        bottom: denominator, a column; ``None``: the metric is the mean over episodes.
-        of: episodes that have it: of ``"goal"`` evaluations, ``"endless"`` ones, those with ``"movers"``, or ``"all"``.
-        default: whether tables have the column by default.
-        root: whether it is the square root of the ratio.
-    """
-
-    heading: str
-    unit: str
-    meaning: str
+    heading: str  #: Heading of the column.
+    unit: str  #: ``"%"`` for proportions, which are numbers up to 1, else that of the value.
+    meaning: str  #: Short description for the legend; empty for endings, whose heading describes them.
     top: str | Callable[[Row], float]
-    bottom: str | None = None
+    """Numerator, a column of :func:`episode_row` or a function of the row. A flag makes a proportion."""
+    bottom: str | None = None  #: Denominator, a column; with ``None``, the metric is the mean over episodes.
     of: Literal["goal", "endless", "movers", "all"] = "all"
-    default: bool = False
-    root: bool = False
+    """Which episodes have it, of ``"goal"`` evaluations, ``"endless"`` ones, those with ``"movers"``, or ``"all"``."""
+    default: bool = False  #: Whether tables have the column by default.
+    root: bool = False  #: Whether it is the square root of the ratio.
 
     def estimate(self, rows: Sequence[Row]) -> Estimate:
         values = [row[self.top] if isinstance(self.top, str) else self.top(row) for row in rows]

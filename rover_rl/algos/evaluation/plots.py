@@ -99,10 +99,10 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
         label = f"mover at the end, its last {TRACE:g} s"
         handles.append(Line2D([], [], color=WAY, marker="o", markerfacecolor=MOVER, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
@@ -218,7 +218,7 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
     panels[-1].set_ylabel(f"cumulative reward\nfinal {reward.sum():+,.2f}", rotation=0, ha="right", va="center")
     figure.align_ylabels(panels)
     figure.legend(handles=_mark_events(panels, seconds, steps), loc="outside upper center", ncols=3, frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _mark_events(panels: Sequence[Axes], seconds: np.ndarray, steps: TensorDictBase) -> list[Line2D | Patch]:

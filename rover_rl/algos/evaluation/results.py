@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import Estimate, Row, compute_metrics, episode_row, finite_row
+from rover_rl.algos.evaluation.metrics import METRICS, Estimate, Row, compute_metrics, episode_row, finite_row
 from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
 from rover_rl.envs.rows import drawn_robots
@@ -33,29 +33,22 @@ results of randomized environments do not, either."""
 _OF_EPISODE = ("ending", "seconds", "contacts", "collisions")  # columns in files, for one goal and endless ones
 _OF_MOVERS = ("wall_contacts", "mover_contacts", "run_into", "least_mover_distance")
 _MOVER_SECONDS = ("risk_seconds", "intrusion_seconds", "frozen_seconds")  # with _OF_MOVERS, these have three digits
+_TIME = "mean_time_to_traverse"
+_OF_WORLD = ("success_rate", "contact_free_success_rate", _TIME, "mover_contact_share")  # metrics of each world
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of a policy on episodes: with one goal each, or endless, where a reached goal is followed by a new one.
+    """Results of a policy on episodes with one goal each, or endless: a reached goal is followed by a new one."""
 
-    Attributes:
-        name: name of the policy.
-        episodes: starts and goals, in the order of the trajectories.
-        action_repeat: number of steps that each action was held for.
-        seconds: time limit of an episode, s.
-        imperfection: name of that of the sensors; empty if none was asked for.
-        jam: whether a long collision ended an endless episode.
-    """
-
-    name: str
-    episodes: EpisodeSet
-    action_repeat: int
-    seconds: float
+    name: str  #: Name of the policy.
+    episodes: EpisodeSet  #: Starts and goals, in the order of the trajectories.
+    action_repeat: int  #: Number of steps that each action was held for.
+    seconds: float  #: Time limit of an episode, s.
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
-    imperfection: str = ""
-    jam: bool = True
+    imperfection: str = ""  #: Name of that of the sensors; empty if none was asked for.
+    jam: bool = True  #: Whether a long collision ended an endless episode.
 
     @property
     def endless(self) -> bool:
@@ -118,17 +111,12 @@ class Evaluation:
         for index in indices.unique().tolist():
             members = (indices == index).nonzero().squeeze(-1).tolist()
             rows = [self.table[episode] for episode in members]
-            seconds = [row["seconds"] for row in rows if row["success"]]
-            met = [row["mover_contacts"] > 0 for row in rows if "mover_contacts" in row]
-            result = {
-                "world": index,
-                "name": self.episodes.world_name(members[0]),
-                "count": len(rows),
-                "success_rate": len(seconds) / len(rows),
-                "contact_free_success_rate": sum(row["clean"] for row in rows) / len(rows),
-                "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
-            }
-            results.append(result | ({"mover_contact_share": sum(met) / len(met)} if met else {}))
+            keys = _OF_WORLD if "mover_contacts" in rows[0] else _OF_WORLD[:-1]
+            found = finite_row({key: METRICS[key].estimate(rows).value for key in keys})
+            if (seconds := found[_TIME]) is not None:
+                found[_TIME] = round(seconds, 3)
+            head = {"world": index, "name": self.episodes.world_name(members[0]), "count": len(rows)}
+            results.append(head | found)
         return results
 
     def select(self, indices: Sequence[int]) -> Evaluation:
@@ -205,7 +193,7 @@ def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[
     def merit(results: Sequence[dict[str, Any]]) -> tuple[float, float, float]:
         keys = ("success_rate", "contact_free_success_rate")
         success, clean = (sum(result[key] for result in results) for key in keys)
-        return success, clean, sum(-(result["mean_time_to_traverse"] or math.inf) for result in results)
+        return success, clean, sum(-(result[_TIME] or math.inf) for result in results)
 
     results = zip(*(evaluation.by_world for evaluation in evaluations), strict=True)
     return [of_policies[0]["world"] for of_policies in sorted(results, key=merit)[:count]]

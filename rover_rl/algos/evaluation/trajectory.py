@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +16,7 @@ from rover_rl.robots import Robot
 from rover_rl.rotations import euler_to_matrix, wrap_angle
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import World
-from rover_rl.worlds.solids import Solids, bounding_balls
+from rover_rl.worlds.solids import Solids
 
 TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
 _OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
@@ -25,63 +24,36 @@ _CHUNK = 4096  # number of poses that are tested against an obstacle at once: ab
 
 
 class Encounters(NamedTuple):
-    """What happens between the rover and movers in an episode of T steps, at the start and after each step.
+    """What happens between the rover and movers at the start and after each of T steps. Distances are horizontal."""
 
-    Attributes:
-        contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
-        gap: horizontal distance from the disc of the robot's radius to the surface of the nearest mover, 0 if they
-            overlap, float32 ``[T + 1]``, m.
-        center_distance: horizontal distance between the origins of rover and nearest mover, float32 ``[T + 1]``, m.
-    """
-
-    contact: Tensor
-    gap: Tensor
-    center_distance: Tensor
+    contact: Tensor  #: Whether the rover touched a mover in the step, bool ``[T + 1]``.
+    gap: Tensor  #: Distance from the disc of the robot's radius to the nearest mover, at least 0, ``[T + 1]``, m.
+    center_distance: Tensor  #: Distance between the origins of rover and nearest mover, ``[T + 1]``, m.
 
 
 class MoverTrack(NamedTuple):
-    """Where the P solids of the movers are, at the start and after each step, or after the last steps of an episode.
+    """Where the P solids of the movers are, at the start and after each step, or after the last steps of an episode."""
 
-    Attributes:
-        kind: index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
-        half: half of the length, width and height, float32 ``[P, 3]``, m.
-        mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
-        position: centers, float32 ``[T + 1, P, 3]``, m.
-        orientation: unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
-    """
-
-    kind: Tensor
-    half: Tensor
-    mover: Tensor
-    position: Tensor
-    orientation: Tensor
+    kind: Tensor  #: Index in ``rover_rl.worlds.movers.mover.KINDS``, int32 ``[P]``.
+    half: Tensor  #: Half of the length, width and height, float32 ``[P, 3]``, m.
+    mover: Tensor  #: Index of the solid's mover in the world's ``movers``, int64 ``[P]``.
+    position: Tensor  #: Centers, float32 ``[T + 1, P, 3]``, m.
+    orientation: Tensor  #: Unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Record of one episode of T steps.
+    """Record of one episode of T steps."""
 
-    Attributes:
-        position: positions at the start and after each step, float32 ``[T + 1, 3]``, m.
-        angles: roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
-        collision: whether each step ends in a collision, as the task defines it, bool ``[T]``.
-        goal: whether each step reaches a goal, bool ``[T]``.
-        ending: ``"goal"``, or another one of ``rover_rl.algos.driving``.
-        reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
-        dt: duration of a step, s.
-        encounters: what happens between the rover and movers; ``None`` if the world has none.
-        movers: where the movers are; ``None`` if the world has none, or if this was not asked for.
-    """
-
-    position: Tensor
-    angles: Tensor
-    collision: Tensor
-    goal: Tensor
-    ending: str
-    reversals: float = math.nan
-    dt: float = CONTROL_DT
-    encounters: Encounters | None = None
-    movers: MoverTrack | None = None
+    position: Tensor  #: Positions at the start and after each step, float32 ``[T + 1, 3]``, m.
+    angles: Tensor  #: Roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
+    collision: Tensor  #: Whether each step ends in a collision, as the task defines it, bool ``[T]``.
+    goal: Tensor  #: Whether each step reaches a goal, bool ``[T]``.
+    ending: str  #: ``"goal"``, or another one of ``rover_rl.algos.driving``.
+    reversals: float = math.nan  #: Changes of the commanded turning direction; nan if commands are not recorded.
+    dt: float = CONTROL_DT  #: Duration of a step, s.
+    encounters: Encounters | None = None  #: What happens between the rover and movers; ``None`` without movers.
+    movers: MoverTrack | None = None  #: Where the movers are; ``None`` without movers, or if it was not asked for.
 
     def __len__(self) -> int:
         return len(self.collision)
@@ -179,10 +151,10 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
     outline = _outline(robot)
     reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
     touched = torch.zeros(len(position), dtype=torch.bool)
-    for obstacle in _obstacles_within(reach, position[:, :2], world):
+    for obstacle in world.obstacles:
+        near = (_near(position[:, :2], obstacle, reach) & ~touched).nonzero().squeeze(-1)
         normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
-        near = _near(position[:, :2], obstacle, reach) & ~touched
-        for poses in near.nonzero().squeeze(-1).split(_CHUNK):
+        for poses in near.split(_CHUNK):
             points = position[poses, None] + outline @ euler_to_matrix(angles[poses]).mT
             touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
     return touched
@@ -196,25 +168,6 @@ def _outline(robot: Robot) -> Tensor:
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))
     ends = torch.cartesian_prod(torch.tensor((back, front)), y)
     return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
-
-
-def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Solids]:
-    """Obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
-    if not world.obstacles:
-        return []
-    centers, radii = _circles(world)
-    nearest = torch.stack([torch.cdist(part, centers).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
-    # The margin covers rounding. Obstacles that are not near are sorted out later.
-    near = (nearest <= radii + reach + 1e-3).nonzero().squeeze(-1)
-    return [world.obstacles[index] for index in near.tolist()]
-
-
-@lru_cache(maxsize=64)
-def _circles(world: World) -> tuple[Tensor, Tensor]:
-    """Centers ``[N, 2]`` and radii ``[N]`` of the obstacles' bounding circles, seen from above, float64, m."""
-    outlines = Solids.of(world.obstacles).outlines
-    middles, radii = bounding_balls(np.concatenate(outlines), np.cumsum([0, *map(len, outlines)]).tolist())
-    return torch.from_numpy(middles), torch.from_numpy(radii)
 
 
 def _near(path: Tensor, obstacle: Solids, reach: float) -> Tensor:

@@ -17,11 +17,10 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from scipy.stats import trim_mean
 
 from rover_rl.algos.evaluation.metrics import proportion
-from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, style_axes
+from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, save_figure, style_axes
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.experiments.runs import WINDOW, Against, Experiment, Measure, Run, group
 from rover_rl.algos.experiments.statistics import interval
-from rover_rl.files import written_whole
 
 Panels: TypeAlias = Sequence[tuple[Measure, Against]]  # what each column of panels shows, and against what
 OF_A_RUN: Panels = (("success", "steps"), ("goals", "steps"))  # panels of a single run
@@ -61,8 +60,7 @@ def draw_learning_curve(runs: Sequence[str | Path], path: Path, panels: Panels =
     # Two long labels do not fit side by side.
     columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    save_figure(figure, path)
 
 
 def draw_test_curve(folder: str | Path, tests: Mapping[int, Evaluation], path: Path) -> None:
@@ -85,8 +83,7 @@ def draw_test_curve(folder: str | Path, tests: Mapping[int, Evaluation], path: P
     what = run.config.run.task_name or run.folder.name
     ax.set_title(f"{run.config.algo.upper()} learns {what}", loc="left", fontweight="bold")
     style_axes(ax)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    save_figure(figure, path)
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from rover_rl.worlds import World
 from rover_rl.worlds.movers.parts import Parts
 
 SHOWN = 5.0  # distance up to which the nearest lidar reading is plotted, m
-State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
-"""State and scan of a rover, and the movers around it."""
+State: TypeAlias = tuple[RoverState, Tensor, Parts | None]  # state and scan of a rover, and the movers around it
 
 
 @dataclass(frozen=True)
@@ -55,25 +54,17 @@ class Moment:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded drive.
+    """A recorded drive."""
 
-    Attributes:
-        moments: states at the start and after each step.
-        ray_angles: direction of each lidar beam in the rover's frame, ``[beams]``, rad.
-        dt: duration of a step, s.
-        ending: how the episode ended; empty in endless mode.
-        episode: index of the episode in its set.
-        steps: steps of the first rover with their rewards; empty for single episodes.
-    """
-
-    moments: list[Moment]
+    moments: list[Moment]  #: States at the start and after each step.
     world: World
     robot: Robot
-    ray_angles: Tensor
-    dt: float
-    ending: str = ""
-    episode: int = 0
+    ray_angles: Tensor  #: Direction of each lidar beam in the rover's frame, ``[beams]``, rad.
+    dt: float  #: Duration of a step, s.
+    ending: str = ""  #: How the episode ended; empty in endless mode.
+    episode: int = 0  #: Index of the episode in its set.
     steps: list[TensorDict] = field(default_factory=list)
+    """Steps of the first rover with their rewards; empty for single episodes."""
 
     @property
     def seconds(self) -> float:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from rover_rl.algos.driving import Drive
+from rover_rl.algos.evaluation.evaluate import MADE_FOR
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.runner import Policy, PolicyRunner, sensors_for
 from rover_rl.algos.video.recording import Episode, Moment, Tally
@@ -36,10 +37,7 @@ KEPT = 600  # number of steps that are kept
 VALUE = "value"  # name of the record of the estimated value
 KEPT_EPISODES = 12  # number of rows of the table of episodes
 FREE = 3  # level of the cells of a map from which on they are free
-Critic: TypeAlias = Callable[[TensorDictBase], float]
-"""Estimates the value of an observation ``[1]``."""
-_OF_POLICY = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
-"""Settings of an environment that a policy was made for."""
+Critic: TypeAlias = Callable[[TensorDictBase], float]  # estimates the value of an observation ``[1]``
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class Session:
             except ValueError:
                 if not self.can_change:
                     raise
-                config = replace(config, **{name: getattr(made_for, name) for name in _OF_POLICY})
+                config = replace(config, **{name: getattr(made_for, name) for name in MADE_FOR})
         reads_more = not {*sensors_for(policy, config).sensors} <= {*self.rovers.config.sensors}
         anew = config is not self.config or (reads_more and self.can_change)
         if anew:
@@ -142,10 +140,6 @@ class Session:
     def episodes(self) -> list[Episode]:
         """Episodes that have ended, the last one first."""
         return self._tally.ended[: -KEPT_EPISODES - 1 : -1]
-
-    @property
-    def event(self) -> tuple[str, float]:
-        return self._tally.event
 
     def put(self, row: int, xy: tuple[float, float]) -> None:
         rovers = self.rovers

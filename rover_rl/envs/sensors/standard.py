@@ -164,7 +164,7 @@ class LivePooling(LidarPooling):
         pooled, raw = super().__call__(ranges), self._live.segments(self.points)
         if raw is None:
             return pooled
-        other = (ranges != self._live.ranges()) | ~self._live.covered()
+        other = (ranges != self._live.scan()) | ~self._live.covered()
         return torch.where(self.grouped(other).any(-1), pooled, self._clip(raw.clone()))
 
 

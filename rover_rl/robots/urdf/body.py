@@ -144,16 +144,10 @@ def split_mass(
 def make_drive(
     layout: Layout, hubs: np.ndarray, size: tuple[float, float], mass: Mass, options: RobotOptions, notes: list[str]
 ) -> Drive:
-    """Returns the drive of a robot.
+    """Returns the drive of a robot, with the limits of ``options``. ``notes`` get a sentence on what is assumed.
 
-    Args:
-        layout: kind of the drive, and the wheels.
-        hubs: centers of the wheels in the base frame, left and right in turn from front to back, then those of the
-            casters, ``[W, 3]``.
-        size: radius and width of the wheels, m.
-        mass: mass of the robot, in the base frame.
-        options: limits that are given.
-        notes: gets a sentence on what is assumed.
+    ``hubs [W, 3]`` are centers of the wheels in the base frame, left and right in turn from front to back, then those
+    of the casters. ``size`` is the radius and the width of the wheels, m.
     """
     radius, tread = size
     names = [(left.joint.name, right.joint.name) for left, right in layout.wheels]

@@ -25,8 +25,8 @@ from rover_rl.robots import Robot
 from rover_rl.robots.shapes import WEIGHTLESS, Mass
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.geometry import ROVERS, STATIC, set_contact
-from rover_rl.sims.movers.near import NearParts, turned
 from rover_rl.sims.rover_state import SIDES, Force, by_side
+from rover_rl.sims.world_groups import NearParts, turned
 from rover_rl.worlds.movers import Part
 
 _LINK_SHARE = 1e-3

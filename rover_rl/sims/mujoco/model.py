@@ -82,8 +82,8 @@ def make_model(
     add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
     # A contact sensor tells obstacles from the ground by their body. It changes the order of the contacts, and with it
     # the last bits of a drive.
-    body = spec.worldbody.add_body(name="obstacles") if "contact_force" in reports else None
-    add_obstacles(spec, world, body=body, **solid)
+    body = spec.worldbody.add_body(name="obstacles") if "contact_force" in reports else spec.worldbody
+    add_obstacles(spec, body, world, **solid)
     _add_rover(spec, robot, settings)
     _add_sensors(spec, bool(parts), reports, len(robot.drive.wheels))
     if parts:
@@ -292,7 +292,8 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     terrain = world.terrain
     if terrain.is_flat:
         height = terrain.heights[0, 0].item()
-        _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, name="ground", pos=(0, 0, height), size=(0, 0, 1), **options)
+        plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "pos": (0, 0, height), "size": (0, 0, 1)}
+        spec.worldbody.add_geom(name="ground", **plane, **options)
         return
     ends = [
         (
@@ -313,36 +314,30 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     spec.add_hfield(name="ground", nrow=data.shape[0], ncol=data.shape[1], size=size, userdata=values)
     x, y = (start + terrain.cell * (k[0] + k[-1]) / 2 for start, k in zip(terrain.origin, (columns, rows), strict=True))
     field = {"name": "ground", "hfieldname": "ground", "pos": (x, y, lowest), "quat": _QUARTER_TURN}
-    _add_geom(spec, mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
 
 
-def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the obstacles: boxes and convex meshes.
-
-    ``options`` are further attributes of the geoms, and their ``body``.
-    """
+def add_obstacles(spec: mujoco.MjSpec, body: Any, world: World, **options: Any) -> None:
+    """Adds the obstacles to a body: boxes and convex meshes. ``options`` are further attributes of the geoms."""
     for index, obstacle in enumerate(world.obstacles):
         frame = _box_frame(obstacle)
         if frame is None:
-            _add_mesh(spec, f"obstacle {index}", obstacle.vertices.numpy(), obstacle.faces.numpy(), **options)
+            _add_mesh(spec, body, f"obstacle {index}", obstacle, **options)
             continue
         center, axes, half = frame
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, axes.ravel())
-        _add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, pos=center, quat=quaternion, size=half, **options)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=center, quat=quaternion, size=half, **options)
 
 
-def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.ndarray, **options: Any) -> None:
+def _add_mesh(spec: mujoco.MjSpec, body: Any, name: str, solid: Solids, **options: Any) -> None:
     # Vertices relative to their center keep their precision, as MuJoCo stores them in single precision.
+    vertices = solid.vertices.numpy()
     center = vertices.mean(0)
-    points, triangles = (vertices - center).ravel().tolist(), faces.ravel().tolist()
+    points, triangles = (vertices - center).ravel().tolist(), solid.faces.flatten().tolist()
     inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=inertia)
-    _add_geom(spec, mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
-
-
-def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, body: Any = None, **options: Any) -> None:
-    (body or spec.worldbody).add_geom(type=kind, **options)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
 
 
 def _box_frame(obstacle: Solids) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

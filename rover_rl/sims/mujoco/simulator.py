@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.native.mujoco import Rollout, mujoco
 from rover_rl.robots import Robot
-from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.mujoco.model import MAX_FELT, make_model, scaled_model
 from rover_rl.sims.rover_state import SIDES, Force, by_side
-from rover_rl.sims.world_groups import GroupedSimulator, WorldGroup
+from rover_rl.sims.world_groups import GroupedSimulator, NearParts, WorldGroup
 from rover_rl.worlds import World
 from rover_rl.worlds.movers import Part
 
@@ -162,17 +161,8 @@ class RoversAmongMovers(RoverPhysics):
     Rovers far from all movers do not need the coordinates of these parts, and are simulated without them.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        robot: Robot,
-        count: int,
-        settings: MujocoSettings,
-        reports: Mapping[Force, np.ndarray],
-        slots: Sequence[Part],
-        parts: Sequence[Part],
-    ) -> None:
-        super().__init__(model, robot, count, settings, reports)
+    def __init__(self, slots: Sequence[Part], parts: Sequence[Part], model: mujoco.MjModel, *others: Any) -> None:
+        super().__init__(model, *others)
         names = [f"part {index} x" for index in range(len(slots))]
         places, speeds = self._coordinates(names), self._velocities(names)
         # Places of the position and orientation and of the velocities of each slot, and of the rover, in a state.
@@ -245,10 +235,7 @@ def reach_of(model: mujoco.MjModel) -> float:
 
 
 class MujocoSimulator(GroupedSimulator):
-    """Simulator in MuJoCo. Rovers in the same world share models.
-
-    ``worlds`` holds the world of each rover. Without ``settings``, the physics has its defaults.
-    """
+    """Simulator in MuJoCo. Rovers in the same world share models."""
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: MujocoSettings | None = None) -> None:
         settings = settings or MujocoSettings()
@@ -283,8 +270,8 @@ class MujocoGroup(WorldGroup):
         slots = slots_of(parts)
         model = self._models(self.world, slots, frozenset(self._reports))
         self.reach = reach_of(model)
-        shared = model, self._robot, len(self.every), self._settings, self._reports
-        self._among = RoversAmongMovers(*shared, slots, parts)
+        others = self._robot, len(self.every), self._settings, self._reports
+        self._among = RoversAmongMovers(slots, parts, model, *others)
 
     def place(self, local: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> None:
         self._physics.place(local, position, orientation)

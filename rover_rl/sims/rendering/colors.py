@@ -11,8 +11,8 @@ from torch.nn.functional import pad
 from rover_rl.native.warp import stream_of, wp
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.rendering.kernels import Scenery, trace_colors
+from rover_rl.sims.rendering.renderer import TracedShapes, TracedWorld
 from rover_rl.sims.rendering.scenery import looks_of
-from rover_rl.sims.rendering.scenes import TracedShapes, TracedWorld
 from rover_rl.sims.rendering.surfaces import Form, post_surface
 from rover_rl.worlds import World
 from rover_rl.worlds.table import SlotTable, WorldTable

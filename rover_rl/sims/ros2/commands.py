@@ -131,11 +131,12 @@ class Commands:
         return "" if other is None or other.time < since else self._transport.name_of(other.sender, self._topic)
 
     def close(self) -> None:
-        """Stops the rover if it moves, and ends the watchdog. Idempotent."""
+        """Stops the rover if it moves, and ends the watchdog and the connection. Idempotent."""
         if self.last != STOP:
             self.stop()
         if self._watchdog is not None:
             self._watchdog.close()
+        self._transport.close()
 
     def _rest(self) -> None:
         if self._watchdog is not None:

@@ -27,23 +27,17 @@ from rover_rl.worlds.clearance import clearance_on_grid
 from rover_rl.worlds.world import World
 
 MAP, WORLD, ODOM, BASE, LIDAR, IMU = "map", "world", "odom", "base_link", "lidar_link", "imu_link"
-MAP_CELL = 0.05
-"""Side of a cell of the map, m."""
-OCCUPIED = 100
-"""What an occupied cell of a ``nav_msgs/OccupancyGrid`` has; a free one has 0."""
+MAP_CELL = 0.05  # side of a cell of the map, m
+OCCUPIED = 100  # what an occupied cell of a ``nav_msgs/OccupancyGrid`` has; a free one has 0
 OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of an image in those of its camera: to the right, down and ahead (REP 103)."""
 GRAY = (0.5, 0.5, 0.5)
 
 
 class RobotFrames:
-    """Frames of a robot and of its sensors.
+    """Frames of a robot and of its sensors: of the lidar, turned by ``lidar_yaw`` (rad), the IMU and the ``devices``.
 
-    Args:
-        devices: cameras and 3D lidars whose images and points are published.
-        lidar_yaw: direction in which the lidar's zero angle points, rad.
-        is_localized: whether to tell where ``odom`` is in ``world``. Else, another node tells where it is in ``map``,
-            such as one that maps.
+    If it ``is_localized``, they tell where ``odom`` is in ``world``. Else, another node tells where it is in ``map``.
     """
 
     def __init__(

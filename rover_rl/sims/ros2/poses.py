@@ -124,9 +124,7 @@ class PoseEstimator:
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
     aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
-
-    Attributes:
-        frame: position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses.
+    ``frame`` is the position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses.
     """
 
     def __init__(self, source: PoseSource) -> None:

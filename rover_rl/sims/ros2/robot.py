@@ -40,13 +40,8 @@ _log = logging.getLogger(__name__)
 class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, tf, clock and images; receives commands.
 
-    Args:
-        lidar_range: maximum range of the lidar, m.
-        settings, connection: topics, and the direction of the lidar.
-        start: initial pose: x, y (m) and yaw (rad).
-        view: angle that the scans cover, half of it to either side of straight ahead, rad.
-        is_localized: whether tf tells where ``odom`` is in the world.
-        world_map: map of the world to publish, a ``nav_msgs/OccupancyGrid``. ``None``: no map.
+    It starts at x, y (m) and yaw (rad). Scans cover the angle ``view`` (rad), half of it to either side of straight
+    ahead. ``is_localized`` is that of :class:`RobotFrames`, and ``world_map`` a ``nav_msgs/OccupancyGrid`` to publish.
     """
 
     def __init__(
@@ -65,7 +60,7 @@ class RobotNode:
         self._lidar_range, self._view = lidar_range, view
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived: replaced by the transport's thread.
         self._command: list[Any] = [(0.0, 0.0), 0.0]
-        self._reset_poses: deque[tuple[float, float, float]] = deque(maxlen=1)
+        self._reset_poses = deque[Any](maxlen=1)  # messages
         self._yaw = start[2]
         self._frames = RobotFrames(rover.robot, rover.devices, settings.lidar_yaw, is_localized)
         self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
@@ -78,7 +73,7 @@ class RobotNode:
         self._receives = {connection.cmd_vel_topic: command, settings.reset_topic: ros.PoseStamped}
         transport.subscribe(connection.cmd_vel_topic, command, self._receive_command)
         # Reliable, as a reset pose is sent only once.
-        transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
+        transport.subscribe(settings.reset_topic, ros.PoseStamped, self._reset_poses.append, reliable=True)
         self._publish(settings.tf_static_topic, self._frames.fixed(), latched=True)
         self._publish(settings.description_topic, self._frames.description(), latched=True)
         if world_map is not None:
@@ -113,29 +108,20 @@ class RobotNode:
             self._log.warning("others", text, self._connection.cmd_vel_topic)
         self._command = [(speed, yaw_rate), 0.0]
 
-    def _receive_reset_pose(self, msg: Any) -> None:
+    def _move_to(self, msg: Any) -> None:
         try:
             if (frame := msg.header.frame_id) not in ("", WORLD):
                 raise ValueError(f"its frame_id must be {WORLD!r}, the frame of the world, or empty, got {frame!r}")
             position, orientation, _ = read_pose(msg.pose)
+            x, y, _ = position.tolist()
+            yaw = yaw_of(orientation)
+            self._rover.move_to((x, y, yaw))
         except ValueError as error:
-            self._refuse(error)
+            text = "%s: ignored a pose, and the rover stays where it is: %s"
+            self._log.warning(str(error), text, self._settings.reset_topic, error)
             return
-        x, y, _ = position.tolist()
-        self._reset_poses.append((x, y, yaw_of(orientation)))
-
-    def _move_to(self, pose: tuple[float, float, float]) -> None:
-        try:
-            self._rover.move_to(pose)
-        except ValueError as error:
-            self._refuse(error)
-            return
-        self._yaw = pose[2]
+        self._yaw = yaw
         self._command = [(0.0, 0.0), 0.0]  # a reset discards earlier commands
-
-    def _refuse(self, error: ValueError) -> None:
-        text = "%s: ignored a pose, and the rover stays where it is: %s"
-        self._log.warning(str(error), text, self._settings.reset_topic, error)
 
     def _check_types(self) -> None:
         if time.monotonic() < self._types_checked + TYPES_PERIOD:

@@ -19,7 +19,7 @@ from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.ros2 import poses
 from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, TFMessage, seconds_of
-from rover_rl.sims.ros2.scans import read_scan
+from rover_rl.sims.ros2.scans import Scan, read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.tf import FrameTree, RobotPose
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
@@ -115,13 +115,16 @@ class Sensors:
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
         pose_type, read_pose = poses.POSE_MESSAGES[settings.pose]
-        read_ranges = partial(read_scan, max_invalid=settings.max_invalid)
+
+        def read_mounted(msg: Any) -> Scan:
+            return read_scan(msg, settings.max_invalid).mounted(settings.lidar_yaw, settings.lidar_inverted)
+
         # The scan is last, as a rover publishes it last: when it wakes a step, the other messages have arrived.
         self.sources = {
             "imu": Source(connection.imu_topic, Imu, {"imu": lambda msg: poses.read_orientation(msg.orientation)}),
             "odometry": Source(settings.odometry_topic, Odometry, {"odometry": read_twist}),
             "pose": Source(settings.pose_topic, pose_type, {"pose": read_pose}),
-            "scan": Source(connection.scan_topic, LaserScan, {"scan": read_ranges}),
+            "scan": Source(connection.scan_topic, LaserScan, {"scan": read_mounted}),
         }
         if settings.pose == "wheels":
             self.sources["odometry"].readers.update(self.sources.pop("pose").readers)
@@ -237,9 +240,6 @@ class Sensors:
         """
         known = (each[1:] for each in reversed([*self._poses]) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self.world_pose
-
-    def receive_clock(self, msg: Any) -> None:
-        self.messages.put("clock", seconds_of(msg.clock))
 
     def state_age(self) -> float | None:
         """Returns the time since the latest pose or IMU orientation was measured, s; ``None`` if it is not known.

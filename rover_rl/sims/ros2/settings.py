@@ -14,8 +14,7 @@ PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
 Command: TypeAlias = Literal["twist", "twist_stamped", "none"]
 TransportName: TypeAlias = Literal["dds", "rclpy"]
-BAG = ".mcap"
-"""Suffix of the bags of ``rover-rl drive``."""
+BAG = ".mcap"  # suffix of the bags of ``rover-rl drive``
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, scans
 from rover_rl.sims.ros2.commands import STOP, Commands
 from rover_rl.sims.ros2.ground import LivePoints
-from rover_rl.sims.ros2.messages import Clock
+from rover_rl.sims.ros2.messages import Clock, seconds_of
 from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -57,13 +57,6 @@ class Ros2Simulator(Simulator):
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
         robot: description of the rover; its limits apply to the commands, unless the settings override them.
         settings, connection: settings of the connection, its topics, and the time to wait for the first scan.
-
-    Attributes:
-        latency: time between the arrival of the scan and the command of the last step, s.
-        held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
-        on_command: function that is called in each step once the command is sent, before the wait for the next scan.
-        tap: passes all messages that are sent and received to a function, such as
-            :meth:`~rover_rl.algos.deploy.bags.DriveBag.add`.
     """
 
     # It reports no contacts, but a policy of a task whose collision is the contact drives anyway.
@@ -86,22 +79,24 @@ class Ros2Simulator(Simulator):
         self._limiter, self._throttled_log = CommandLimiter(settings.min_reversal), ThrottledLogger(_log)
         self._publishers_checked = -math.inf
         self._scan: ReceivedMessage | None = None
-        self._set_beams(GUARD_BEAMS)
+        self.scanner(GUARD_BEAMS)
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
-        self.latency, self.held = 0.0, False
+        self.latency = 0.0  # time between the arrival of the scan and the command of the last step, s
+        self.held = False  # whether the last forward speed was canceled, as it led towards unseen directions
         tapped: Any = TappedTransport(make_transport(settings.transport, settings.node))
         self.transport: Transport = tapped
-        self.tap: Callable[[Tap], None] = tapped.tap
+        self.tap: Callable[[Tap], None] = tapped.tap  # passes all messages to a function, such as DriveBag.add
         self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)
         # The rover also stops if a program ends in an error, or does not call close().
-        self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self.transport)
+        self._finalizer = weakref.finalize(self, self._commands.close)
         self._placer = Placer(settings, self._world.name, self.transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
         self._sensors = Sensors(self.transport, settings, connection, PoseEstimator(settings.pose))
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
         self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
-        self.follow_tf, self.arrivals, self.on_command = self._sensors.follow_tf, self._sensors.arrivals, lambda: None
+        self.follow_tf, self.arrivals = self._sensors.follow_tf, self._sensors.arrivals
+        self.on_command: Callable[[], object] = lambda: None  # called in each step before the wait for the next scan
         self.wait_for_robot(connection.timeout)
 
     @property
@@ -183,30 +178,24 @@ class Ros2Simulator(Simulator):
         self._dt = self.control_dt
         return self.state()
 
-    def scanner(self, beams: int) -> Ros2Scanner:
-        self._set_beams(beams)
-        return Ros2Scanner(self, beams)
-
-    def _set_beams(self, beams: int) -> None:
-        self._beams = beams
+    def scanner(self, beams: int) -> Ros2Simulator:
+        """Returns the lidar, which scans when the rover's does: this simulator."""
+        self.angles = beam_angles(beams).float()
         # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
         # blocks all motion.
         self._ranges, self._seen = torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool)
         if self._scan:
-            self._ranges, self._seen = scans.aligned(self._mounted(self._scan), beams)
+            self._ranges, self._seen = scans.aligned(self._scan.value, beams)
+        return self
 
-    def _mounted(self, scan: ReceivedMessage) -> scans.Scan:
-        mounted: scans.Scan = scan.value.mounted(self.settings.lidar_yaw, self.settings.lidar_inverted)
-        return mounted
-
-    def ranges(self) -> Tensor:
+    def scan(self, rows: Tensor | None = None) -> Tensor:
         return self._ranges.masked_fill(~self._seen & (self._scan is not None), self.settings.unseen_range)[None]
 
     def covered(self) -> Tensor:
         return self._seen[None]
 
     def segments(self, points: int) -> Tensor | None:
-        found = None if self._scan is None else scans.cut(self._mounted(self._scan), points)
+        found = None if self._scan is None else scans.cut(self._scan.value, points)
         return None if found is None else found[None]
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
@@ -267,7 +256,8 @@ class Ros2Simulator(Simulator):
         return position[None], orientation[None]
 
     def follow_clock(self) -> None:
-        self.transport.subscribe(self.settings.clock_topic, Clock, self._sensors.receive_clock)
+        put = self._sensors.messages.put
+        self.transport.subscribe(self.settings.clock_topic, Clock, lambda msg: put("clock", seconds_of(msg.clock)))
 
     def state_age(self) -> Tensor:
         """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""
@@ -290,7 +280,7 @@ class Ros2Simulator(Simulator):
         self._dt = dt if 0.0 < dt <= MAX_DT else self.control_dt
         self._require_changes(scan)
         self._scan = scan
-        self._ranges, self._seen = scans.aligned(self._mounted(scan), self._beams)
+        self._ranges, self._seen = scans.aligned(scan.value, len(self.angles))
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
         """Waits for a scan with a number above ``after``. Stops the rover well before it counts as lost."""
@@ -392,18 +382,3 @@ class Ros2Simulator(Simulator):
     def _wheels_at_rest(self) -> bool:
         speed, yaw_rate = self._sensors.wheel_velocity.abs().tolist()
         return speed < REST_VELOCITY[0] and yaw_rate < REST_VELOCITY[1]
-
-
-class Ros2Scanner:
-    """Lidar of a live rover. It scans when the rover's does."""
-
-    def __init__(self, simulator: Ros2Simulator, beams: int) -> None:
-        self.angles, self._simulator = beam_angles(beams).float(), simulator
-
-    def scan(self, rows: Tensor | None = None) -> Tensor:
-        return self._simulator.ranges()
-
-
-def _stop_and_close(commands: Commands, transport: Transport) -> None:
-    commands.close()
-    transport.close()

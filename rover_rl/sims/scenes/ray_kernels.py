@@ -81,14 +81,9 @@ def meeting(height: float, rate: float, first: float, last: float) -> float:
 def meet_cells(
     scene: Scene, column: int, line: int, z: float, rise: float, start: wp.vec2, rate: wp.vec2, span: wp.vec2
 ) -> float:
-    """Time at which a ray meets the ground of a block; ``inf`` if it does not.
+    """Time at which a ray meets the ground of a block, in which it is during ``span``; ``inf`` if it does not.
 
-    Args:
-        scene: world of the ray.
-        column, line: place of the block.
-        z, rise: height of the ray at the start, m, and its rate.
-        start, rate: u and v at the start, and their rates.
-        span: first and last time in the block.
+    At the start, its height is ``z`` and its u and v are ``start``; their rates are ``rise`` and ``rate``.
     """
     columns = scene.heights.shape[1]
     inverse_u = inverse_of(rate[0])

@@ -30,16 +30,9 @@ Contents: TypeAlias = tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
 class SceneTable:
-    """Worlds of a :class:`~rover_rl.worlds.table.WorldTable` as kernels read them, by slot, in one array of structs.
+    """Worlds of a :class:`~rover_rl.worlds.table.WorldTable` as kernels read them: ``scenes``, an array of structs.
 
-    Args:
-        capacity: maximum number of slots.
-        device: device of the arrays.
-        struct: struct of a world.
-        contents: function that returns the contents of the struct for a world.
-
-    Attributes:
-        scenes: struct of each slot.
+    It has the ``struct`` of each of at most ``capacity`` slots, whose ``contents`` a function returns for a world.
     """
 
     def __init__(self, capacity: int, device: wp.Device, struct: Any, contents: Callable[[World], Contents]) -> None:

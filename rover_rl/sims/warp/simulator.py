@@ -26,8 +26,7 @@ from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.placing import place
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
-from rover_rl.sims.warp.models import ModelTable
-from rover_rl.sims.warp.state_buffers import StateBuffers
+from rover_rl.sims.warp.models import ModelTable, StateBuffers
 from rover_rl.worlds import Terrain, World, hull
 from rover_rl.worlds.ground_kernels import measure_clearance
 from rover_rl.worlds.movers.parts import Parts
@@ -129,13 +128,19 @@ class WarpSimulator(Simulator):
 
     def _record_dynamics(self) -> list[wp.Launch]:
         """Records the physics of a control step, with the parts of movers that are there now."""
-        arrays, parts = MoverArrays(), self._parts
-        for name in ("form", "position", "orientation", "velocity", "turn"):
-            dtype = vars(MoverArrays)["vars"][name].type.dtype
-            empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
-            setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
         solver = _solver(self.settings, max(robot.mass for robot in self.fleet.robots))
-        return self._record(self._step, solver, self._buffers.rovers, self._forms.scenes, arrays)
+        return self._record(self._step, solver, self._buffers.rovers, self._forms.scenes, self._arrays(MoverArrays))
+
+    def _arrays(self, struct: Any) -> Any:
+        """Returns a struct of the parts of movers that are there now."""
+        arrays = struct()
+        for name, variable in struct.vars.items():
+            dtype = variable.type.dtype
+            if self._parts is None:
+                setattr(arrays, name, wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device))
+            else:
+                setattr(arrays, name, wp.from_torch(getattr(self._parts, name), dtype=dtype))
+        return arrays
 
     def measure(self, fields: Collection[Force]) -> None:
         self._buffers.measure(fields)

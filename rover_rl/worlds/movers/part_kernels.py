@@ -71,15 +71,9 @@ def place(
 ) -> None:
     """Places the parts of the movers in ``rows`` (bool ``[N, 1]``) on the ground, in place. Others are at rest.
 
-    Args:
-        parts: parts, whose position, orientation, velocity and yaw rate change.
-        yaw: heading of each part's mover after the last step, which changes, ``[N, P]``, rad.
-        local: mover, center, orientation and swing of the parts in the frames of their movers, ``[N, P, ...]``.
-        state: where the movers are.
-        swing: how far legs are ahead, relative to their amplitude, ``[N, M]``.
-        terrains, rows: terrains of all rows, and rows whose movers move.
-        begins: whether their episodes begin, so that parts are at rest.
-        dt: duration of a step, s.
+    ``yaw [N, P]`` (rad), which changes too, is the heading of each part's mover after the last step. ``local`` has the
+    mover, center, orientation and swing of the parts in the frames of their movers, ``[N, P, ...]``. Legs are ahead by
+    ``swing [N, M]``, relative to their amplitude. In episodes that begin, parts are at rest.
     """
     movers = [wp.from_torch(state.position.contiguous(), dtype=wp.vec2)]
     movers += [wp.from_torch(values.contiguous()) for values in (state.yaw, swing)]
@@ -113,15 +107,10 @@ def cast_at_movers(parts: Parts, origins: Tensor, directions: Tensor, ranges: Te
 
 
 def scan_movers(parts: Parts, poses: Tensor, mounts: Tensor, beams: Tensor, rows: Tensor, ranges: Tensor) -> None:
-    """Shortens the beams of planar lidars that meet a mover, in place.
+    """Shortens the ``ranges [N, beams]`` (m) of planar lidars in ``rows`` (bool ``[N]``) that meet a mover, in place.
 
-    Args:
-        parts: solids of the movers.
-        poses: position (m) and quaternion of the rovers, ``[N, 7]``.
-        mounts: position of the lidar on each rover, and its range, ``[N, 4]``, m.
-        beams: directions (ahead, left), equally spaced counter-clockwise from straight ahead, ``[beams, 2]``.
-        rows: rows whose lidars scan, bool ``[N]``.
-        ranges: ranges of the beams, ``[N, beams]``, m.
+    ``poses [N, 7]`` are those of the rovers, ``mounts [N, 4]`` the place of each lidar on its rover and its range, m.
+    Beams have directions (ahead, left), equally spaced counter-clockwise from straight ahead, ``[beams, 2]``.
     """
     inputs = [_filled(PartArrays(), vars(parts)), wp.from_torch(poses.contiguous())]
     inputs += [wp.from_torch(mounts, dtype=wp.vec4), wp.from_torch(beams, dtype=wp.vec2)]

@@ -9,8 +9,7 @@ import numpy as np
 
 CENTERS = {1: [(-0.075, 0.075), (-1.5, 6.0)], 7: [(-2.25, 6.0), (-2.4, 6.0), (-2.1, 6.0)]}
 """Centers of the cylinders of the worlds, m. World 7 has a wall in front of the start."""
-CELLS = {1: [(15, 0), (15, 10), (16, 29)], 7: [(10, 5), (10, 29)]}
-"""Cells of the reference paths."""
+CELLS = {1: [(15, 0), (15, 10), (16, 29)], 7: [(10, 5), (10, 29)]}  # cells of the reference paths
 
 MODEL = """<model name='unit_cylinder_{number}'><static>1</static><pose frame=''>{x:.6f} {y:.6f} 0 0 0 0</pose>
 <link name='link'><collision name='collision'><geometry><cylinder><radius>0.075</radius><length>1</length></cylinder>

@@ -14,13 +14,10 @@ import torch
 
 from rover_rl.algos.benchmarks.barn import TEST_WORLDS, Barn, read_barn
 from rover_rl.algos.benchmarks.suite import Course, run_suite
-from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from tests.algos.benchmarks.mini import CENTERS, write_barn_file, write_barn_folder
 from tests.algos.drivers import straight
-from tests.algos.evaluation.drives import line
-
-WARP = EnvConfig(backend="warp")
+from tests.algos.evaluation.drives import WARP, line
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,10 @@ from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
 from rover_rl.algos.benchmarks.suite import Course, Result, print_results, run_suite
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.cli import main
-from rover_rl.envs.config import EnvConfig
 from rover_rl.robots import get_robot
 from tests.algos.benchmarks.mini import levels, write_levels
 from tests.algos.drivers import standing
-from tests.algos.evaluation.drives import csv_rows, line, printed
-
-WARP = EnvConfig(backend="warp")
+from tests.algos.evaluation.drives import WARP, csv_rows, line, printed
 
 
 @pytest.fixture
@@ -154,10 +152,7 @@ def test_wrong_levels_are_refused_in_a_sentence(
     ],
 )
 def test_a_wrong_command_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, line: str, expected: str
+    failed: Callable[..., str], tmp_path: Path, line: str, expected: str
 ) -> None:
     data = write_levels(tmp_path / "levels.npz")
-    assert main(line.replace("LEVELS", str(data)).split()) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"rover-rl: {expected}")
-    assert error.count("\n") == 1
+    assert failed(*line.replace("LEVELS", str(data)).split()).startswith(f"rover-rl: {expected}")

@@ -41,6 +41,7 @@ class Truth:
     yaw_bias: float = 0.0
     friction: float = math.inf
     order: str = "limits first"
+    slide: float = 0.0  # to the side for each rad in turns by a force of the weight, m
 
 
 def exciting(seed: int = 0, seconds: float = 150.0, top: float = 1.2, turn: float = 2.0) -> np.ndarray:
@@ -117,8 +118,9 @@ def _motion(truth: Truth, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     wheels = np.column_stack([_follow(*column, truth.order) for column in columns])
     speed = _follow(wheels[:, 0], *[9.81 * truth.friction] * 2, 1e-9, "limits first")
     yaw = np.cumsum(wheels[:, 1] * truth.yaw_ratio * truth.wheel_scale) * FINE
-    steps = FINE * speed[:, None] * np.column_stack((np.cos(yaw), np.sin(yaw)))
-    return times, wheels, np.column_stack((np.cumsum(steps, 0), yaw))
+    rate = wheels[:, 1] * truth.yaw_ratio * truth.wheel_scale
+    moved = (speed - 1j * truth.slide * np.abs(rate) * rate * speed / 9.81) * np.exp(1j * yaw) * FINE
+    return times, wheels, np.column_stack((np.cumsum(moved.real), np.cumsum(moved.imag), yaw))
 
 
 def _follow(asked: np.ndarray, up: float, down: float, lag: float, order: str) -> np.ndarray:

@@ -17,7 +17,7 @@ from rover_rl.algos.calibration.calibrate import Calibration, calibrate
 from rover_rl.algos.calibration.reading import read_recording
 from rover_rl.algos.config_files import read_config
 from rover_rl.cli.main import main
-from rover_rl.cli.policies import read_env
+from rover_rl.cli.options import read_env
 from rover_rl.envs.config import EnvConfig, LimitsConfig
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.files import MADE
@@ -96,6 +96,16 @@ def test_numbers_of_a_kinematic_robot(tmp_path: Path, truth: Truth, seed: int) -
     slipped = math.isfinite(truth.friction)
     assert set(found.numbers) - set(told) == ({"imu_late", "scan_late"} if slipped else {"friction"})
     assert found.errors[0, 2] > 3 * found.errors[1, 2]
+
+
+def test_sliding_in_arcs_tells_the_friction(tmp_path: Path) -> None:
+    # With the wheels of Rover Zero, whose body turns at 0.4 of what they tell, it slides by 1.3 m with this friction.
+    friction = 0.361
+    truth = Truth(yaw_ratio=0.4 / 1.04, slide=1.3, pose_noise=0.01)
+    told = calibrated(tmp_path / "bag", truth, exciting(3)).numbers["friction"].estimate
+    assert told is not None
+    assert told.value == pytest.approx(friction, rel=0.05)
+    assert told.low < friction < told.high
 
 
 def test_what_a_drive_does_not_tell_is_unknown_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,8 +25,7 @@ FIELD = World("field", Terrain.flat((9.0, 9.0)))
 WALL = World("wall", Terrain.flat((9.0, 9.0)), [box((0.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
 CRATES = World("crates", Terrain.flat((9.0, 9.0)), [box((2.0, y, 0.5), (0.5, 0.5, 1.0)) for y in (-2.0, 0.0, 2.0)])
 POOL = WorldPool(FIELD, WALL, CRATES)
-EPISODES = draw_episodes(POOL, 3, seed=1)
-"""Three episodes in each of three worlds."""
+EPISODES = draw_episodes(POOL, 3, seed=1)  # three episodes in each of three worlds
 
 
 def line(

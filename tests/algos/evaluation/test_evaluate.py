@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -25,8 +26,10 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
+from rover_rl.cli.evaluate import split_task
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, Randomization
 from rover_rl.robots import get_robot
+from rover_rl.tasks import get_task
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.pool import WorldPool
 from tests.algos.drivers import ahead, straight
@@ -264,18 +267,9 @@ def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureF
 
 
 def test_the_command_takes_ranges_and_imperfections(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = [
-        "evaluate",
-        "scripted",
-        "--world",
-        "maze:10000-10001@0.2",
-        "--seconds",
-        "0.5",
-        "--imperfect",
-        "late",
-        "all",
-    ]
-    assert main([*given, "--episodes", "2", "--workers", "1", "--backend", "warp", "--out", str(tmp_path)]) == 0
+    given = ["evaluate", "scripted", "--world", "maze:10000-10001@0.2", "--imperfect", "late", "all"]
+    short = ["--seconds", "0.5", "--episodes", "2", "--workers", "1", "--backend", "warp"]
+    assert main([*given, *short, "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert "2 episodes in each of 2 worlds" in text
     assert "Lowest success rates of scripted in maze:10000-10001@0.2, warp, exact: maze:10000@0.2 0%" in text
@@ -319,12 +313,20 @@ def test_the_command_drives_the_same_episodes_in_each_backend(
     ],
 )
 def test_the_command_refuses_in_one_line_before_anything_is_driven(
-    capsys: pytest.CaptureFixture[str], run: Path, monkeypatch: pytest.MonkeyPatch, given: str, message: str
+    failed: Callable[..., str], run: Path, monkeypatch: pytest.MonkeyPatch, given: str, message: str
 ) -> None:
     monkeypatch.setattr("rover_rl.algos.evaluation.evaluate.evaluate", None)
-    assert main(["evaluate", *given.replace("RUN", str(run)).split()]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert message in captured.err
+    assert message in failed("evaluate", *given.replace("RUN", str(run)).split())
     assert not (run / "new").exists()
+
+
+def test_the_first_word_names_a_task_unless_it_names_a_policy_or_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert split_task(("mazes", "scripted")) == (get_task("mazes"), ("scripted",))
+    assert split_task(("rover_rl.tasks.field:FIELD",)) == (get_task("field"), ())
+    policies = ("pretrained:anywhere", "scripted"), ("rover_rl.algos.policy.dwa:DynamicWindowPolicy", "scripted"), ()
+    assert all(split_task(words) == (None, words) for words in policies)
+    (tmp_path / "mazes").mkdir()
+    assert split_task(("mazes",)) == (None, ("mazes",))

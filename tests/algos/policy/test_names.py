@@ -10,7 +10,7 @@ from rover_rl import EnvConfig, RoverEnv
 from rover_rl.algos.policy.names import BASELINES, NO_POLICY, make_baseline, resolve_policy
 from rover_rl.algos.policy.runner import PolicyRunner, sensors_for
 from rover_rl.cli import main
-from rover_rl.cli.policies import LIVE_POLICY, ONE_POLICY, SEVERAL_POLICIES
+from rover_rl.cli.options import LIVE_POLICY, ONE_POLICY, SEVERAL_POLICIES
 
 DOCS = Path(__file__).parents[3] / "docs"
 

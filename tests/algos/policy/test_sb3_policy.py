@@ -15,9 +15,8 @@ import stable_baselines3 as sb3
 
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.evaluation.tasks import for_task
-from rover_rl.algos.evaluation.tasks import test_env as env_of_test
+from rover_rl.algos.evaluation.evaluate import evaluate, for_task
+from rover_rl.algos.evaluation.evaluate import test_env as env_of_test
 from rover_rl.algos.policy.names import resolve_policy
 from rover_rl.algos.policy.sb3_policy import SB3Policy
 from rover_rl.envs.sb3 import SB3VecEnv

@@ -18,13 +18,12 @@ from rover_rl.algos.video.film import Style, film
 from rover_rl.algos.video.recording import record_endless, record_episodes
 from rover_rl.algos.video.views import hides, lidar_hits
 from rover_rl.cli.film import Film
-from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.rendering.renderer import Camera, Sight
 from rover_rl.worlds import Terrain, box
 from rover_rl.worlds.movers import Cylinder, Mover, Person, Waypoints
 from tests.algos.drivers import straight
+from tests.algos.evaluation.drives import WARP
 
-WARP = EnvConfig(backend="warp")
 GROUND = Terrain.flat((12.0, 12.0))
 FIELD, WALL = World("field", GROUND), World("wall", GROUND, [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from rover_rl import RoverEnv
 from rover_rl.robots import get_robot
 from rover_rl.rotations import rotate
-from rover_rl.sims.rendering import scenes
+from rover_rl.sims.rendering import renderer
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rendering.renderer import Camera, Sight
 from rover_rl.sims.rendering.scenery import SUN
@@ -124,8 +124,8 @@ def test_the_same_pose_gives_the_same_bytes_with_any_number_of_threads(monkeypat
     at, goal = pose(0.5, 0.5, 0.01, 0.05, 0.1, 0.8), torch.tensor((2.0, 2.0))
     images = []
     for threads in (1, 5):
-        monkeypatch.setattr(scenes, "MAX_THREADS", threads)
-        monkeypatch.setattr(scenes.os, "cpu_count", lambda: 8)
+        monkeypatch.setattr(renderer, "MAX_THREADS", threads)
+        monkeypatch.setattr(renderer.os, "cpu_count", lambda: 8)
         images.append(RendererCache(ROVER).render(FLAT, at, "chase", 97, 71, goal))
     assert (images[0].shape, images[0].dtype) == ((71, 97, 3), torch.uint8)
     assert torch.equal(*images)

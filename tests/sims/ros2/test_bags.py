@@ -43,8 +43,7 @@ from tests.sims.ros2.processes import until
 from tests.sims.ros2.test_driving import AHEAD, COURSE, GOAL, interrupt, straight
 from tests.sims.ros2.wire import SimulatedRobot
 
-TAIL = 6000
-"""Length of the end of a bag that is torn off, bytes."""
+TAIL = 6000  # length of the end of a bag that is torn off, bytes
 NANO = 1_000_000_000
 FORWARD = BagTopics(pose="/pose", lidar_yaw=0.0)
 
@@ -363,15 +362,13 @@ EARLY = [(0.0, "/pose", stamped(0.0, 0.0)), (1.0, "/goal_pose", stamped(1.5, 0.0
         (course(partial(stamped, frame="odom")), "the goals in BAG are in the frame 'map', and the poses in ['odom']"),
     ],
 )
-def test_a_bag_that_does_not_tell_drives_is_one_sentence(messages, told, tmp_path, capsys):
+def test_a_bag_that_does_not_tell_drives_is_one_sentence(messages, told, tmp_path, failed):
     path = write_mcap(tmp_path / "bag.mcap", messages)
-    assert main(["evaluate", str(path), "--topics.pose", "/pose", "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
+    error = failed("evaluate", path, "--topics.pose", "/pose", "--out", tmp_path / "out")
     assert told.replace("BAG", str(path)) in error
-    assert error.count("\n") == 1
 
 
-def test_other_files_and_names_of_code_are_refused_in_one_sentence(env, tmp_path, capsys, monkeypatch):
+def test_other_files_and_names_of_code_are_refused_in_one_sentence(env, tmp_path, failed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("text.mcap").write_text("position: 1\n")
     Path("text.db3").write_text("position: 1\n")
@@ -392,7 +389,4 @@ def test_other_files_and_names_of_code_are_refused_in_one_sentence(env, tmp_path
         "code.mcap": "code.mcap names code as its world: if you trust it, add --world os:abort",
         "none.mcap": "none.mcap: No such file or directory",
     }.items():
-        assert main(["evaluate", word, "--out", "out"]) == 2
-        error = capsys.readouterr().err
-        assert told in error
-        assert error.count("\n") == 1
+        assert told in failed("evaluate", word, "--out", "out")

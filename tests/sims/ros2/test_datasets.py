@@ -56,12 +56,3 @@ def test_minari_reads_what_the_environment_saw_did_and_paid(bag, tmp_path, capsy
     for name in ("lidar", "pose", "imu", "target", "velocities"):
         expected = np.stack([each[name].numpy() for each in before])
         np.testing.assert_allclose(reached.observations[name][:-1], expected, atol=1e-3, err_msg=name)
-
-
-@pytest.mark.parametrize(
-    ("out", "told"), [("drives", "must end in -v and a number"), ("drives-v0", "drives-v0 is there already")]
-)
-def test_wrong_folders_are_told(tmp_path, out, told, capsys):
-    (tmp_path / "drives-v0").mkdir()
-    assert main(["dataset", "drive.mcap", "--out", str(tmp_path / out)]) == 2
-    assert told in capsys.readouterr().err

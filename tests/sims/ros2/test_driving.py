@@ -26,14 +26,11 @@ from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
 from tests.algos.policy.memories import CountingPolicy
 from tests.sims.ros2.wire import SimulatedRobot, Wire
 
-AHEAD, BEHIND = 3.0, -1.0
-"""Positions of the walls ahead of and behind the start, along x, m."""
+AHEAD, BEHIND = 3.0, -1.0  # positions of the walls ahead of and behind the start, along x, m
 WALLS = [box((AHEAD + 0.2, 0, 0.5), (0.4, 8, 1)), box((BEHIND - 0.2, 0, 0.5), (0.4, 8, 1))]
 COURSE = World("course", Terrain.flat((20, 20)), obstacles=WALLS)
-FRONT, TAIL = 0.265, 0.27
-"""Length of the rover ahead of and behind its center, m."""
-GOAL, BEYOND = (1.5, 0.3), (6.0, 0.0)
-"""A goal near the start, and one behind the wall."""
+FRONT, TAIL = 0.265, 0.27  # length of the rover ahead of and behind its center, m
+GOAL, BEYOND = (1.5, 0.3), (6.0, 0.0)  # a goal near the start, and one behind the wall
 
 
 @pytest.fixture

@@ -27,8 +27,7 @@ from rover_rl.sims.sensor_report import ElevationMap
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import Rover
 
-CENTER, CELL, SIZE = (3.0, -2.0), 0.5, (6, 4)
-"""Middle, side of a cell, rows and columns of the map that is read here."""
+CENTER, CELL, SIZE = (3.0, -2.0), 0.5, (6, 4)  # middle, side of a cell, rows and columns of the map that is read here
 POINTS = np.array(
     [[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [-4.5, 5.25, 1e3], [0.0, np.inf, 0.0], [7.0, 8.0, 9.0], [0, 0, 0]]
 )

@@ -20,8 +20,7 @@ from tests.envs import transcription as contract
 from tests.envs.contract.witness import check_witnessed, witness
 from tests.sims.ros2.wire import ALL, BEAMS, STEP, SimulatedRobot, Wire, drive, simulator, yaw_of
 
-POSE = torch.tensor([[1.0, 2.0, 0.5]])
-"""Pose of the rover before a reset."""
+POSE = torch.tensor([[1.0, 2.0, 0.5]])  # pose of the rover before a reset
 
 
 @pytest.fixture
@@ -39,8 +38,8 @@ def test_step_sends_the_command_and_returns_the_next_state(wire, rover, sim):
     assert (command.linear.x, command.angular.z) == sim.last_command == (0.5, -0.25)
     assert state.position[0].tolist() == pytest.approx([1.0, 2.0, 0.1])
     assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
-    assert sim.ranges().shape == (1, BEAMS)
-    assert sim.ranges()[0, 0] == 1.5
+    assert sim.scan().shape == (1, BEAMS)
+    assert sim.scan()[0, 0] == 1.5
     assert sim.latency == pytest.approx(0.01)
     assert (state.linear_velocity.item(), state.angular_velocity.item()) == (0.5, -0.25)  # by the wheels
 
@@ -80,7 +79,7 @@ def test_without_a_robot_observations_are_empty_with_a_warning(wire, caplog):
     assert not sim.robot_connected
     state = sim.reset(ALL, POSE)
     assert "no robot has appeared" in caplog.text
-    assert torch.isposinf(sim.ranges()).all()
+    assert torch.isposinf(sim.scan()).all()
     assert (state.position == 0).all()
     assert state.orientation.tolist() == [[0, 0, 0, 1]]
     with pytest.raises(RobotLostError, match=r"/scan \(scan\): no message has arrived yet"):

@@ -26,8 +26,7 @@ from rover_rl.worlds import World, get_world
 
 BEAMS, TURN = 8, 2 * math.pi
 ALL = torch.ones(1, dtype=torch.bool)
-STEP = 0.05
-"""Time between two messages of a rover, s."""
+STEP = 0.05  # time between two messages of a rover, s
 
 
 class Wire:

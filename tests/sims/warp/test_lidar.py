@@ -13,14 +13,13 @@ from scipy.spatial.transform import Rotation
 from rover_rl.native.warp import wp
 from rover_rl.robots import get_robot
 from rover_rl.robots.fleet import Fleet
-from rover_rl.sims.bullet.lidar import BulletLidar
+from rover_rl.sims.bullet.simulator import BulletLidar
 from rover_rl.sims.scenes.scene import Scene
 from rover_rl.sims.scenes.table import SceneTable
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays
-from rover_rl.sims.warp.models import ModelTable
-from rover_rl.sims.warp.state_buffers import StateBuffers
+from rover_rl.sims.warp.models import ModelTable, StateBuffers
 from rover_rl.worlds import World, get_world
 
 ROVER = get_robot("rover_zero")

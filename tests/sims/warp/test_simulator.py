@@ -15,9 +15,8 @@ from rover_rl.rotations import matrix_to_quaternion, quaternion_to_euler
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.kernels import placing
-from rover_rl.sims.warp.simulator import WarpSimulator
 from rover_rl.worlds import Terrain, World, box, get_world
-from tests.sims.driven import ROVER, all_rows, drive, in_world, placed, slope
+from tests.sims.driven import ROVER, drive, in_world, placed, slope
 
 HOPPER = 90
 """Compute capability 9.0 (H100, H200)."""
@@ -105,13 +104,11 @@ def test_obstacles_have_their_own_friction():
 def test_rovers_are_placed_where_they_rest(world_name: str) -> None:
     world, robots = get_world(world_name), get_robots(("rover_zero", "leo", "jackal", "husky", "racer", "hunter"))
     index = torch.arange(64) % len(robots)
-    simulator = WarpSimulator([world] * 64, Fleet(robots, index))
     generator = torch.Generator().manual_seed(0)
     low, high = (torch.tensor(corner) for corner in zip(*world.bounds, strict=True))
     places = low + (high - low) * torch.rand(64, 2, generator=generator)
     poses = torch.cat((places, (2 * torch.rand(64, 1, generator=generator) - 1) * torch.pi), -1)
-    state = simulator.reset(all_rows(64), poses)
-    simulator.close()
+    state = placed("warp", world, poses, Fleet(robots, index)).state()
     for robot in range(len(robots)):
         rows = index == robot
         position, rotation = rest_on_ground(world, robots[robot], poses[rows])

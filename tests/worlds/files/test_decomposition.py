@@ -192,7 +192,7 @@ def test_pieces_without_volume_or_area_are_left_out_and_named(tmp_path):
     assert [note for note in world.notes if "foil/l/c has no volume" in note]
 
 
-def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, own_cache):
+def test_a_mesh_is_decomposed_once_for_all_its_copies_and_readings(tmp_path, own_cache, monkeypatch):
     mesh = extrude_triangulation(*frame((1, 0.6), 0.1), 0.4)
     mesh.export(tmp_path / "u.stl")
     places = [("1 1 1", f"{3 * k} {k} 0 {0.3 * k} 0.1 {k}") for k in range(3)]
@@ -206,6 +206,8 @@ def test_a_mesh_is_decomposed_once_for_all_its_copies(tmp_path, own_cache):
     # In the middle of the bottom of the U and in its gap, of the mirror image and of a stretched copy.
     points = [(-0.5, 6.05, 0.2), (-0.5, 6.3, 0.2), (0.5, 6.05, 0.2), (0.5, -5.9, 0.6), (0.5, -5.4, 0.6)]
     assert world.inside(torch.tensor(points, dtype=torch.float64)).tolist() == [True, False, False, True, False]
+    monkeypatch.setattr("rover_rl.worlds.files.convex._attempt", lambda *_: pytest.fail("decomposed again"))
+    assert torch.equal(world_of(tmp_path, body).obstacles.vertices, world.obstacles.vertices)
 
 
 def test_large_meshes_are_simplified_within_the_error_and_stay_closed():

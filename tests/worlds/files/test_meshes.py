@@ -13,7 +13,7 @@ from PIL import Image
 
 from rover_rl.worlds import World, get_world
 from tests.extras import needs_worlds
-from tests.worlds.files.scenes import corner_wall, heights_at, hill_height, house, inside, with_y_up, yard
+from tests.worlds.files.scenes import heights_at, hill_height, house, inside, with_y_up, yard
 
 pytestmark = needs_worlds
 FLOOR = trimesh.creation.box((10.0, 10.0, 0.1))
@@ -102,17 +102,6 @@ def test_ground_can_be_named_or_denied(tmp_path):
     bare = World.from_file(saved(scene, tmp_path / "bare.glb"), ground="none")
     assert bare.terrain.is_flat
     assert heights_at(bare, (0.0, 0.0)) == pytest.approx([-0.4], abs=0.02)
-
-
-def test_a_decomposition_is_cached_by_content(tmp_path, own_cache, monkeypatch):
-    path = tmp_path / "corner.stl"
-    trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
-    first = World.from_file(path).obstacles
-    assert len(first) > 1
-    assert len([*(own_cache / "convex_parts").rglob("*.npz")]) == 1
-    monkeypatch.setattr("rover_rl.worlds.files.convex._attempt", lambda *_: pytest.fail("decomposed again"))
-    for a, b in zip(first, World.from_file(path).obstacles, strict=True):
-        assert torch.equal(a.vertices, b.vertices)
 
 
 def test_a_path_is_a_name_of_a_world(tmp_path):

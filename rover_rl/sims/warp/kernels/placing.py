@@ -77,10 +77,14 @@ def pose_at_rest(scene: Scene, model: RobotModel, pose: wp.vec3) -> wp.transform
 def place(scenes: wp.array[Scene], models: wp.array[RobotModel], rovers: RoverArrays, poses: wp.array[wp.vec3]):
     """Places the active rovers at planar poses, x, y (m) and yaw (rad), at rest and with no stored impulses."""
     row = wp.tid()
-    if not rovers.active[row]:
-        return
-    model = models[rovers.robot[row]]
-    pose = pose_at_rest(scenes[rovers.scene[row]], model, poses[row])
+    if rovers.active[row]:
+        model = models[rovers.robot[row]]
+        set_at_rest(model, rovers, row, pose_at_rest(scenes[rovers.scene[row]], model, poses[row]))
+
+
+@wp.func
+def set_at_rest(model: RobotModel, rovers: RoverArrays, row: int, pose: wp.transform):
+    """Writes the state of a rover at rest, with its base frame at a pose."""
     orientation = wp.transform_get_rotation(pose)
     rovers.position[row] = wp.transform_get_translation(pose) + wp.quat_rotate(orientation, rovers.center[row])
     rovers.orientation[row] = orientation

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 from rover_rl.sims.warp.kernels.dynamics import GRAVITY, axle_of, write_base_state
+from rover_rl.sims.warp.kernels.placing import set_at_rest
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RoverArrays
 from rover_rl.sims.warp.planar.contacts import (
     MARGIN,
@@ -354,24 +355,11 @@ def steer(axles: wp.array[wp.vec2], robot: PlanarRobot, rovers: RoverArrays, row
 def place_planar(plans: wp.array[Plan], robots: wp.array[PlanarRobot], rovers: RoverArrays, poses: wp.array[wp.vec3]):
     """Places the active rovers at planar poses, x, y (m) and yaw (rad), at rest."""
     row = wp.tid()
-    if not rovers.active[row]:
-        return
-    robot = robots[rovers.robot[row]]
-    pose = poses[row]
-    orientation = wp.quat(0.0, 0.0, wp.sin(0.5 * pose[2]), wp.cos(0.5 * pose[2]))
-    if orientation[3] < 0.0:
-        orientation = -orientation
-    base = wp.vec3(pose[0], pose[1], plans[rovers.scene[row]].ground + robot.height)
-    rovers.position[row] = base + wp.quat_rotate(orientation, rovers.center[row])
-    rovers.orientation[row] = orientation
-    rovers.velocity[row] = wp.vec3(0.0, 0.0, 0.0)
-    rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, 0.0)
-    for n in range(rovers.wheel_spins.shape[1]):
-        rovers.wheel_spins[row, n] = 0.0
-    for n in range(3):
-        rovers.impulses[row, n] = 0.0
-    for joint in range(rovers.angles.shape[1]):
-        rovers.angles[row, joint] = 0.0
-    rovers.contact[row] = False
-    rovers.mover_contact[row] = False
-    write_base_state(robot.model, rovers, row)
+    if rovers.active[row]:
+        robot = robots[rovers.robot[row]]
+        pose = poses[row]
+        orientation = wp.quat(0.0, 0.0, wp.sin(0.5 * pose[2]), wp.cos(0.5 * pose[2]))
+        if orientation[3] < 0.0:
+            orientation = -orientation
+        base = wp.vec3(pose[0], pose[1], plans[rovers.scene[row]].ground + robot.height)
+        set_at_rest(robot.model, rovers, row, wp.transform(base, orientation))

@@ -84,10 +84,8 @@ def plan_contents(world: World, reach: float, farthest: float, lidars: np.ndarra
 def plan_problem(world: World, climb: float, tops: np.ndarray, lidars: np.ndarray) -> str | None:
     """Tells why a world has no plan for robots, as the rest of a sentence; ``None`` if it has.
 
-    Args:
-        world: world.
-        climb: height of the highest axle, m. A rover may climb what is lower.
-        tops, lidars: heights of each robot's body and lidar, ``[K]``, m.
+    A rover may climb what is lower than the highest axle, ``climb``; robots have bodies as high as ``tops [K]``, and
+    ``lidars [K]``, m.
     """
     heights = world.terrain.heights.numpy()
     if heights.max() - heights.min() > LEVEL:

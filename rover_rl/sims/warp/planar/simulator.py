@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
 
 import torch
 
@@ -21,7 +20,7 @@ from rover_rl.sims.warp.planar.robots import PlanarRobots
 from rover_rl.sims.warp.planar.view import look
 from rover_rl.sims.warp.simulator import WarpSimulator
 from rover_rl.worlds import World
-from rover_rl.worlds.movers.part_kernels import DTYPES, PartArrays
+from rover_rl.worlds.movers.part_kernels import PartArrays
 
 
 class PlanarSimulator(WarpSimulator):
@@ -42,17 +41,10 @@ class PlanarSimulator(WarpSimulator):
         return robots, SceneTable(self._worlds.capacity, self._wp_device, Plan, contents)
 
     def _record_dynamics(self) -> list[wp.Launch]:
-        solver, arrays = PlanarSolver(), PartArrays()
-        solver.dt, solver.substeps = self.settings.substep, self.settings.substeps
-        solver.iterations = self.settings.solver_iterations
-        solver.ground_friction = self.settings.ground_friction
-        solver.obstacle_friction = self.settings.obstacle_friction
-        for name, kind in vars(PartArrays)["vars"].items():
-            dtype: Any = kind.type.dtype
-            empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
-            known = None if self._parts is None else wp.from_torch(getattr(self._parts, name), dtype=DTYPES.get(name))
-            setattr(arrays, name, empty if known is None else known)
-        return self._record(self._step, solver, self._buffers.rovers, arrays)
+        solver, settings = PlanarSolver(), self.settings
+        solver.dt, solver.substeps, solver.iterations = settings.substep, settings.substeps, settings.solver_iterations
+        solver.ground_friction, solver.obstacle_friction = settings.ground_friction, settings.obstacle_friction
+        return self._record(self._step, solver, self._buffers.rovers, self._arrays(PartArrays))
 
     def _follow_forms(self, movers: MoverField) -> None:
         """The kernels read kinds and sizes of parts, and no solids."""

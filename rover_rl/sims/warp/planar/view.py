@@ -183,12 +183,7 @@ class Sight:
     ) -> np.ndarray:
         """Returns which edges ``[E, 4]`` are within reach of square cells and not hidden from all of it, ``[C, E]``.
 
-        Args:
-            middles: middles of the cells, ``[C, 2]``, m.
-            side: side of a cell, m.
-            edges: edges, of which those count whose free side the cell is on.
-            reach: largest distance from a point of the cell, m.
-            heights: lowest and highest place of what looks, m. Nothing is hidden if the first is above the second.
+        See :func:`look`, of which ``heights`` are ``low`` and ``high``. Cells have ``middles [C, 2]``, m.
         """
         seen = wp.empty((len(middles), len(edges)), dtype=wp.bool, device="cpu")
         arrays = [_array(edges, wp.vec4), _array(middles, wp.vec2)]

@@ -1,10 +1,10 @@
-"""Options of the command line that name policies, and of the environment that they drive in."""
+"""Options that several commands have: policies, the environment that they drive in, a page, and what is written."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import tyro
 
@@ -23,8 +23,17 @@ SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Sta
 """Help of an argument that names several policies."""
 LIVE_POLICY = f"Policy: run folder, checkpoint, ONNX file, pretrained:NAME, module:attribute, {', '.join(BASELINES)}."
 """Help of an argument that names a policy for a live rover, which does not act at random."""
-ROBOT_OPTIONS = tyro.conf.arg(name="robot")
+OptionsOfRobot: TypeAlias = Annotated[
+    RobotOptions, tyro.conf.arg(name="robot", help="What a URDF does not tell of the robot.")
+]
 """The options of a robot have its prefix: ``--robot scout.urdf --robot.max-speed 2``."""
+Force: TypeAlias = Annotated[bool, tyro.conf.arg(help="Write over files that rover-rl did not make.")]
+Host: TypeAlias = Annotated[
+    str, tyro.conf.arg(help="Address to serve the page on; 0.0.0.0 lets other machines reach it.")
+]
+Port: TypeAlias = Annotated[int, tyro.conf.arg(help="Port of the page; 0 takes a free one.")]
+_WORKERS = "Number of processes. The results do not depend on it. Default: the number of CPU cores."
+Workers: TypeAlias = Annotated[int | None, tyro.conf.arg(help=_WORKERS)]
 BACKEND = (
     "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet, or warp for "
     "several robots."
@@ -40,8 +49,7 @@ class EnvOptions:
     """YAML file of EnvConfig, or a run's config.yaml. Default: the policy's environment in Bullet, not randomized."""
     robot: str | None = None
     """Robot: a name, a URDF file, or module:attribute. Default: that of --env, else of the policy."""
-    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
-    """What a URDF does not tell of the robot."""
+    robot_options: OptionsOfRobot = field(default_factory=RobotOptions)
     physics: str | None = None
     """Preset of the physics: default, accurate or fast of Bullet, full or planar of Warp (docs/simulators.md)."""
     guard: GuardConfig = field(default_factory=GuardConfig)
