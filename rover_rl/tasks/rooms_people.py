@@ -8,8 +8,8 @@ from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarCon
 from rover_rl.tasks.task import Task
 
 # Settings of learners: a reward for progress around walls, a critic that knows the way and what moves, worlds that are
-# neither too easy nor too hard, and one of 55 actions at a time. The first tenth imitates a planner that knows what moves,
-# which drives nothing.
+# neither too easy nor too hard, and one of 55 actions at a time. The first tenth imitates a planner that knows what
+# moves, which drives nothing.
 SETTINGS = {
     "num_envs": 1024,
     "minibatch": 2048,
