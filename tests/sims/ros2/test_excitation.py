@@ -96,7 +96,9 @@ def test_the_turning_circle_of_a_car_needs_room():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "untold"), [("rover_zero", set()), ("hunter", {"scan_late", "turn_top", "slip", "track"})])
+@pytest.mark.parametrize(
+    ("name", "untold"), [("rover_zero", set()), ("hunter", {"scan_late", "turn_top", "slip", "track"})]
+)
 def test_it_tells_all_numbers_but_friction(tmp_path, name, untold):
     bag = write(tmp_path / "bag", drive(Truth(yaw_bias=0.003), excited(name, 2.0)[0]))
     numbers = calibrate(read_recording(bag, Connection(), Ros2Settings()), get_robot(name)).numbers
