@@ -138,6 +138,11 @@ def test_goals_come_one_by_one_from_a_topic_and_are_refused_replaced_and_cancele
     assert endings(bag) == ["stopped", "stopped"]
 
 
+def test_drive_without_a_robot_reports_an_error(wire, bag, failed):
+    told = failed(*FAR, "--timeout", "0.2", *bag)
+    assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in told
+
+
 def test_the_robot_publishes_the_cameras_that_are_asked_for_until_a_signal(wire, monkeypatch):
     monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", lambda *_: wire)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

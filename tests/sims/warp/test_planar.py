@@ -82,6 +82,13 @@ def test_a_spin_and_a_braking_distance_follow_the_law_of_friction():
     assert way[-1] == way[-2]
 
 
+def test_a_car_turns_in_the_radius_of_its_steering():
+    robot = get_robot("hunter")
+    states = driven(PLANAR, robot, torch.tensor([1.0, 0.4]).expand(100, 1, 2))
+    yaw = [quaternion_to_euler(state.orientation)[0, 2].item() for state in states]
+    assert math.remainder(yaw[-1] - yaw[-21], 2 * math.pi) == pytest.approx(0.4, rel=0.05)
+
+
 def test_a_contact_is_told_within_a_step_of_the_full_engine():
     posts = [cylinder((2.5, y, 0.5), 0.15, 1.0) for y in (-2.0, 0.0, 2.0)]
     blocks = [box((2.5, y, 0.5), (0.6, 0.6, 1.0), yaw=0.4) for y in (-1.0, 1.0)]
