@@ -25,6 +25,7 @@ from rover_rl.cli.demo import Demo
 from rover_rl.cli.train import train_defaults
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.imperfections import imperfect
+from rover_rl.tasks import get_task
 from rover_rl.worlds import WORLDS
 from tests.full_disk import largest_file
 
@@ -197,6 +198,18 @@ def test_settings_come_from_a_file_and_options_go_first(failed: Callable[..., st
     assert "give one of them" in failed("train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
     assert "no settings at" in failed("train", "--resume", tmp_path / "nothing")
     assert "does not know: ['sped']" in failed("train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
+
+
+def test_a_file_changes_settings_of_a_task(failed: Callable[..., str], tmp_path: Path) -> None:
+    calibrated = written(tmp_path, "algo: ppo\nenv:\n  randomization: {latency: [2, 3]}\n")
+    size = ["--num-envs", "4", "--rollout-length", "4", "--total-steps", "16", "--epochs", "1"]
+    runs = ["--runs", str(tmp_path), "--name", "run"]
+    assert main(["train", "late", "--learner", "ppo", "--config", str(calibrated), *size, *runs]) == 0
+    config, task = read_config(tmp_path / "run" / "config.yaml"), get_task("late")
+    assert config.env.randomization == Randomization(latency=(2, 3))
+    assert (config.env.world, config.env.pose) == (task.env.world, task.env.pose)
+    assert "the learner is sac" in failed("train", "late", "--learner", "sac", "--config", calibrated)
+    assert "give one of them" in failed("train", "late", "--config", "pretrained:anywhere")
 
 
 def test_a_policy_is_trained_further_in_another_world(failed: Callable[..., str], tmp_path: Path) -> None:

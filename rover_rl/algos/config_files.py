@@ -21,8 +21,8 @@ def plain(config: TrainingConfig) -> dict[str, Any]:
     return {"algo": config.algo, "env": plain_env(config.env), **parts}
 
 
-def config_from(data: Any, source: str) -> TrainingConfig:
-    """Settings from plain data; what it does not name has its default.
+def config_from(data: Any, source: str, default: TrainingConfig | None = None) -> TrainingConfig:
+    """Settings from plain data; what it does not name is as in ``default``, or has its default.
 
     Settings may stand in their parts, as ``plain`` gives them, or without parts. The sessions of a run are no settings.
     ``source`` is the name of the file, for messages. Raises a ``ValueError`` for an algorithm or a setting that does
@@ -31,6 +31,8 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     if not isinstance(data, dict) or data.get("algo") not in list(ALGORITHMS):
         raise ValueError(f"{source} must name an algo, one of {sorted(ALGORITHMS)}")
     algo = data["algo"]
+    if default is not None and algo != default.algo:
+        raise ValueError(f"{source} has settings of {algo}, and the learner is {default.algo}")
     parts = {key: value for key, value in data.items() if key not in ("algo", _SESSIONS)}
     if not set(parts) & set(PARTS):
         homes = part_of(algo)
@@ -40,7 +42,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
         parts = {part: {name: value for name, value in parts.items() if homes[name] == part} for part in named}
     if unknown := sorted(set(parts) - set(PARTS), key=str):
         raise ValueError(f"{source} has parts that do not exist: {unknown}; use some of {[*PARTS]}")
-    default = default_config(algo, _backend_name(parts.get("env")))
+    default = default or default_config(algo, _backend_name(parts.get("env")))
     read: dict[str, Any] = {}
     for part, given in parts.items():
         place = f"{part} in {source}"
@@ -85,9 +87,9 @@ def read_yaml(path: str | Path) -> Any:
         raise ValueError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
 
 
-def read_config(path: str | Path) -> TrainingConfig:
+def read_config(path: str | Path, default: TrainingConfig | None = None) -> TrainingConfig:
     """Reads settings from YAML. Raises a ``FileNotFoundError``, or a ``ValueError`` as :func:`config_from`."""
-    return config_from(read_yaml(path), str(path))
+    return config_from(read_yaml(path), str(path), default)
 
 
 def run_config(folder: str | Path) -> TrainingConfig:

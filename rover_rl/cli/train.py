@@ -67,7 +67,8 @@ class Train:
     algo: Literal["ppo", "sac"] = "ppo"
     """Learning algorithm. --algo sac --help shows the options of SAC."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
-    """YAML file of settings, such as a run's config.yaml, or pretrained:NAME. Other options override its settings."""
+    """YAML file of settings, such as a run's config.yaml, or pretrained:NAME. Other options override its settings.
+    After a task, a file changes some of its settings."""
     resume: Path | None = None
     """Folder of a run to continue. Options may change its length, learning rate, what it saves and what computes."""
     seeds: tuple[int, ...] = ()
@@ -159,11 +160,15 @@ def train_defaults(args: Sequence[str]) -> Train:
     """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run."""
     given = _early_options(args)
     task = args[1] if args[:1] == ["train"] and len(args) > 1 and not args[1].startswith("-") else None
-    if sum(source is not None for source in (task, given.config, given.resume, given.source)) > 1:
-        raise ValueError("a task, --config and --from start a new run, and --resume continues one: give one of them")
+    starts = (task or given.config, given.resume, given.source)
+    if sum(start is not None for start in starts) > 1 or (task and (given.config or "").startswith(PRETRAINED)):
+        text = "a task, which a file of --config may change, --config and --from start a new run"
+        raise ValueError(f"{text}, and --resume continues one: give one of them")
     if given.learner is not None and task is None:
         raise ValueError("--learner is one of those of a task: rover-rl train TASK --learner NAME")
     config = _starting_settings(given) if task is None else task_config(task, given.learner)
+    if task is not None and given.config is not None:
+        config = read_config(given.config, config)
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
     if given.randomize is not None:

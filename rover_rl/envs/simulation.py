@@ -81,8 +81,6 @@ class Simulation:
         self._lidar = in_view(lidar, fleet)
         if "movers" in simulator.features:
             simulator.add_movers(self.movers)
-        if config.compensate_delay and live is not None:
-            live.follow_clock()
         self.changes_worlds = worlds.is_drawn and "worlds" in simulator.features
         if self.changes_worlds:
 

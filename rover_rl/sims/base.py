@@ -51,11 +51,8 @@ class LiveRover(Scanner, Protocol):
     @property
     def last_command(self) -> tuple[float, float]: ...
 
-    def follow_clock(self) -> None:
-        """Begins to read the clock that the stamps of the messages are of."""
-
     def state_age(self) -> Tensor:
-        """Age of the state, ``[N, 1]``, s, after :meth:`follow_clock`; at most ``MAX_AGE``."""
+        """Age of the state, ``[N, 1]``, s; at most ``MAX_AGE``."""
 
     def scan_pose(self) -> tuple[Tensor, Tensor]:
         """Position ``[N, 3]`` (m) and orientation ``[N, 4]`` of the rovers at the time of their last scans."""

@@ -18,7 +18,7 @@ from torch.nn.functional import interpolate
 from rover_rl.sims.base import MAX_AGE
 from rover_rl.sims.ros2 import poses
 from rover_rl.sims.ros2.images import image_format
-from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, TFMessage, seconds_of
+from rover_rl.sims.ros2.messages import Clock, Imu, LaserScan, Odometry, TFMessage, seconds_of
 from rover_rl.sims.ros2.scans import Scan, read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.tf import FrameTree, RobotPose
@@ -131,6 +131,8 @@ class Sensors:
         if settings.pose == "tf":
             self.sources["pose"] = Source(settings.tf_topic, pose_type, {"pose": read_pose})
             self.follow_tf()
+        put = self.messages.put
+        transport.subscribe(settings.clock_topic, Clock, lambda msg: put("clock", seconds_of(msg.clock)))
         for kind, source in self.sources.items():
             if source.message is not TFMessage:
                 transport.subscribe(source.topic, source.message, partial(self.receive, kind))

@@ -18,7 +18,6 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, scans
 from rover_rl.sims.ros2.commands import STOP, Commands
 from rover_rl.sims.ros2.ground import LivePoints
-from rover_rl.sims.ros2.messages import Clock, seconds_of
 from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
@@ -254,10 +253,6 @@ class Ros2Simulator(Simulator):
     def scan_pose(self) -> tuple[Tensor, Tensor]:
         position, orientation = self._sensors.pose_at(self._scan.value.stamp if self._scan else 0.0)
         return position[None], orientation[None]
-
-    def follow_clock(self) -> None:
-        put = self._sensors.messages.put
-        self.transport.subscribe(self.settings.clock_topic, Clock, lambda msg: put("clock", seconds_of(msg.clock)))
 
     def state_age(self) -> Tensor:
         """Age of the latest pose or IMU orientation, ``[1, 1]``, s; 0 with a warning if it is not known."""

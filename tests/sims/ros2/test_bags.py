@@ -127,6 +127,7 @@ def test_others_open_a_bag_with_standard_types(env, wire, tmp_path):
         types = {connection.topic: connection.msgtype for connection in others.connections}
         read = [(conn.topic, others.deserialize(data, conn.msgtype)) for conn, _, data in others.messages()]
     assert types == {
+        "/clock": "rosgraph_msgs/msg/Clock",
         "/scan": "sensor_msgs/msg/LaserScan",
         "/imu/data": "sensor_msgs/msg/Imu",
         "/odometry/wheels": "nav_msgs/msg/Odometry",
