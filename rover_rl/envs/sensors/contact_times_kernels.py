@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from rover_rl.native.warp import wp
 
+FAR = wp.constant(1.0e6)  # square of a distance where there are no points, m^2
+ROUNDING = wp.constant(1.0e-4)  # more than what a way of a step differs by, computed in two ways, m
+
 
 @wp.struct
 class Scene:
@@ -85,8 +88,8 @@ def gather(scene: Scene, row: int, mount: wp.vec2, reach: float) -> int:
 
 
 @wp.func
-def touches(scene: Scene, row: int, count: int, center: wp.vec2, radius: float, time: float) -> bool:
-    """Whether a disc touches a point, or a mover that has kept its velocity for some time."""
+def meets_mover(scene: Scene, row: int, center: wp.vec2, radius: float, time: float) -> bool:
+    """Whether a disc touches a mover that has kept its velocity for some time."""
     for m in range(scene.movers.shape[1]):
         size = scene.movers[row, m, 4]
         if size <= 0.0:
@@ -95,24 +98,35 @@ def touches(scene: Scene, row: int, count: int, center: wp.vec2, radius: float, 
         y = scene.movers[row, m, 1] + time * scene.movers[row, m, 3] - center[1]
         if x * x + y * y < (radius + size) * (radius + size):
             return True
+    return False
+
+
+@wp.func
+def room_of(scene: Scene, row: int, count: int, center: wp.vec2, radius: float) -> float:
+    """Distance that a disc can move in any direction until it touches a point, m; less than 0 if it touches one."""
+    nearest = float(FAR)
     for k in range(count):
         away = scene.points[row, k] - center
-        if wp.dot(away, away) < radius * radius:
-            return True
-    return False
+        nearest = wp.min(nearest, wp.dot(away, away))
+    return wp.where(nearest < radius * radius, -1.0, wp.sqrt(nearest) - radius)
 
 
 @wp.func
 def time_of(
     scene: Scene, row: int, count: int, speed: float, yaw_rate: float, start: wp.vec2, limits: Limits, drives: Drives
 ) -> float:
-    """Time until a rover that steers for a speed and a yaw rate touches something, s."""
+    """Time until a rover that steers for a speed and a yaw rate touches something, s.
+
+    Points are looked at again only once a disc may have moved as far as it had room.
+    """
     dt = drives.step
     v = start[0]
     w = start[1]
     x = float(0.0)
     y = float(0.0)
     heading = float(0.0)
+    reach = limits.front + limits.radius + ROUNDING
+    rooms = wp.vec3(0.0, 0.0, 0.0)  # of the discs ahead, behind and in the middle, m
     for step in range(drives.steps):
         v += wp.clamp(speed - v, -limits.acceleration * dt, limits.acceleration * dt)
         w += wp.clamp(yaw_rate - w, -limits.yaw_acceleration * dt, limits.yaw_acceleration * dt)
@@ -121,15 +135,18 @@ def time_of(
         y += v * dt * wp.sin(middle)
         heading += w * dt
         time = dt * float(step + 1)
-        ahead = limits.front * wp.vec2(wp.cos(heading), wp.sin(heading))
-        center = wp.vec2(x, y)
-        hit = touches(scene, row, count, center + ahead, limits.radius, time)
-        if not hit and limits.front > 0.0:
-            hit = touches(scene, row, count, center - ahead, limits.radius, time)
-        if not hit and limits.middle > 0.0:
-            hit = touches(scene, row, count, center, limits.radius, time)
-        if hit:
-            return time
+        moved = (wp.abs(v) + limits.front * wp.abs(w)) * dt + ROUNDING
+        near = meets_mover(scene, row, wp.vec2(x, y), reach, time)
+        for k in range(3):
+            # The disc ahead is the only one of a round robot.
+            if k == 0 or (k == 1 and limits.front > 0.0) or (k == 2 and limits.middle > 0.0):
+                side = wp.where(k == 2, 0.0, limits.front * (1.0 - 2.0 * float(k)))
+                center = wp.vec2(x, y) + side * wp.vec2(wp.cos(heading), wp.sin(heading))
+                rooms[k] = rooms[k] - moved
+                if rooms[k] < 0.0:
+                    rooms[k] = room_of(scene, row, count, center, limits.radius)
+                if rooms[k] < 0.0 or (near and meets_mover(scene, row, center, limits.radius, time)):
+                    return time
     return drives.longest
 
 
