@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from itertools import pairwise
@@ -32,7 +32,7 @@ BLOCK_SIZE = 32
 MIN_ROWS = 64
 """Minimum number of rows per CPU thread of a launch; with fewer, another thread does not pay."""
 
-__all__ = ["launch_options", "launch_rows", "loading", "stream_of", "wp"]
+__all__ = ["BLOCK_SIZE", "launch_options", "launch_rows", "loading", "run_together", "shares_of", "stream_of", "wp"]
 
 
 @cache
@@ -71,20 +71,29 @@ def launch_rows(
 
     The kernel's last argument, after ``inputs``, is the first row. ``block_dim`` are threads per block on a GPU.
     """
-    threads = max(1, min(kernel_threads(), shape[0] // least)) if device.type == "cpu" else 1
-    ends = pairwise(shape[0] * k // threads for k in range(threads + 1))
-    mine, *others = [(kernel, (end - first, *shape[1:]), [*inputs, first]) for first, end in ends]
     blocks = {"block_dim": block_dim} if block_dim and device.type == "cuda" else {}
-    launch = partial(wp.launch, device=wp.device_from_torch(device), stream=stream_of(device), **blocks)
+    launch = partial(wp.launch, kernel, device=wp.device_from_torch(device), stream=stream_of(device), **blocks)
     # Else, each thread would compile the kernel.
     loading((str(wp.device_from_torch(device)), blocks.get("block_dim"), (kernel.module,)))[0].result()
-    launched = [_threads(threads, os.getpid()).submit(launch, *other) for other in others]
-    launch(*mine)
-    for other in launched:
-        other.result()
+    shares = shares_of(shape[0], device, least)
+    run_together([partial(launch, (last - first, *shape[1:]), [*inputs, first]) for first, last in shares])
+
+
+def shares_of(rows: int, device: torch.device, least: int) -> list[tuple[int, int]]:
+    """Returns the first row and the end of each CPU thread's share of rows, of at least so many each."""
+    threads = max(1, min(kernel_threads(), rows // least)) if device.type == "cpu" else 1
+    return [*pairwise(rows * k // threads for k in range(threads + 1))]
+
+
+def run_together(jobs: Sequence[Callable[[], object]]) -> None:
+    """Runs jobs, each but the first in a thread of its own, and waits for them."""
+    begun = [_threads(len(jobs), os.getpid()).submit(job) for job in jobs[1:]]
+    jobs[0]()
+    for job in begun:
+        job.result()
 
 
 @cache
 def _threads(count: int, process: int) -> ThreadPoolExecutor:
-    """Threads for launches, of this process: a fork has none of them."""
+    """Threads of this process: a fork has none of them."""
     return ThreadPoolExecutor(count)

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.native.warp import stream_of, wp
+from rover_rl.native.warp import launch_rows, stream_of, wp
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.base import Scanner
 from rover_rl.sims.rover_state import RoverState
@@ -25,6 +25,8 @@ from rover_rl.worlds.table import WorldTable
 
 FAR = 1.0e4
 """Largest length of rays, m."""
+ROWS_PER_THREAD = 8
+"""Least number of rows for which a CPU thread pays."""
 _TOLERANCE = 1e-6
 """Tolerance of angles at the borders of a view, rad."""
 
@@ -59,7 +61,7 @@ class RayCaster:
             ranges = torch.empty(origins.shape[:2], device=self._device)
             rays = [wp.from_torch(part.float().contiguous(), dtype=wp.vec3) for part in (origins, directions)]
             inputs = [scenes, wp.from_torch(slots), *rays, min(farthest, FAR), wp.from_torch(ranges)]
-            wp.launch(cast_rays, ranges.shape, inputs, device=wp.device_from_torch(self._device))
+            launch_rows(cast_rays, ranges.shape, inputs, self._device, ROWS_PER_THREAD)
         return ranges
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rover_rl.native.warp import stream_of, wp
+from rover_rl.native.warp import launch_rows, stream_of, wp
 from rover_rl.worlds.terrain import Terrain, TerrainRows
 
 
@@ -39,7 +39,7 @@ def measured_at(terrains: TerrainRows, xy: Tensor) -> Tensor:
     heights = points.new_empty(points.shape[:2])
     with wp.ScopedStream(stream_of(points.device)):
         inputs = [grounds_of(terrains), wp.from_torch(points, dtype=wp.vec2), wp.from_torch(heights)]
-        wp.launch(measure_heights, heights.shape, inputs, device=wp.device_from_torch(points.device))
+        launch_rows(measure_heights, heights.shape, inputs, points.device)
     return heights.view(xy.shape[:-1])
 
 
@@ -77,9 +77,10 @@ def height_at(grounds: Grounds, row: int, x: wp.float64, y: wp.float64) -> float
 
 
 @wp.kernel
-def measure_heights(grounds: Grounds, points: wp.array2d[wp.vec2], heights: wp.array2d[float]):
+def measure_heights(grounds: Grounds, points: wp.array2d[wp.vec2], heights: wp.array2d[float], first: int):
     """Height of the ground (m) at each point of each row (m)."""
-    row, point = wp.tid()
+    t, point = wp.tid()
+    row = first + t
     at = points[row, point]
     heights[row, point] = height_at(grounds, row, wp.float64(at[0]), wp.float64(at[1]))
 

@@ -25,6 +25,7 @@ def find_obstacles(
     offset: float,
     passes: wp.array2d[wp.uint8],
     found: wp.array2d[wp.uint8],
+    first: int,
 ):
     """What is in the cells of the chosen rows; a thread does a cell of a row.
 
@@ -35,7 +36,8 @@ def find_obstacles(
     ``views`` tell whether each reading sees, and ``wholes`` whether all of them do. ``offset`` is half of a beam, in
     readings, and ``passes`` are 1 in cells that beams have passed. Results are where the cells are stored.
     """
-    n, cell = wp.tid()
+    t, cell = wp.tid()
+    n = first + t
     if not rows[n]:
         return
     column = (cell & LAST) + centers[n][0] - HALF
@@ -72,13 +74,15 @@ def find_distances(
     found: wp.array2d[wp.uint8],
     groups: wp.array2d[wp.int64],
     distances: wp.array2d[float],
+    begin: int,
 ):
     """Distances of the middles of cells to the nearest box of an obstacle; a thread does a line of cells of a row.
 
     ``boxes`` are those of the map (see ``scan_kernels.Cells``), ``found`` is what is in the cells, and ``groups`` are
     the same in groups. Results are row by row from the lower corner of the window, in cells, at most ``REACH``.
     """
-    n, line = wp.tid()
+    t, line = wp.tid()
+    n = begin + t
     if not rows[n]:
         return
     center = centers[n]

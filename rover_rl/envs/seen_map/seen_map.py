@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -21,6 +20,7 @@ from rover_rl.robots.fleet import Fleet
 KNOWN = 0.2
 MOVER_MARGIN = 0.1  # free distance between the side of the robot and a mover on a route, m
 NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)  # area without bounds
+ROWS_PER_THREAD = 16  # least number of rows for which a CPU thread pays
 
 
 class SeenMap:
@@ -60,7 +60,6 @@ class SeenMap:
             observations.
         lidar: settings of the lidar.
         interval: time from one scan that is added to the next, s.
-        threads: number of CPU threads. Results do not depend on it.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
@@ -71,10 +70,7 @@ class SeenMap:
         torch.Size([2, 5])
     """
 
-    def __init__(self, fleet: Fleet, lidar: LidarConfig, interval: float = 0.2, threads: int = 1) -> None:
-        # Importing NVIDIA Warp takes half a second.
-        from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
-
+    def __init__(self, fleet: Fleet, lidar: LidarConfig, interval: float = 0.2) -> None:
         rows, device, cells = len(fleet), fleet.index.device, SIZE * SIZE
         self._fleet, self._points = fleet, lidar.points
         self._directions = scans.reading_directions(lidar).to(device)
@@ -101,15 +97,7 @@ class SeenMap:
         # x and y of two corners, and of those along the whole route if they are kept, and the length.
         self._corners, self._path = torch.zeros(rows, 2, 2, device=device), torch.zeros(rows, 0, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
-        # On an accelerator, each thread plans for one row. On the CPU, each one plans for a share of them.
-        on_gpu = device.type == "cuda"
-        self._shares = [*pairwise(torch.linspace(0, rows, 1 + (1 if on_gpu else min(threads, rows))).long().tolist())]
-        self._pool = ThreadPoolExecutor(len(self._shares) - 1) if len(self._shares) > 1 else None
-        sizes, unknown = (cells, BUCKETS, cells, cells, cells), int(UNKNOWN_COST)
-        self._memory = [
-            [torch.full((rows if on_gpu else 1, size), unknown, dtype=torch.int32, device=device) for size in sizes]
-            for _ in self._shares
-        ]
+        self._memory: list[list[Tensor]] = []  # of searches for a route, one for each CPU thread
 
     def __call__(
         self,
@@ -219,7 +207,7 @@ class SeenMap:
             at most five cells. And x and y of the first of these points, and the spacing, float32 ``[N, 3]``, m.
         """
         from rover_rl.envs.seen_map.distance_kernels import find_distances, find_obstacles
-        from rover_rl.native.warp import launch_options, wp
+        from rover_rl.native.warp import BLOCK_SIZE, launch_rows, wp
 
         if not self._found.shape[-1]:
             self._found, self._distances = torch.zeros_like(self._passed), torch.zeros_like(self._heights)
@@ -232,12 +220,12 @@ class SeenMap:
         near = (mount.norm(dim=-1, keepdim=True) + self._outer[self._fleet.index] + KNOWN) / self.cell
         places = torch.cat((lidar / self.cell, imu[:, 2:], near), -1)
         area = ((self._unbounded if bounds is None else bounds) / self.cell).contiguous()
-        rows, options = self._every if rows is None else rows.contiguous(), launch_options(center.device)
+        rows, split = self._every if rows is None else rows.contiguous(), (center.device, ROWS_PER_THREAD, BLOCK_SIZE)
         inputs = [rows, center, self._evidence, *(wp.from_torch(value, dtype=wp.vec4) for value in (area, places))]
         inputs += [is_seen, is_seen.all(-1), self._offset, self._passed, self._found]
-        wp.launch(find_obstacles, tuple(self._found.shape), inputs, **options)
+        launch_rows(find_obstacles, self._found.shape, inputs, *split)
         inputs = [rows, center, self._boxes, self._found, self._found.view(torch.int64), self._distances]
-        wp.launch(find_distances, (len(rows), SIZE), inputs, **options)
+        launch_rows(find_distances, (len(rows), SIZE), inputs, *split)
         return self._distances * self.cell, torch.cat(((center - HALF + 0.5) * self.cell, self.cell), -1)
 
     def _points_of(self, lidar: Tensor, scan_pose: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -255,7 +243,7 @@ class SeenMap:
     def _launch(self, scan: scans.Scan, goals: Tensor, bounds: Tensor, rows: Tensor, ways: list[Tensor]) -> None:
         from rover_rl.envs.seen_map.route_kernels import close_ways, plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
-        from rover_rl.native.warp import launch_options, wp
+        from rover_rl.native.warp import launch_options, loading, run_together, shares_of, wp
 
         options = launch_options(rows.device)
         before, center = self._state[:, :2].int(), scan.center.int()
@@ -277,8 +265,18 @@ class SeenMap:
             if ways:
                 wp.launch(close_ways, (last - first, ways[1].shape[1]), [*crossed, False, first], **options)
 
-        parts = list(zip(self._shares, self._memory, strict=True))
-        others = [self._pool.submit(launch, *part) for part in parts[1:]] if self._pool else []
-        launch(*parts[0])
-        for other in others:
-            other.result()
+        shares = shares_of(len(rows), rows.device, ROWS_PER_THREAD)
+        if len(shares) > 1:
+            # Else, each thread would compile the kernels.
+            loading((str(options["device"]), None, (add_scans.module, plan_routes.module)))[0].result()
+        self._memory += [self._new_memory() for _ in shares[len(self._memory) :]]
+        run_together([partial(launch, *part) for part in zip(shares, self._memory[: len(shares)], strict=True)])
+
+    def _new_memory(self) -> list[Tensor]:
+        """Returns the memory of a CPU thread, which plans for one row after the other, or on a GPU that of all rows."""
+        from rover_rl.envs.seen_map.route_kernels import BUCKETS, UNKNOWN_COST
+
+        device, cells = self._levels.device, SIZE * SIZE
+        rows, unknown = len(self._levels) if device.type == "cuda" else 1, int(UNKNOWN_COST)
+        sizes = (cells, BUCKETS, cells, cells, cells)
+        return [torch.full((rows, size), unknown, dtype=torch.int32, device=device) for size in sizes]

@@ -31,7 +31,6 @@ class Route(Sensor):
     Args:
         period: number of steps from one scan that is added to the map to the next. With
             :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`, that of a decision.
-        threads: number of CPU threads. Results do not depend on it.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=4, seed=0, sensors=["route"])
@@ -40,7 +39,6 @@ class Route(Sensor):
     """
 
     name: str = ROUTE
-    threads: int = 1
     clips = False
     delayed = None
     takes_long = True
@@ -48,7 +46,7 @@ class Route(Sensor):
     bounds = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 
     def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
-        return MapReader(self, setup, self.threads)
+        return MapReader(self, setup)
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes two corners like targets, and the length, for which no path counts as none left."""
@@ -79,11 +77,9 @@ class SeenDistances(Sensor):
 class MapReader:
     """Reads a :class:`Route` or :class:`SeenDistances`, and keeps the maps ``seen`` of a batch of rovers for it."""
 
-    def __init__(
-        self, sensor: Route | SeenDistances, setup: SensorSetup, threads: int = 1, has_distances: bool = False
-    ) -> None:
+    def __init__(self, sensor: Route | SeenDistances, setup: SensorSetup, has_distances: bool = False) -> None:
         self._period, self._distances = sensor.period, has_distances
-        self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt, threads)
+        self.seen = SeenMap(setup.fleet, setup.lidar, sensor.period * setup.control_dt)
 
     def __call__(self, inputs: SensorInput) -> Tensor:
         due, observation = inputs.due(self._period), inputs.observation

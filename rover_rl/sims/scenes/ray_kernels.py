@@ -255,9 +255,11 @@ def cast_rays(
     directions: wp.array2d[wp.vec3],
     farthest: float,
     ranges: wp.array2d[float],
+    first: int,
 ):
     """Writes the distance along each ray of each row to the ground or an obstacle of the scene in the row's slot."""
-    row, ray = wp.tid()
+    t, ray = wp.tid()
+    row = first + t
     scene = scenes[int(slots[row])]
     start = origins[row, ray]
     direction = wp.normalize(directions[row, ray])

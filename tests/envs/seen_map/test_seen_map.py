@@ -17,6 +17,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map import seen_map
 from rover_rl.envs.seen_map.scans import reading_angles
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.robots import Robot, get_robot
@@ -405,10 +406,12 @@ def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_rows_are_independent(threads: int) -> None:
+def test_rows_are_independent(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(seen_map, "ROWS_PER_THREAD", 1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
     places = [((0.0, 0.0), U_SHAPE), ((1.0, 1.0), ((2.0, -3.0, 2.0, 1.0),)), ((-3.0, 0.5), ())]
     scans = [observed(place, (4.0, 0.0), walls, yaw=0.3) for place, walls in places]
-    together = SeenMap(fleet(3), LIDAR, threads=threads)
+    together = SeenMap(fleet(3), LIDAR)
     for _ in range(3):
         batch = together(torch.cat(scans))
     for row, scan in enumerate(scans):
