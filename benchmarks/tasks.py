@@ -139,8 +139,7 @@ def load(task: Task, entry: str) -> Trained:
     found = resolve_policy(entry, ("worlds of the test",), task.test_env.robot)
     curve: dict[str, list[float]] = {}
     if found.folder is not None:
-        # A checkpoint may be alone, without its run.
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):  # a checkpoint may be alone, without its run
             run = Run.read(found.folder)
             end = run.end("steps")
             at = np.linspace(0, end, POINTS + 1)[1:]
@@ -151,9 +150,10 @@ def load(task: Task, entry: str) -> Trained:
 
 
 def has_planner(found: ResolvedPolicy) -> bool:
-    """Whether a planner drives beside a policy: as the prior of its network, or in its action."""
+    """Whether a policy drives with a planner: as the prior of its network, in its action, or by the route it reads."""
     residual = (env := getattr(found.module, "made_for", None)) is not None and env.action.kind == "residual"
-    return residual or (found.config is not None and found.config.network.prior != "none")
+    network = found.config and found.config.network
+    return residual or (network is not None and (network.prior != "none" or "route" in network.observation))
 
 
 def judge(task: Task, found: Trained, name: str, action_repeat: int | None) -> list[Evaluation]:
