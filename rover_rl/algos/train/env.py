@@ -20,8 +20,7 @@ from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig, SensorLike
 from rover_rl.envs.make import add_terms, check_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.cameras import PixelImage
-from rover_rl.envs.sensors.route import Route
-from rover_rl.envs.sensors.suite import ROUTE, own_sensors, with_sensors
+from rover_rl.envs.sensors.suite import own_sensors, with_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
@@ -75,7 +74,7 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
         settings = find_settings(backend).preset(training_physics(config))
-        backend = replace(settings, threads=_threads(config))
+        backend = replace(settings, threads=max(1, usable_cores() // config.workers))
     return replace(
         env,
         physics=DEFAULT_PHYSICS,
@@ -112,13 +111,7 @@ def training_physics(config: TrainingConfig) -> str:
 def _sensors(config: TrainingConfig) -> tuple[SensorLike, ...]:
     read = {*config.network.observation, *find_action(config.env.action.kind).needs}
     sensors = own_sensors(with_sensors(config.env, [*read]).sensors)
-    if isinstance(route := sensors.get(ROUTE), Route):
-        sensors[ROUTE] = replace(route, threads=_threads(config))
     for key, sensor in sensors.items():
         if sensor.takes_long and key in read:
             sensors[key] = replace(sensor, period=config.collection.action_repeat)
     return tuple(sensors.values())
-
-
-def _threads(config: TrainingConfig) -> int:
-    return max(1, usable_cores() // config.workers)
