@@ -36,6 +36,9 @@ def test_times_are_those_until_the_body_touches_a_wall() -> None:
     assert times[SPEEDS - 2, STRAIGHT].item() == pytest.approx(1.2)
     assert (times[: STILL + 1] == LONGEST).all()
     assert (at_rest(walled(6.0, 0.0), ("contact_times",)) == LONGEST).all()
+    behind = at_rest(walled(-1.0, 0.0), ("contact_times",))[0]
+    assert behind[BACKWARD, STRAIGHT].item() == pytest.approx(0.6)
+    assert (behind[STILL:] == LONGEST).all()
 
 
 def test_the_mirror_image_is_that_of_the_mirrored_world() -> None:
