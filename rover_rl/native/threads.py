@@ -15,6 +15,11 @@ def kernel_threads() -> int:
     return _kernels[-1] if _kernels else torch.get_num_threads()
 
 
+def share_kernels(threads: int) -> None:
+    """Sets the number of threads of kernels from now on, such as the share of the cores that a worker has."""
+    _kernels.append(threads)
+
+
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Limits PyTorch to one thread: small networks gain nothing from more, and on busy cores lose much.

@@ -28,7 +28,8 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
-from rover_rl.algos.workers import interrupts_held
+from rover_rl.algos.workers import interrupts_held, usable_cores
+from rover_rl.native.threads import share_kernels
 
 Batches: TypeAlias = Iterator[TensorDictBase]
 MakeEnv: TypeAlias = Callable[..., EnvBase]
@@ -90,6 +91,7 @@ def _make_env(
     in_process = log is not None and multiprocessing.parent_process() is not None
     if in_process or log is None:
         torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
+        share_kernels(max(1, usable_cores() // config.workers))
     if log is None:
         torch.set_num_threads(1)
     elif in_process:
