@@ -119,7 +119,8 @@ def _cell(*groups: Sequence[Card] | None) -> str:
     if len(known) < len(groups):
         return ""
     value, steps = success(*known), known[0][0]["steps"]
-    rest = f" ({value.low:.0%} to {value.high:.0%})" if len(known) > 1 else f", {steps / 1e6:.2g} M" if steps else ""
+    spread = "" if math.isnan(value.low) else f" ({value.low:.0%} to {value.high:.0%})"  # of one seed, there is none
+    rest = spread if len(known) > 1 else f", {steps / 1e6:.2g} M" if steps else ""
     return f"{value.value:.0%}{rest}"
 
 
@@ -138,8 +139,7 @@ def _row(group: Sequence[Card]) -> str:
 
     first, value = group[0], success(group)
     seeds = ", ".join(str(card["seed"]) for card in group if card["seed"] is not None)
-    styles = {"spl": ".2f", "mean_time_to_traverse": ".1f", "body_contact_share": ".0%"}
-    styles |= {"steps": ",.0f", "minutes": ".0f"}
+    styles = dict(spl=".2f", mean_time_to_traverse=".1f", body_contact_share=".0%", steps=",.0f", minutes=".0f")
     machine = f"{first['machine']['processor']}, {first['machine']['cores']} cores"
     command = f"`{_command(first)}{' --seed 1' * bool(seeds)}`"
     interval = f"{value.low:.0%} to {value.high:.0%}"

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.algos.policy.names import BASELINES, NO_POLICY, PRETRAINED, ResolvedPolicy, resolve_policies
+from rover_rl.algos.policy.names import NO_POLICY, PRETRAINED, ResolvedPolicy, resolve_policies
 from rover_rl.cli.options import SEVERAL_POLICIES, EnvOptions, Force, Workers, is_bag
 from rover_rl.cli.replays import check_page, write_worst
 from rover_rl.envs.imperfections import check_imperfections, imperfect
 from rover_rl.envs.parts import TASKS
 from rover_rl.files import check_outputs
 from rover_rl.registry import is_path
-from rover_rl.robots import get_robots, names_several
+from rover_rl.robots import get_robots
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.ros2.settings import BAG, BagTopics
 from rover_rl.tasks.task import Task
@@ -105,11 +105,6 @@ class Evaluate:
         """Returns the command for the test of a task, whose settings are the defaults of the options."""
         if self.environment.env is not None:
             raise ValueError(f"--env is another environment than that of the task {task.name}: give one of them")
-        several = names_several(self.environment.given_robot or task.test_env.robot)
-        for word in policies if several else ():
-            if word in BASELINES:
-                advice = "name one of them with --robot"
-                raise ValueError(f"{word} drives one robot, and the test of {task.name} has several: {advice}")
         return replace(
             self,
             task=task,

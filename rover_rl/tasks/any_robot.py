@@ -67,7 +67,7 @@ ANY_ROBOT = Task(
     test_robot="any:10000-10063",
     episodes=4,
     seconds=120.0,
-    references=(),  # planners are for one robot
+    references=("scripted", "gridplanner", "dwa", "expert"),  # one for each robot
     learners={
         "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
         "ppo": SETTINGS,

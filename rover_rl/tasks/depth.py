@@ -7,6 +7,16 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
+# Settings of learners: a reward for progress around boulders, a critic that knows the way, and one of 55 actions at a
+# time.
+SETTINGS = {
+    "num_envs": 1024,
+    "gamma": 0.98,
+    "path_reward": 5.0,
+    "privileged_critic": True,
+    "image_network": "patches",
+    "distribution": "grid",
+}
 DEPTH = Task(
     name="depth",
     reason="A picture of 16 x 32 distances has to become ground that carries, and boulders that do not, without a map.",
@@ -29,11 +39,11 @@ DEPTH = Task(
             goal_reward=100.0,
             distance_delta_scale=0.3,  # driving: for each meter nearer to the goal, times final_reward_multiplier
             final_reward_multiplier=1.5,
-            idle_penalty=-0.1,  # in place of it, for less than min_progress (m) or with the back to the goal
+            idle_penalty=-0.03,  # in place of it, for less than min_progress (m) or with the back to the goal
             min_progress=0.001,
             velocity_scale=0.0025,  # for each m/s
             turn_scale=-0.0015,  # for each rad/s
-            general_penalty=-150.0,  # ended by a contact, or on its back
+            general_penalty=-50.0,  # ended by a contact, or on its back
             flip_grace_steps=0,
             stuck_penalty=-25.0,
             out_of_bounds_penalty=-10.0,
@@ -58,32 +68,8 @@ DEPTH = Task(
     seconds=60.0,
     references=("scripted", "gridplanner", "dwa", "expert"),  # by lidar
     learners={
-        "ppo": {
-            "num_envs": 1024,
-            "workers": 2,
-            "collector": "processes",
-            "minibatch": 2048,
-            "epochs": 4,
-            "rollout_length": 16,
-            "gamma": 0.99,
-            "learning_rate": 7e-4,
-            "entropy_coef": 0.0,
-            "max_std": 0.4,
-            "hidden": (256, 128),
-        },
-        "ppo-gru": {
-            "num_envs": 1024,
-            "workers": 2,
-            "collector": "processes",
-            "minibatch": 2048,
-            "epochs": 4,
-            "rollout_length": 16,
-            "gamma": 0.99,
-            "learning_rate": 7e-4,
-            "entropy_coef": 0.0,
-            "max_std": 0.4,
-            "memory": "gru",
-        },
+        "ppo": SETTINGS,
+        "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
         "sac": {"algo": "sac", "num_envs": 64, "gamma": 0.98},
     },
 )

@@ -70,7 +70,7 @@ RACE = Task(
     test_world="forest:50000-50063",
     episodes=4,
     seconds=15.0,
-    references=(),  # planners are for one robot
+    references=("scripted", "gridplanner", "dwa", "expert"),  # one for each robot
     learners={
         "ppo-gru": SETTINGS | {"memory": "gru"},
         "ppo": SETTINGS,

@@ -116,12 +116,12 @@ class MapExpert(TensorDictModuleBase):
         if not get_robot(robot).drive.turns_in_place:
             # Of its arcs, the expert drops those on which the body would touch what the lidar sees.
             lidar = replace(lidar, points=lidar.beams)
-        self.made_for = EnvConfig(robot=robot, lidar=lidar)
+        self.made_for, self._robot = EnvConfig(robot=robot, lidar=lidar), get_robot(robot)
         self.in_keys, self.out_keys = [*READ], ["action"]
         self._expert: PrivilegedExpert | None = None
 
     def enter(self, env: RoverEnv) -> None:
-        self._expert = PrivilegedExpert(env.pool, env.robot, env.device)
+        self._expert = PrivilegedExpert(env.pool, self._robot, env.device)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self._expert is None:

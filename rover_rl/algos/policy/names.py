@@ -9,11 +9,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.names import unseen
 from rover_rl.registry import Registry, is_path, perhaps
+from rover_rl.robots import names_several
 
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
@@ -98,8 +100,15 @@ def resolve_policy(name: str, worlds: tuple[str, ...] = (), robot: RobotLike | N
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
-    """Creates a baseline policy, or one of your own (``"module:attribute"``), for a robot or the default one."""
-    return _REGISTRY.call(name, _REGISTRY.find(name), *(() if robot is None else (robot,)))
+    """Creates a baseline policy, or one of your own (``"module:attribute"``), for robots or the default one."""
+    make = partial(_REGISTRY.call, name, _REGISTRY.find(name))
+    if robot is None:
+        return make()
+    if name in BASELINES and names_several(robot):
+        from rover_rl.algos.policy.several_robots import SeveralRobots
+
+        return SeveralRobots(make, robot)
+    return make(robot)
 
 
 def is_baseline(name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -77,6 +77,11 @@ class RobotBody(Sensor):
     def encode(self, value: Tensor) -> Tensor:
         """Returns the value in units of :data:`TYPICAL`."""
         return value / torch.tensor(TYPICAL, device=value.device)
+
+
+def robot_table(robots: Sequence[Robot]) -> Tensor:
+    """Returns the values of the sensor ``robot`` for robots, ``[K, 12]``."""
+    return torch.tensor([_numbers(robot) for robot in robots])
 
 
 @lru_cache(maxsize=1024)
