@@ -3,8 +3,7 @@
 Turns, speeds and accelerations, limits of slopes, braking and side slopes (``benchmarks.maneuvers``), on level ground
 as a plane and as triangles, and on slopes of triangles, with a friction coefficient of 0.5 unless stated. The values by
 hand are those of ``benchmarks.coulomb``. A simulator passes a quantity if no direction is off by more than 5 %, or by
-more than 1 degree for angles. Errors of accelerations on slopes are relative to what friction contributes to them,
-since the acceleration itself vanishes close to the steepest slope.
+more than 1 degree for angles. Errors of accelerations on slopes are relative to what friction contributes to them.
 """
 
 from __future__ import annotations

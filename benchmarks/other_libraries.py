@@ -2,8 +2,7 @@
 
 The program runs in this process as it is. The environment counts simulated steps and attempts: an attempt succeeds if
 a goal is reached within 60 s, and fails if the episode terminates or 60 s pass. Exploration is on. After the time limit
-the program is stopped. Time is that of the processor, so that other programs on the machine hardly matter: on one idle
-core it passes as fast as the clock.
+(of the processor, not of the clock) the program is stopped, so that other programs on the machine hardly matter.
 
     python -m benchmarks.other_libraries examples/other_libraries/skrl_ppo.py
     python -m benchmarks.other_libraries "ppo_continuous_action.py --env-id rover_rl:rover_rl/Rover5Hz-v0"

@@ -1,8 +1,7 @@
 """Conventional environment for the same task: one rover, one PyBullet client, Gymnasium and NumPy.
 
 This is the baseline of ``benchmarks/peers.py``. Rover, ground, obstacles, physics and lidar beams are those of
-:class:`rover_rl.RoverEnv`. The rest is minimal: an observation, a dense reward, and terminations. Spawn positions come
-from rover_rl's maps, outside the measured time, and no value is read from PyBullet twice.
+:class:`rover_rl.RoverEnv`. The rest is minimal: an observation, a dense reward, terminations, and spawns from its maps.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -36,7 +37,7 @@ that do not exist, one after another, and goes on where it was stopped.
 - *Planners* are not trained. `expert` knows the map, which no learner does. An entry **with planner** has one in its
   network or in its action. Learners of `field` and `rooms-people` imitate one in the first tenth of their training.
 
-The first table has the success of each entry with its largest budget in million (M) steps, and the others the rest.
+The first table has the success of each entry with its largest budget in million (M) steps, the others all.
 """
 
 
@@ -108,9 +109,14 @@ def _overview(tasks: dict[str, list[list[Card]]]) -> str:
 
 
 def _largest(groups: Sequence[list[Card]]) -> dict[str, list[Card]]:
-    """Cards of the largest budget of each entry, by the name of the entry without its budget, as in ppo-100M."""
+    """Cards of the largest budget of each entry."""
     by_steps = sorted(groups, key=lambda group: group[0]["steps"] or 0)
-    return {re.sub(r"-[\d.]+M\b", "", _name(group[0])): group for group in by_steps}
+    return {_learner(group[0]): group for group in by_steps}
+
+
+def _learner(card: Card) -> str:
+    """Name of an entry without its budget, as in ppo-100M."""
+    return re.sub(r"-[\d.]+M\b", "", _name(card))
 
 
 def _cell(*groups: Sequence[Card] | None) -> str:
@@ -158,16 +164,17 @@ def draw(cards: Sequence[Card], path: Path) -> None:
     rows = math.ceil(len(tasks) / columns)
     figure = Figure(figsize=(3.4 * columns, 3.1 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flat
-    names = dict.fromkeys(group[0]["entry"] for groups in tasks.values() for group in groups if group[0]["curve"])
-    colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(names)}
+    learners = [group for groups in tasks.values() for group in groups if group[0]["curve"]]
+    colors = dict(zip(dict.fromkeys(_learner(group[0]) for group in learners), cycle(COLORS), strict=False))
     for (task, groups), ax in zip(tasks.items(), axes, strict=False):
-        for group in groups:
-            if group[0]["kind"] == "planner":
-                ax.axhline(group[0]["success"], color=GREY, linewidth=0.8, linestyle=":")
-                place = {"transform": ax.get_yaxis_transform(), "ha": "right", "fontsize": 6}
-                ax.text(1, group[0]["success"], group[0]["entry"], **place)
-            elif group[0]["curve"]:
-                _draw_curve(ax, group, colors[group[0]["entry"]])
+        levels: dict[int, list[str]] = {}
+        for card in (group[0] for group in groups if group[0]["kind"] == "planner"):
+            ax.axhline(card["success"], color=GREY, linewidth=0.8, linestyle=":")
+            levels.setdefault(round(20 * card["success"]), []).append(card["entry"])
+        for level, names in levels.items():  # names of nearly the same success share a line
+            ax.text(1, level / 20, ", ".join(names), transform=ax.get_yaxis_transform(), ha="right", fontsize=6)
+        for group in (group for group in groups if group[0]["curve"]):
+            _draw_curve(ax, group, colors[_learner(group[0])])
         ax.set(title=task, xlabel="million steps", ylim=(0, 1.02))
         style_axes(ax)
     for ax in axes:

@@ -1,16 +1,14 @@
 """Speed of PPO and SAC end to end, compared with Stable-Baselines3 (SB3).
 
-Runs three trainings of each algorithm one after another, each on the whole machine:
-
-- rover_rl, as in ``rover-rl train``, with a worker process for each core;
-- SB3 with the batched environment: all rovers as one ``VecEnv`` in the learning process;
-- SB3 with ``SubprocVecEnv``: a process with a ``GymWrapper`` for each rover, the common way to use SB3.
+Three trainings of each algorithm run one after another, each on the whole machine: that of rover_rl, with a worker
+process for each core; SB3 with all rovers as one ``VecEnv`` in the learning process; and SB3 with ``SubprocVecEnv``, a
+process with a ``GymWrapper`` for each rover, the common way to use SB3.
 
 All three have the same environment in Bullet, number of rovers, hidden layers and activation, input scaling, reward
-scale and hyperparameters. SB3's actions are scaled to [-1, 1], as its documentation recommends. SB3's time starts when
-its processes have started; that of rover_rl includes their start. SB3 keeps its own initial weights, optimizers,
-normalization of advantages and random actions before SAC's learning starts. The standard deviation of its PPO actions
-does not depend on the observation, and it does not augment by mirroring. The processes of 64 rovers need about 14 GB.
+scale and hyperparameters. SB3's time starts when its processes have started; that of rover_rl includes their start. SB3
+keeps its own initial weights, optimizers, normalization of advantages and random actions before SAC's learning starts.
+The standard deviation of its PPO actions does not depend on the observation, its actions are scaled to [-1, 1], as its
+documentation recommends, and it does not augment by mirroring. The processes of 64 rovers need about 14 GB.
 """
 
 from __future__ import annotations

@@ -3,10 +3,9 @@
     pip install nvidia-cuda-nvcc
     python -m benchmarks.gpu.kernel_resources --arch 90
 
-Compiles the kernels of the package to PTX and assembles them with NVIDIA's ``ptxas``, from the wheel
-``nvidia-cuda-nvcc`` or on the ``PATH``. The table lists for each kernel the registers of a thread, its stack frame and
-spilled registers in local memory (bytes), the threads that are resident on a multiprocessor in blocks of 32, and how
-many rovers that is on a GPU of 132 multiprocessors (H100, H200), with the number of threads that share a rover.
+Compiles the kernels of the package to PTX and assembles them with NVIDIA's ``ptxas``. The table lists for each kernel
+the registers of a thread, its stack frame and spilled registers in local memory (bytes), the threads that are resident
+on a multiprocessor in blocks of 32, and how many rovers that is on 132 multiprocessors (H100, H200).
 """
 
 from __future__ import annotations
