@@ -15,8 +15,6 @@ from rover_rl.robots.options import RobotOptions, with_options
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.settings import Connection
 
-FILES = ("calibration.yaml", "calibration.png")
-
 
 @dataclass(frozen=True)
 class Calibrate:
@@ -43,11 +41,10 @@ class Calibrate:
     force: Force = False
 
     def __call__(self) -> int:
-        outputs = [self.out / file for file in FILES]
+        outputs = self.out / "calibration.yaml", self.out / "calibration.png"
         check_outputs(*outputs, inputs=[str(self.bag)], force=self.force)
-        from rover_rl.algos.calibration.calibrate import calibrate
+        from rover_rl.algos.calibration.calibrate import calibrate, describe, draw, env_settings, write_settings
         from rover_rl.algos.calibration.reading import read_recording
-        from rover_rl.algos.calibration.report import describe, draw, env_settings, write_settings
         from rover_rl.native.threads import single_threaded
         from rover_rl.robots import get_robot
 

@@ -44,8 +44,7 @@ class Dataset:
             from minari.data_collector.episode_buffer import EpisodeBuffer
         except ImportError as error:
             raise ImportError('data sets require the package minari: pip install "rover_rl[minari]"') from error
-        from rover_rl.algos.deploy.recorded_drives import read_drives
-        from rover_rl.algos.deploy.replay import transitions
+        from rover_rl.algos.deploy.recorded_drives import read_drives, transitions
 
         buffers, spaces = list[EpisodeBuffer](), dict[str, Any]()
         bags = [read_drives(path, self.topics, self.world) for path in self.bags]

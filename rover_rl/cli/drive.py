@@ -23,11 +23,12 @@ from rover_rl.algos.policy.names import NO_POLICY, ResolvedPolicy, resolve_polic
 from rover_rl.cli.help_text import FLAT
 from rover_rl.cli.options import LIVE_POLICY, OptionsOfRobot, Port, read_env
 from rover_rl.cli.ros_arguments import RosArguments, renamed
-from rover_rl.envs.config import SCAN_POSE, ActionConfig, EnvConfig, GuardConfig, Randomization
+from rover_rl.envs.config import SCAN_POSE, EnvConfig, GuardConfig, LimitsConfig, Randomization, name_of_part
 from rover_rl.envs.sensors.suite import LIDAR_MASK
+from rover_rl.files import check_writable
 from rover_rl.names import Name
 from rover_rl.robots.options import RobotOptions, with_options
-from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.settings import BAG, Ros2Settings
 from rover_rl.sims.settings import Connection
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
 GOAL_NOT_REACHED = 1  # exit code
 SENSOR_TIMEOUT = 0.5  # time without a sensor message after which a drive ends, s; without a scan, it stops before
 HIDDEN = {"model", "reset", "reset_topic", "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"}
-HIDDEN |= {"description_topic", "map_topic"}
-"""Settings that a drive chooses itself, or that are for resets, of which it has none, or for simulated robots."""
+HIDDEN |= {"description_topic", "map_topic", "min_reversal", "unseen_range", "max_invalid"}
+"""Settings that a drive chooses itself, or that are for resets, of which it has none, for simulated robots or rare."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,7 @@ class Drive:
     ROS's own remaps end the line: --ros-args -r /scan:=/front/scan -r __ns:=/robot1 -r __node:=driver (docs/ros2.md).
     """
 
-    shown: ClassVar = {
-        Ros2Settings: {*Ros2Settings.__dataclass_fields__} - HIDDEN - {"min_reversal", "unseen_range", "max_invalid"}
-    }
+    shown: ClassVar = {Ros2Settings: {*Ros2Settings.__dataclass_fields__} - HIDDEN}
 
     policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=LIVE_POLICY)] = ""
     goal: tuple[tuple[float, float], ...] = ()
@@ -120,21 +119,19 @@ class Drive:
             return int(replace(own, connection=connection, settings=settings, ros_args={})())
         with ExitStack() as stack:
             raise_if_interrupted = stack.enter_context(_interruptible())
-            from rover_rl.algos.deploy.bags import DriveBag, check_bag
-            from rover_rl.algos.deploy.driving import drive_to
-            from rover_rl.algos.deploy.excitation import CLEARANCE, Excitation
-            from rover_rl.algos.deploy.outputs import DriveOutputs
+            from rover_rl.algos.deploy import bags, driving, excitation, outputs
             from rover_rl.algos.driving import TIME_LIMIT
             from rover_rl.algos.policy.runner import PolicyRunner
-            from rover_rl.envs.config import name_of_part
             from rover_rl.envs.rover import RoverEnv
             from rover_rl.sims.ros2.simulator import Ros2Simulator
 
             path = self.bag or Path(time.strftime("runs/drive-%Y%m%dT%H%M%SZ.mcap", time.gmtime()))
-            check_bag(path)
+            check_writable(path, "--bag")
+            if path.exists():
+                raise FileExistsError(f"{path} is there already: name another --bag")
             policy = self._policy()
-            assert policy.module is not None
             world, module, page = policy.worlds[0], policy.module, None
+            assert module is not None
             goals, described = self._goals(world), self._description(module, world)
             if self.view:
                 # Before the rover moves.
@@ -144,14 +141,15 @@ class Drive:
                 print(f"Page: {page.address}", flush=True)
             env = RoverEnv(described)
             stack.callback(env.close)
-            assert isinstance(env.simulator, Ros2Simulator)
+            rover = env.simulator
+            assert isinstance(rover, Ros2Simulator)
             if page is not None:
-                page.on_stop = env.simulator.halt
+                page.on_stop = rover.halt
             runner = PolicyRunner(module, env=env) if page is None else page.runner(module, env)
             robot = name_of_part(described.robot)
-            bag = stack.enter_context(DriveBag(path, world, policy.name, self.seconds, robot))
-            env.simulator.tap(bag.add)
-            stack.callback(DriveOutputs(env).close)
+            bag = stack.enter_context(bags.DriveBag(path, world, policy.name, self.seconds, robot))
+            rover.tap(bag.add)
+            stack.callback(outputs.DriveOutputs(env).close)
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
 
             def go_on() -> None:
@@ -165,15 +163,16 @@ class Drive:
                 if page is not None:
                     page.show(env, moment)
 
-            drive = partial(drive_to, env, runner, patience=self.patience, bag=bag)
-            if isinstance(module, Excitation):
-                limits: Any = {"clearance": max(self.clearance, CLEARANCE), "allow_unseen": True}
+            limits = {name: getattr(self, name) for name in ("seconds", "clearance", "patience", "allow_unseen")}
+            drive: Any = partial(driving.drive_to, env, runner, bag=bag, **limits)
+            if isinstance(module, excitation.Excitation):
+                limits = {"clearance": max(self.clearance, excitation.CLEARANCE), "allow_unseen": True}
                 begin, seconds = module.start(), module.seconds - 1e-3
                 ending = drive(begin, seconds=seconds, watch=partial(show, "excite"), **limits)
                 print(f"excite: {'complete' if ending == TIME_LIMIT else ending}", flush=True)
                 reached = ending == TIME_LIMIT
             else:
-                reached = self._drive(drive, env.simulator, world, goals, go_on, show)
+                reached = self._drive(drive, rover, world, goals, go_on, show)
         what = "calibrate" if self.excite else "evaluate"
         print(f"Bag: {path}; to {what} it: rover-rl {what} {path}")
         return 0 if reached else GOAL_NOT_REACHED
@@ -185,7 +184,6 @@ class Drive:
         from rover_rl.algos.deploy.goals import GoalGivenUp, GoalTopic
         from rover_rl.algos.driving import RESTARTED
 
-        limits: Any = {name: getattr(self, name) for name in ("seconds", "clearance", "allow_unseen")}
         topic, endings = None, list[str]()
         if self.goal_topic is not None:
             inside = partial(_require_inside, world)
@@ -200,7 +198,7 @@ class Drive:
         for goal in goals if topic is None else chain(goals, topic.goals(go_on)):
             go_on()
             try:
-                ending = drive(goal, **limits, watch=watch)
+                ending = drive(goal, watch=watch)
             except GoalGivenUp as reason:
                 ending = str(reason)
             endings.append(ending)
@@ -222,6 +220,8 @@ class Drive:
             raise ValueError(f"{NO_POLICY}, or drive with --excite")
         if not (goals or self.excite):
             raise ValueError("say where to drive: --goal X Y, --goals FILE, --random COUNT or --goal-topic TOPIC")
+        if self.bag is not None and self.bag.suffix != BAG:
+            raise ValueError(f"--bag takes a file whose name ends in {BAG}, got {self.bag}")
         if self.goal_topic is not None:
             checks.check_topics(goal_topic=self.goal_topic)
         checks.check_positive(checks.MAX_SECONDS, seconds=self.seconds)
@@ -253,21 +253,22 @@ class Drive:
 
     def _description(self, policy: Policy, world: str) -> EnvConfig:
         """Returns the environment of a live rover, with the limits that the policy was trained with."""
+        from rover_rl.algos.deploy.excitation import Excitation
         from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.algos.policy.runner import sensors_for
 
         settings = replace(self.settings, reset="none", step_timeout=SENSOR_TIMEOUT)
         made_for = environment_for(policy, None if self.env is None else read_env(self.env))
-        trained: EnvConfig | None = getattr(policy, "made_for", None)
-        if trained is not None and trained.limits.apply:
-            limits = {name: value for name, value in vars(trained.limits).items() if name != "apply"}
-            chosen = {name for name in limits if name != "min_reversal" and getattr(settings, name) is not None}
-            settings = replace(settings, **{name: value for name, value in limits.items() if name not in chosen})
+        trained: EnvConfig = getattr(policy, "made_for", None) or EnvConfig()
+        noise = trained.randomization
+        if trained.limits.apply:
+            own = {name for name in LimitsConfig.positive if getattr(settings, name) is not None}
+            limits = {name: value for name, value in vars(trained.limits).items() if name not in {"apply", *own}}
+            settings = replace(settings, **limits)
         # Scans are added to maps where they were taken, by their stamps.
         needed = [SCAN_POSE]
-        if LIDAR_MASK in getattr(policy, "in_keys", ()) or (trained is not None and trained.randomization.hides_beams):
+        if LIDAR_MASK in getattr(policy, "in_keys", ()) or noise.hides_beams:
             # As in training. The guard of unseen directions holds the rover nevertheless.
-            noise = Randomization() if trained is None else trained.randomization
             dead = noise.dead_sectors * noise.dead_sector_width[1] / (noise.lidar_view or (2 * math.pi,))[0]
             settings = replace(settings, unseen_range=math.inf, max_invalid=settings.max_invalid + min(0.8, dead))
             needed.append(LIDAR_MASK)
@@ -286,15 +287,8 @@ class Drive:
             end_on_goal=True,
             seed=self.seed,
         )
-        if self.excite:
-            from rover_rl.algos.deploy import excitation
-
-            quick = {f"max_{name}acceleration": excitation.QUICK for name in ("", "yaw_")}
-            steps = {name: most for name, most in quick.items() if getattr(settings, name) is None}
-            backend = replace(described.backend, min_reversal=0.0, **steps)
-            place = described.world if self.world else excitation.ANYWHERE
-            action = ActionConfig(kind="twist")
-            described = replace(described, action=action, task=excitation.TASK, backend=backend, world=place)
+        if isinstance(policy, Excitation):
+            described = policy.described(described)
         return sensors_for(policy, environment_for(policy, described))
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
@@ -302,10 +296,9 @@ class Drive:
 
         goals = list(self.goal)
         if self.goals is not None:
-            with self.goals.open(newline="") as file:
-                rows = [row for row in csv.reader(file) if row]
             try:
-                goals += [(float(x), float(y)) for x, y in rows]
+                with self.goals.open(newline="") as file:
+                    goals += [(float(x), float(y)) for x, y in filter(None, csv.reader(file))]
             except ValueError as error:
                 raise ValueError(f"{self.goals} must have two numbers a line: x, y") from error
         if self.random:
@@ -330,10 +323,9 @@ def _require_inside(world: str, goal: tuple[float, float]) -> None:
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], None]]:
-    """Raises ``KeyboardInterrupt`` on Ctrl-C and SIGTERM, and yields a function that raises it again.
+    """Raises ``KeyboardInterrupt`` on Ctrl-C and SIGTERM, and yields a function that raises it again, for each step.
 
-    An exception that is raised in a callback of a library may be suppressed. The rover must stop nevertheless, so call
-    the function at each step.
+    An exception that is raised in a callback of a library may be suppressed. The rover must stop nevertheless.
     """
     interrupted = False
 

@@ -34,7 +34,7 @@ def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPo
     failures first. ``policies`` are those that drove in them.
     """
     from rover_rl.algos.evaluation.results import read_evaluation
-    from rover_rl.algos.video.recording import record_stored
+    from rover_rl.algos.video.recording import Recording, record_stored
     from rover_rl.view.replay import write_replay
 
     modules = {policy.name: policy.module for policy in policies}
@@ -43,18 +43,13 @@ def write_worst(evaluations: Sequence[Evaluation], policies: Sequence[ResolvedPo
     for evaluation in evaluations[:DRIVES]:
         stored = read_evaluation(file, evaluation.name, evaluation.episodes.name, evaluation.backend)
         chosen += [(stored, episode) for episode in stored.telling(each - each // 3, each // 3)]
-    drives, titles = [], []
+    drives, titles = list[Recording](), [f"{stored.policy}, {title_of(stored, episode)}" for stored, episode in chosen]
     with ProgressDisplay(f"replay of {len(chosen)} drives") as display:
-
-        def driven(drives: int, share: float) -> None:
-            display.update((drives + share) / len(chosen) / 2)
-
-        for number, (stored, episode) in enumerate(chosen):
+        for stored, episode in chosen:
             # Half of the work is to drive them again, and half to draw them.
-            with redirected_progress(partial(driven, number)):
+            with redirected_progress(lambda share: display.update((len(drives) + share) / len(chosen) / 2)):
                 drive = record_stored(modules[stored.policy], stored, episode)
             drives.append(drive.last(SECONDS / len(chosen)))
-            titles.append(f"{stored.policy}, {title_of(stored, episode)}")
         with redirected_progress(lambda share: display.update((1 + share) / 2)):
             write_replay(drives, page, titles)
     return len(drives)
@@ -73,8 +68,7 @@ def drives_of_evaluation(
     """Yields the episodes of an evaluation by title, the failures first, as functions that drive them again."""
     from rover_rl.algos.video.recording import record_stored
 
-    failed = stored.failures
-    for episode in dict.fromkeys((*failed, *range(len(stored.endings)))):
+    for episode in dict.fromkeys((*stored.failures, *range(len(stored.endings)))):
         yield title_of(stored, episode), partial(record_stored, policy.module, stored, episode)
 
 

@@ -55,7 +55,6 @@ class LivePage(Page):
             raise InterruptedError("the stop button was pressed, and the rover stands")
 
     def runner(self, policy: Policy, env: RoverEnv) -> PolicyRunner:
-        """A runner of a policy whose actions a person may replace."""
         return _StoppableRunner(policy, env, self)
 
     def show(self, env: RoverEnv, status: Status) -> None:
@@ -66,19 +65,17 @@ class LivePage(Page):
 
     def _run(self) -> None:
         while not self._closed.wait(1 / FRAMES):
-            if (latest := self._latest) is not None and not self.stopped:
-                self._latest = None
-                self._show(*latest)
-
-    def _show(self, env: RoverEnv, moment: Moment, status: Status) -> None:
-        self._stage.enter(env.worlds[0], env.robot, env.scanner.angles)
-        self._stage.show(moment, 0, torch.zeros(1, dtype=torch.int64), Pose.of(moment.rover))
-        speed, turn = status.command
-        self._status.content = (
-            f"goal {status.distance:.2f} m · {status.speed:.2f} m/s · nearest {status.nearest:.2f} m · command "
-            f"{speed:.2f} m/s {turn:.2f} rad/s · latency {1000 * status.latency:.0f} ms · "
-            f"{'by hand' if self.pilot.active else 'policy'}"
-        )
+            if self._latest is None or self.stopped:
+                continue
+            (env, moment, status), self._latest = self._latest, None
+            self._stage.enter(env.worlds[0], env.robot, env.scanner.angles)
+            self._stage.show(moment, 0, torch.zeros(1, dtype=torch.int64), Pose.of(moment.rover))
+            speed, turn = status.command
+            self._status.content = (
+                f"goal {status.distance:.2f} m · {status.speed:.2f} m/s · nearest {status.nearest:.2f} m · command "
+                f"{speed:.2f} m/s {turn:.2f} rad/s · latency {1000 * status.latency:.0f} ms · "
+                f"{'by hand' if self.pilot.active else 'policy'}"
+            )
 
 
 class _StoppableRunner(PolicyRunner):

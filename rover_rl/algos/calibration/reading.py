@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import astuple
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 import torch
 from scipy.integrate import cumulative_trapezoid
 
-from rover_rl.algos.deploy.recorded_drives import Bag
+from rover_rl.algos.deploy.bags import Bag
 from rover_rl.rotations import quaternion_to_euler
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.poses import pose_in
@@ -59,10 +60,8 @@ class Recording(NamedTuple):
 def read_recording(path: Path, connection: Connection, settings: Ros2Settings) -> Recording:
     """Reads the topics of a drive. Commands and odometry are needed.
 
-    Raises:
-        FileNotFoundError: if there is no such file or folder.
-        ValueError: if it is no recording, has no commands or no odometry, a topic is of another type or of two robots,
-            time goes backward, or the drive is too short.
+    Raises ``FileNotFoundError`` if there is no such file or folder, and ``ValueError`` if it is no recording, has no
+    commands or no odometry, a topic is of another type or of two robots, time goes back, or the drive is too short.
     """
     topics = {**vars(connection), **vars(settings)}
     bag, named = Bag(path), {name: topics[role.topic] for name, role in ROLES.items()}
@@ -85,9 +84,8 @@ def _read(bag: Bag, named: dict[str, str]) -> tuple[dict[str, list[Any]], float]
     kinds = {CLOCK: ros.Clock}
     for role, topic in named.items():
         if role in NEEDED or topic in bag.types:
-            allowed = {kind.ros_type: kind for kind in ROLES[role].kinds}
             option = f"--{ROLES[role].topic.replace('_', '-')}"
-            kinds[topic] = allowed[bag.require(role, option, topic, *allowed)]
+            kinds[topic] = bag.require(role, option, topic, *ROLES[role].kinds)
     rows, frames = defaultdict[str, list[Any]](list), defaultdict[str, set[str]](set)
     increment = 0.0
     for topic, at, message in bag.messages(kinds):
@@ -128,19 +126,15 @@ def _stream(topic: str, role: str, rows: list[Any], clock: np.ndarray, begin: fl
     keep = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
     stamp, values = stamp[keep], values[keep]
     if role in ("imu", "pose"):
-        x, y = values[:, -4:-2].T
-        tilt = (2 * np.hypot(x, y),) if role == "imu" else ()
-        values = np.column_stack((values[:, :-4], _yaw(values[:, -4:]), *tilt))
+        values, turn = values[:, :-4], values[:, -4:]
+        yaw = quaternion_to_euler(torch.from_numpy(turn))[:, 2].numpy()
+        tilt = (2 * np.hypot(*turn[:, :2].T),) if role == "imu" else ()
+        # NaN from one on that is zero.
+        values = np.column_stack((values, np.unwrap(np.where(turn.any(1), yaw, np.nan)), *tilt))
     if role == "imu" and np.isnan(values).any():
         # An IMU without orientation: its yaw rate adds up.
         values[:, 1] = cumulative_trapezoid(values[:, 0], stamp, initial=0)
     return Stream(arrival[keep], stamp, None if age is None else age[keep], values)
-
-
-def _yaw(quaternions: np.ndarray) -> np.ndarray:
-    """Returns the unwrapped yaw of quaternions ``[M, 4]``, rad; NaN from one on that is zero."""
-    yaw = quaternion_to_euler(torch.from_numpy(quaternions))[:, 2].numpy()
-    return np.unwrap(np.where(quaternions.any(1), yaw, np.nan))
 
 
 def _twist(message: Any) -> Sequence[float]:
@@ -148,18 +142,14 @@ def _twist(message: Any) -> Sequence[float]:
     return twist.linear.x, twist.angular.z
 
 
-def _turn(q: Any) -> Sequence[float]:
-    return q.x, q.y, q.z, q.w
-
-
 def _imu(message: Any) -> Sequence[float]:
     is_unknown = message.orientation_covariance[0] == -1
-    return message.angular_velocity.z, *((0.0,) * 4 if is_unknown else _turn(message.orientation))
+    return message.angular_velocity.z, *((0.0,) * 4 if is_unknown else astuple(message.orientation))
 
 
 def _pose(message: Any) -> Sequence[float]:
     pose = pose_in(message)
-    return pose.position.x, pose.position.y, *_turn(pose.orientation)
+    return pose.position.x, pose.position.y, *astuple(pose.orientation)
 
 
 class Role(NamedTuple):

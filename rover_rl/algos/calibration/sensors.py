@@ -244,8 +244,8 @@ def noise(recording: Recording) -> dict[str, Estimate | None]:
         pieces = [part for part in map(slice, ends, ends[1:]) if rest[part].all() and rest[part].size > 9]
         if len(pieces) >= LEAST_PIECES:
             slopes = [np.polyfit(imu.stamp[part], yaw[part], 1)[0] for part in pieces]
-            low, high = ttest_1samp(slopes, 0.0).confidence_interval()
-            found["yaw_bias"] = Estimate(float(np.mean(slopes)), float(low), float(high))
+            interval = ttest_1samp(slopes, 0.0).confidence_interval()
+            found["yaw_bias"] = Estimate(float(np.mean(slopes)), *map(float, interval))
     if (scan := recording.scan) is not None:
         still = scan.values[at_rest(recording, scan.stamp)][:400]
         still = np.where(np.isfinite(still), still, np.nan)

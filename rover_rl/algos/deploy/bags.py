@@ -1,11 +1,16 @@
-"""Bags of drives with a live rover: MCAP files, which ``ros2 bag``, Foxglove and PlotJuggler open."""
+"""Bags of ROS 2: those that drives with a live rover are recorded to, and reading of these and others.
+
+The MCAP files of drives open in ``ros2 bag``, Foxglove and PlotJuggler.
+"""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from io import BufferedReader
 from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
@@ -14,14 +19,17 @@ from typing import Any
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.files import check_writable
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.frames import MAP
 from rover_rl.sims.ros2.settings import BAG
+from rover_rl.sims.ros2.transport import short
 
 try:
-    from mcap.writer import CompressionType, Writer
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Channel, Message, Metadata, Schema
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 except ImportError as error:  # pragma: no cover
     raise ImportError('bags of drives require the package mcap: pip install "rover_rl[ros2]"') from error
 
@@ -84,7 +92,7 @@ class DriveBag:
     ) -> None:
         """Adds a step: the rover and the raw scan after it, ``[1, beams]`` (m), and its ``"outcome"``.
 
-        ``command`` and, in ``more``, ``latency``, ``distance`` and ``held`` are those of
+        ``command``, ``latency``, ``distance`` and ``held`` are those of
         :class:`~rover_rl.algos.deploy.driving.Moment`.
         """
         twist = ros.Twist(ros.Vector3(x=command[0]), ros.Vector3(z=command[1]))
@@ -92,13 +100,12 @@ class DriveBag:
         self._add_step(rover, scan, command=twist, dt=rover.dt.item(), **events, **more)
 
     def end(self, ending: str) -> None:
-        """Adds the ending of the drive."""
         self.add(ENDING, ros.String, ros.String(ending))
 
     def _add_step(self, rover: RoverState, scan: Tensor, **more: Any) -> None:
         place = ros.Pose(ros.Point(*rover.position[0].tolist()), ros.Quaternion(*rover.orientation[0].tolist()))
-        header = ros.Header(ros.Time.from_seconds(rover.stamp.item()))
-        self.add(STEP, ros.DriveStep, ros.DriveStep(header, place, ranges=scan[0].float().cpu().numpy().copy(), **more))
+        header, ranges = ros.Header(ros.Time.from_seconds(rover.stamp.item())), scan[0].float().cpu().numpy().copy()
+        self.add(STEP, ros.DriveStep, ros.DriveStep(header, place, ranges=ranges, **more))
 
     def _write(self) -> None:
         messages = iter(self._waiting.get, None)
@@ -118,8 +125,7 @@ class DriveBag:
                     self._file.flush()
                 writer.finish()
             self._path.stat()  # fails if the file has been removed
-        except Exception as error:
-            # Whatever it is, the drive goes on.
+        except Exception as error:  # whatever it is, the drive goes on
             _log.warning("%s: the drive is no longer recorded: %s", self._path, error)
             deque(messages, maxlen=0)
 
@@ -132,10 +138,78 @@ def _serialized(message: Any) -> bytes:
     return bytes(serialize_message(message))
 
 
-def check_bag(path: Path) -> None:
-    """Checks the name and the place of a bag. Raises ``ValueError``, ``FileExistsError`` or ``PermissionError``."""
-    if path.suffix != BAG:
-        raise ValueError(f"--bag takes a file whose name ends in {BAG}, got {path}")
-    check_writable(path, "--bag")
-    if path.exists():
-        raise FileExistsError(f"{path} is there already: name another --bag")
+class Bag:
+    """Messages of a bag: an MCAP file, of which a torn end is ignored, an SQLite file (``.db3``), or a folder.
+
+    ``types`` are those on each topic, and ``about`` is what ``rover-rl drive`` adds.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.stat()  # says that there is none
+        self.path, self.about = path, dict[str, str]()
+        self.types: defaultdict[str, set[str]] = defaultdict(set)
+        for topic, ros_type, _, _ in self._records():
+            self.types[topic].add(ros_type)
+
+    @property
+    def contents(self) -> str:
+        """What is in the bag, as half a sentence."""
+        named = (f"{topic} ({' and '.join(map(short, sorted(types)))})" for topic, types in sorted(self.types.items()))
+        return f"it has {', '.join(named) or 'no messages'}"
+
+    def require(self, what: str, option: str, topic: str, *kinds: Any) -> Any:
+        """Returns the class, of ``kinds``, of messages on the topic of an option. Raises ``ValueError`` for others."""
+        found, allowed = sorted(self.types.get(topic, ())), {kind.ros_type: kind for kind in kinds}
+        if not found:
+            raise ValueError(f"{self.path} has no {what} on {topic}: name the topic with {option}; {self.contents}")
+        if len(found) > 1 or found[0] not in allowed:
+            types, needed = (" or ".join(map(short, names)) for names in (found, allowed))
+            raise ValueError(f"{topic} in {self.path} has {types}, and {option} takes {needed}; {self.contents}")
+        return allowed[found[0]]
+
+    def messages(self, kinds: Mapping[str, Any]) -> Iterator[tuple[str, float, Any]]:
+        """Yields topic, time (s) and message of the topics of ``kinds``. Messages that are malformed are ignored."""
+        for topic, ros_type, nanoseconds, data in self._records():
+            if topic in kinds and ros_type == kinds[topic].ros_type:
+                with suppress(ValueError):
+                    yield topic, 1e-9 * nanoseconds, ros.decode(kinds[topic], data)
+
+    def _records(self) -> Iterator[tuple[str, str, int, bytes]]:
+        """Yields topic, type, time (ns) and content of each message. Raises ``ValueError`` for a damaged file."""
+        try:
+            if self.path.suffix == BAG and self.path.is_file():
+                yield from self._of_mcap()
+            else:
+                from rosbags.highlevel import AnyReader  # takes 0.3 seconds
+
+                with AnyReader([self.path], default_typestore=ros.TYPES) as reader:
+                    for connection, at, data in reader.messages():
+                        yield connection.topic, connection.msgtype, at, bytes(data)
+        except Exception as error:  # libraries of databases and compressions have errors of their own
+            raise ValueError(f"{self.path} cannot be read: {str(error) or type(error).__name__}") from error
+
+    def _of_mcap(self) -> Iterator[tuple[str, str, int, bytes]]:
+        schemas, channels = dict[int, str](), dict[int, tuple[str, str]]()
+        with _WholeReads(self.path.open("rb", buffering=0)) as file, suppress(EndOfFile):  # where it was cut off
+            if not file.peek(len(MCAP0_MAGIC)).startswith(MCAP0_MAGIC):
+                raise ValueError("it is no MCAP file")
+            for record in StreamReader(file, record_size_limit=self.path.stat().st_size).records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record.name
+                elif isinstance(record, Channel):
+                    coding = "" if record.message_encoding == "cdr" else f" in {record.message_encoding}"
+                    channels[record.id] = record.topic, schemas.get(record.schema_id, "no type") + coding
+                elif isinstance(record, Metadata) and record.name == ABOUT:
+                    self.about = record.metadata
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    yield *channels[record.channel_id], record.log_time, record.data
+
+
+class _WholeReads(BufferedReader):
+    """Reads all bytes that are asked for or none, as mcap does not tell them apart at the end of a file."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        if len(data) < (size or 0):
+            raise EndOfFile
+        return data

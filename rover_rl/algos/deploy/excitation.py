@@ -7,12 +7,13 @@ place drives bows instead, to either side in turn, as narrow as it steers.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl.envs.config import TaskConfig
+from rover_rl.envs.config import ActionConfig, EnvConfig, TaskConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.worlds import Terrain, World
@@ -28,6 +29,7 @@ REACTION = 0.4  # time until the robot brakes that is reckoned with, s
 GENTLE_BRAKE = 1.0  # largest deceleration that is reckoned with, m/s^2
 GENTLE_TURN = 3.0  # largest yaw rate without --max-yaw-rate, rad/s
 QUICK = 100.0  # limit of accelerations without --max-acceleration: steps, m/s^2 and rad/s^2
+LIMITS = "max_acceleration", "max_yaw_acceleration"
 ANYWHERE = World("none", Terrain.flat((20.0, 20.0)), bounds=((-1e6, 1e6), (-1e6, 1e6)))
 """Ground of which nothing is known, on which the pose may be anywhere."""
 TASK = TaskConfig(success_distance=1e-6, stuck_threshold=0.0)
@@ -97,6 +99,13 @@ class Excitation:
     def __init__(self, radius: float, settings: Ros2Settings) -> None:
         self._radius, self._settings = radius, settings
 
+    def described(self, env: EnvConfig) -> EnvConfig:
+        """Returns the environment of a live rover without what keeps it from following at once."""
+        limits: Any = {name: QUICK for name in LIMITS if getattr(self._settings, name) is None}
+        backend = replace(env.backend, min_reversal=0.0, **limits)
+        place = ANYWHERE if env.world == ANYWHERE.name else env.world
+        return replace(env, action=ActionConfig(kind="twist"), task=TASK, backend=backend, world=place)
+
     def enter(self, env: RoverEnv) -> None:
         self._env, drive = env, env.robot.drive
         turn = min(self._settings.max_yaw_rate or GENTLE_TURN, drive.max_yaw_rate)
@@ -108,7 +117,6 @@ class Excitation:
         self._parts = parts_of(speed, turn, self._radius, narrowest, drive.max_linear_acceleration)
         self._brake = min(drive.max_linear_acceleration / 2, GENTLE_BRAKE)
         self.seconds = sum(part.seconds for part in self._parts)
-        self._begin()
 
     def start(self) -> tuple[float, float]:
         """Returns the goal of the drive, x and y, m: 1 mm beside the robot at rest, as a drive ends at its goal."""
@@ -116,12 +124,9 @@ class Excitation:
         x, y = self._env.rover_state.position[0, :2].tolist()
         return x + 1e-3, y
 
-    def _begin(self) -> None:
-        self._index, self._time, self._sign, self._blocked = 0, 0.0, 1.0, 0.0
-
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
         if observation["outcome", "steps"].item() == 0:
-            self._begin()
+            self._index, self._time, self._sign, self._blocked = 0, 0.0, 1.0, 0.0
         else:
             self._time += self._env.rover_state.dt.item()
         (distance, bearing), speed = observation["target"][0].tolist(), observation["velocities"][0, 0].item()

@@ -19,12 +19,11 @@ from __future__ import annotations
 import io
 import json
 import logging
-import re
 import warnings
 from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -43,9 +42,6 @@ from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.files import MADE_BY, written_whole
 from rover_rl.robots import get_robot
 
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
-
 Format: TypeAlias = Literal["onnx", "torch"]
 ExportedFunction: TypeAlias = Callable[[Mapping[str, Any]], Any]
 """Function from inputs by name to an action ``[1, 2]``; with memory, to the action and ``state_out``."""
@@ -57,18 +53,18 @@ CHECKED = 1000  # number of random observations on which an exported policy is c
 _STATE = "memory"  # entry of a tensordict that holds the state of a policy from a file, float32 [N, s]
 _SETTINGS, _CHECKSUM = "rover_rl", "rover_rl_sha256"
 """Properties of an ONNX file that hold the settings, as JSON, and its checksum."""
-_ZEROS = "0" * 64
-_CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
-"""Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
+_ZEROS = b"0" * 64
+_BEFORE_CHECKSUM = _CHECKSUM.encode() + b"\x12\x40"
+"""What comes before the checksum in the bytes of an ONNX file: name of the property, tag and length of the value."""
 
 
 class PlainPolicy(nn.Module):
     """A checkpoint's policy as a module from tensors of observations, named ``inputs``, to a tensor of actions.
 
-    A policy that reads ``robot`` is told the robot of its settings. ``state_size`` is that of its memory.
+    A policy that reads ``robot`` is told that of its settings. ``state_size`` is that of its memory.
     """
 
-    _robot: Tensor
+    robot: Tensor
     _low: Tensor
     _high: Tensor
 
@@ -81,7 +77,8 @@ class PlainPolicy(nn.Module):
         self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
         if ROBOT in self._observation:
-            self.register_buffer("_robot", _robot_numbers(checkpoint))
+            numbers = RobotNumbers.of_robot(get_robot(checkpoint.env.robot), torch.zeros(1, 1))
+            self.register_buffer("robot", torch.cat(numbers, -1))
         space = action_spec(checkpoint.env.bounded_action).space
         self.register_buffer("_low", space.low)
         self.register_buffer("_high", space.high)
@@ -90,7 +87,7 @@ class PlainPolicy(nn.Module):
         """Returns the action ``[N, 2]``, with a memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
         entries, bounds = dict(zip(self.inputs, inputs, strict=True)), []
         if ROBOT in self._observation:
-            entries[ROBOT] = self._robot.expand(len(inputs[0]), -1)
+            entries[ROBOT] = self.robot.expand(len(inputs[0]), -1)
         observation = [entries[key] for key in self._observation]
         if self.state_size:
             loc, state = self._network(entries[STATE_IN], *observation)
@@ -104,18 +101,11 @@ class PlainPolicy(nn.Module):
         return (action, state) if self.state_size else action
 
 
-def _robot_numbers(checkpoint: Checkpoint) -> Tensor:
-    return torch.cat(RobotNumbers.of_robot(get_robot(checkpoint.env.robot), torch.zeros(1, 1)), -1)
-
-
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     """Exports a policy, and returns the largest difference of an action on 1,000 random observations.
 
-    To a policy with memory, they are the observations of one episode.
-
-    Raises:
-        ImportError: if a package that the format needs is not installed.
-        RuntimeError: if the actions differ by more than ``TOLERANCE``. No file is written then.
+    To a policy with memory, they are the observations of one episode. Raises ``ImportError`` if a package that the
+    format needs is not installed, and ``RuntimeError``, without a file, if actions differ by more than ``TOLERANCE``.
     """
     policy = PlainPolicy(checkpoint).eval()
     settings = json.dumps(plain(checkpoint.config))
@@ -125,7 +115,7 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     with written_whole(path) as temporary:
         if form == "onnx":
             _write_onnx(program, policy, settings, temporary)
-            exported: ExportedFunction = onnx_function(temporary)
+            exported: ExportedFunction = OnnxPolicy(temporary).act
         else:
             # Written to memory first: on a full disk, PyTorch's writer aborts the process.
             written = io.BytesIO()
@@ -133,7 +123,7 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
             temporary.write_bytes(written.getvalue())
             module = torch.export.load(temporary).module()
             exported = lambda inputs: module(*(inputs[name] for name in policy.inputs))  # noqa: E731
-        difference = _action_difference(checkpoint, exported, policy.state_size)
+        difference = _action_difference(checkpoint, exported, policy)
         if not difference <= TOLERANCE:
             raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
@@ -151,14 +141,14 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
     return drawn
 
 
-def _action_difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: int) -> float:
+def _action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
     rows = TensorDict(random_observations(checkpoint, CHECKED)).auto_batch_size_(1)
-    runner, state, differences = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, state_size), []
-    robot = {ROBOT: _robot_numbers(checkpoint)} if ROBOT in checkpoint.config.network.observation else {}
+    runner, differences = PolicyRunner(checkpoint.make_actor(), action_repeat=1), []
+    state, robot = torch.zeros(1, policy.state_size), {ROBOT: policy.robot} if hasattr(policy, ROBOT) else {}
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         for row in rows.split(1):
             action = exported({**row, STATE_IN: state})
-            if state_size:
+            if policy.state_size:
                 action, state = action
             differences.append((action - runner(row.update(robot))).abs().max())
     return float(torch.stack(differences).max())
@@ -178,30 +168,27 @@ def _write_onnx(program: torch.export.ExportedProgram, policy: PlainPolicy, sett
         warnings.simplefilter("ignore", FutureWarning)
         written = torch.onnx.export(program, **names, dynamo=True, verbose=False)
     assert written is not None
-    written.model.metadata_props.update({_SETTINGS: settings, _CHECKSUM: _ZEROS, **MADE_BY})
+    written.model.metadata_props.update({_SETTINGS: settings, _CHECKSUM: _ZEROS.decode(), **MADE_BY})
     written.save(str(path), external_data=False)
     content = path.read_bytes()
-    place = _CHECKSUM_BYTES.search(content)
-    assert place is not None
-    path.write_bytes(_with_checksum(content, place, sha256(content).hexdigest()))
+    checksum = sha256(content).hexdigest().encode()
+    path.write_bytes(content.replace(_BEFORE_CHECKSUM + _ZEROS, _BEFORE_CHECKSUM + checksum, 1))
 
 
-def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> bytes:
-    return content[: place.start(1)] + checksum.encode() + content[place.end(1) :]
-
-
-def _open_onnx(path: Path) -> InferenceSession:
+def _open_onnx(path: Path) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
         raise ImportError('ONNX policies need the package onnxruntime: pip install "rover_rl[onnx]"') from error
+    if not path.is_file():
+        raise FileNotFoundError(f"no ONNX policy at {path}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     content = path.read_bytes()
-    place = _CHECKSUM_BYTES.search(content)
-    if place is None:
+    begin, mark, end = content.partition(_BEFORE_CHECKSUM)
+    if not mark:
         raise ValueError(f"{path} is damaged, or was not written by rover-rl export: it has no checksum")
-    if sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
+    if sha256(begin + mark + _ZEROS + end[len(_ZEROS) :]).hexdigest().encode() != end[: len(_ZEROS)]:
         raise ValueError(f"{path} is damaged: it differs from its checksum")
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -209,71 +196,44 @@ def _open_onnx(path: Path) -> InferenceSession:
         raise ValueError(f"{path} is no ONNX policy: {' '.join(str(error).split())}") from error
 
 
-def _session_function(session: InferenceSession) -> ExportedFunction:
-    names = [entry.name for entry in session.get_inputs()]
-    outputs = ["action", STATE_OUT] if STATE_IN in names else ["action"]
-
-    def act(inputs: Mapping[str, Any]) -> Tensor | tuple[Tensor, ...]:
-        arrays = {name: np.asarray(inputs[name], np.float32) for name in names}
-        for name, array in arrays.items():
-            if not np.isfinite(array).all():  # which networks accept
-                raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
-        action, *state = map(torch.from_numpy, session.run(outputs, arrays))
-        return (action, *state) if state else action
-
-    return act
-
-
-def onnx_function(path: Path) -> ExportedFunction:
-    """Loads an ONNX file as a function, on one thread. Raises ``ValueError`` if it is no policy, or damaged."""
-    return _session_function(_open_onnx(path))
-
-
 class OnnxPolicy:
     """Policy from an ONNX file that :func:`export` wrote, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
-    Each row takes a call of its own. ``config`` has the settings that the policy was trained with.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no exported policy, or damaged; in a call, for NaN or infinity in an observation.
+    Each row takes a call of its own. ``config`` has the settings that the policy was trained with. Raises
+    ``FileNotFoundError`` if there is no such file, ``ImportError`` if ``onnxruntime`` is not installed, and
+    ``ValueError`` if the file is no exported policy, or damaged; in a call, for NaN or infinity in an observation.
     """
 
     row_by_row = True
 
     def __init__(self, path: Path) -> None:
-        if not path.is_file():
-            raise FileNotFoundError(f"no ONNX policy at {path}")
-        self._path = path
-        session = _open_onnx(path)
-        try:
-            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_SETTINGS, "null"))
-        except ValueError as error:  # invalid encoding or JSON
-            raise ValueError(f"{path} is damaged: its settings cannot be read") from error
-        if settings is None:
-            raise ValueError(f"{path} was not written by rover-rl export")
-        self.config = config_from(settings, str(path))
-        sizes: dict[str, int] = {entry.name: entry.shape[-1] for entry in session.get_inputs()}
+        self._path, self._session = path, _open_onnx(path)
+        self.config = config_from(json.loads(self._session.get_modelmeta().custom_metadata_map[_SETTINGS]), str(path))
         self.made_for, self.trained_action_repeat = self.config.env, self.config.collection.action_repeat
-        self._state_size = sizes.pop(STATE_IN, None)
+        sizes: dict[str, int] = {entry.name: entry.shape[-1] for entry in self._session.get_inputs()}
+        self._names, self._state_size = [*sizes], sizes.pop(STATE_IN, 0)
         self._entries = [*sizes]
-        self.in_keys: list[NestedKey] = [*self._entries]
-        self.out_keys: list[NestedKey] = ["action"]
-        if self._state_size is not None:
-            self.in_keys += [_STATE, "is_init"]
-            self.out_keys += [("next", _STATE)]
-        self._act = _session_function(session)
+        self.in_keys: list[NestedKey] = [*self._entries, *([_STATE, "is_init"] if self._state_size else [])]
+        self.out_keys: list[NestedKey] = ["action", *([("next", _STATE)] if self._state_size else [])]
 
     def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
         # Sessions of onnxruntime cannot be pickled: other processes read the file again.
         return type(self), (self._path,)
 
+    def act(self, inputs: Mapping[str, Any]) -> Any:
+        """Returns the action ``[1, 2]`` for the inputs of a row by name; with memory, the action and ``state_out``."""
+        arrays = {name: np.asarray(inputs[name], np.float32) for name in self._names}
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():  # which networks accept
+                raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
+        action, *state = map(torch.from_numpy, self._session.run(None, arrays))
+        return (action, *state) if state else action
+
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
         rows = now.select(*self._entries).split(1)
-        if self._state_size is None:
-            return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))
+        if not self._state_size:
+            return now.set("action", torch.cat([self.act(dict(row)) for row in rows]))
         state = torch.where(now["is_init"], 0.0, now.get(_STATE, torch.zeros(len(now), self._state_size)))
-        results = [self._act({**row, STATE_IN: part}) for row, part in zip(rows, state.split(1), strict=True)]
+        results = [self.act({**row, STATE_IN: part}) for row, part in zip(rows, state.split(1), strict=True)]
         actions, states = (torch.cat(parts) for parts in zip(*results, strict=True))
         return now.set("action", actions).set(("next", _STATE), states)

@@ -81,7 +81,6 @@ class GoalTopic:
                 x, y, _ = (there.rotation.apply([*goal, place.z]) + there.position).tolist()
                 goal = x, y
             self._require(goal)
+            self._newest.append(goal)
         except ValueError as error:
             self.tell(f"refused {goal[0]:.2f} {goal[1]:.2f}: {error}")
-            return
-        self._newest.append(goal)

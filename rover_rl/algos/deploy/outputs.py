@@ -105,37 +105,33 @@ class DriveOutputs:
                     _log.exception("%s: a message is not published", topic)
 
     def _diagnostics(self) -> Any:
-        """Returns the diagnostics of the time since the last ones."""
         elapsed, self._reported = time.monotonic() - self._reported, time.monotonic()
         latencies, self._latencies = self._latencies, []
         times = {"decision_time": fmean(latencies), "longest_decision_time": max(latencies)} if latencies else {}
         shown = {name: f"{1000 * seconds:.1f} ms" for name, seconds in times.items()}
         level, message = self._state(is_driving=bool(latencies))
-        found = [_status("drive", level, message, **shown)]
+        found = [self._status("drive", level, message, **shown)]
         for topic, (count, age, silence) in self._rover.arrivals().items():
             rate = f"{(count - self._counts.get(topic, 0)) / elapsed:.1f} Hz"
             self._counts[topic] = count
-            found.append(_status(topic, ERROR if silence else OK, silence or rate, rate=rate, age=f"{age:.3f} s"))
-        for status in found:
-            status.name = f"{self._topics.node.strip('/')}: {status.name}"
+            level, message = (ERROR, silence) if silence else (OK, rate)
+            found.append(self._status(topic, level, message, rate=rate, age=f"{age:.3f} s"))
         return ros.DiagnosticArray(ros.Header(ros.Time.from_seconds(time.time())), found)
 
     def _state(self, is_driving: bool) -> tuple[int, str]:
         rover, brake = self._rover, self._env.brake
-        if not rover.robot_connected:
-            return ERROR, "stopped: no usable scan arrives"
-        if rover.gives_way:
-            return WARN, "gives way to another node"
-        if not is_driving:
-            return OK, "waits"
-        if rover.held:
-            return WARN, "held: no beam covers the direction of travel"
-        brakes = brake is not None and brake.acts
-        return (WARN, "the guard brakes before what is in the way") if brakes else (OK, "drives")
+        states = (
+            (not rover.robot_connected, ERROR, "stopped: no usable scan arrives"),
+            (rover.gives_way, WARN, "gives way to another node"),
+            (not is_driving, OK, "waits"),
+            (rover.held, WARN, "held: no beam covers the direction of travel"),
+            (brake is not None and brake.acts, WARN, "the guard brakes before what is in the way"),
+        )
+        return next(((level, message) for holds, level, message in states if holds), (OK, "drives"))
 
-
-def _status(name: str, level: int, message: str, **values: str) -> Any:
-    return ros.DiagnosticStatus(level, name, message, values=[ros.KeyValue(*pair) for pair in values.items()])
+    def _status(self, name: str, level: int, message: str, **values: str) -> Any:
+        name, pairs = f"{self._topics.node.strip('/')}: {name}", [ros.KeyValue(*pair) for pair in values.items()]
+        return ros.DiagnosticStatus(level, name, message, values=pairs)
 
 
 def _path(header: Any, points: list[list[float]]) -> Any:

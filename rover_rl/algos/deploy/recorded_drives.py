@@ -1,7 +1,4 @@
-"""Drives in bags of ROS 2: of ``rover-rl drive``, and of any robot that others have recorded.
-
-A bag is an MCAP file, of which a torn end is ignored, an SQLite file (``.db3``), or a folder of ``ros2 bag record``.
-"""
+"""Drives in bags of ROS 2: of ``rover-rl drive``, and of any robot that others have recorded."""
 
 from __future__ import annotations
 
@@ -9,40 +6,38 @@ import logging
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
-from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
-from rosbags.highlevel import AnyReader
 from torch import Tensor
 
-from rover_rl.algos.deploy.bags import ABOUT, ENDING, GOAL, STEP
+from rover_rl.algos.deploy.bags import ENDING, GOAL, STEP, Bag
 from rover_rl.algos.driving import REPLACED, STOPPED
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.trajectory import Trajectory, count_reversals
 from rover_rl.algos.video.recording import Recording, State, moments_of
-from rover_rl.envs.config import EnvConfig, TaskConfig
+from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig, TaskConfig
+from rover_rl.envs.gym import GymWrapper
+from rover_rl.envs.make import make_env
 from rover_rl.robots import get_robot
 from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion, quaternion_to_euler
-from rover_rl.sims import RoverState
+from rover_rl.sims import RoverState, Simulator
 from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.frames import MAP, WORLD
 from rover_rl.sims.ros2.poses import POSE_MESSAGES, MeasuredPose, read_finite, read_place
 from rover_rl.sims.ros2.scans import aligned, read_scan
 from rover_rl.sims.ros2.sensors import read_frame
-from rover_rl.sims.ros2.settings import BAG, BagTopics
+from rover_rl.sims.ros2.settings import BagTopics
 from rover_rl.sims.ros2.tf import TF_TOPIC, RobotPose
-from rover_rl.sims.ros2.transport import short
+from rover_rl.sims.rover_state import beam_angles
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import Terrain, World, get_world
 from rover_rl.worlds.pool import WorldPool
@@ -53,7 +48,7 @@ LATE = 0.5  # time by which a message may be older than the one before it in the
 FASTEST, JUMP = 10.0, 1.0  # speed (m/s) and further distance (m) above which a pose has jumped
 MOST_JUMPS = 5  # largest number of jumps of one robot, or a tenth of its poses, which a localization corrects
 _MARGIN = 12.0  # size of that ground around the drive, m
-_POSES = {kind.ros_type: kind for kind, _ in POSE_MESSAGES.values()}
+_POSES = [kind for kind, _ in POSE_MESSAGES.values()]
 
 _log = logging.getLogger(__name__)
 
@@ -92,33 +87,25 @@ class RecordedDrive:
         nearest, after = self._nearest(), self.samples[1:]
         steps = len(nearest) - 1
         step_of = (torch.tensor(self.times[1:]) / CONTROL_DT).round().long().clamp(1, steps) - 1
-
-        def in_steps(events: list[bool]) -> Tensor:
-            happened = torch.zeros(steps, dtype=torch.bool)
-            happened[step_of[torch.tensor(events, dtype=torch.bool)]] = True
-            return happened
-
+        events = torch.tensor([(sample.collision, sample.reached) for sample in after]).float().reshape(-1, 2)
+        collision, goal = (torch.bincount(step_of, column, steps) > 0 for column in events.T)
+        position, angles = (torch.tensor([getattr(one, key) for one in nearest]) for key in ("position", "angles"))
         yaw_rates = [sample.command[1] for sample in after]
-        return Trajectory(
-            position=torch.tensor([sample.position for sample in self.samples])[nearest],
-            angles=torch.tensor([sample.angles for sample in self.samples])[nearest],
-            collision=in_steps([sample.collision for sample in after]),
-            goal=in_steps([sample.reached for sample in after]),
-            ending=self.ending,
-            reversals=math.nan if any(map(math.isnan, yaw_rates)) else count_reversals(yaw_rates),
-        )
+        reversals = math.nan if any(map(math.isnan, yaw_rates)) else count_reversals(yaw_rates)
+        return Trajectory(position, angles, collision, goal, self.ending, reversals)
 
     def scans(self) -> Tensor:
         """Resamples the lidar readings like :meth:`trajectory`: ``[T + 1, beams]``, m, ``inf`` without a return."""
-        return torch.stack([self.samples[k].ranges for k in self._nearest()])
+        return torch.stack([sample.ranges for sample in self._nearest()])
 
-    def _nearest(self) -> Tensor:
-        """Index of the sample nearest to each step of 20 Hz, int64 ``[T + 1]``."""
+    def _nearest(self) -> list[Sample]:
+        """Returns the sample nearest to each step of 20 Hz."""
         times = torch.tensor(self.times)
         grid = CONTROL_DT * torch.arange(max(1, round(times[-1].item() / CONTROL_DT)) + 1)
         after = torch.searchsorted(times, grid).clamp(max=len(times) - 1)
         before = (after - 1).clamp(min=0)
-        return torch.where(grid - times[before] <= times[after] - grid, before, after)
+        nearest = torch.where(grid - times[before] <= times[after] - grid, before, after)
+        return [self.samples[k] for k in nearest]
 
 
 class Drives(NamedTuple):
@@ -134,18 +121,14 @@ class Drives(NamedTuple):
 def read_drives(
     path: Path, topics: BagTopics | None = None, world: str | None = None, robot: str | None = None
 ) -> Drives:
-    """Reads the drives of a bag.
+    """Reads the drives of a bag: of an MCAP file, an SQLite file, or a folder.
 
-    Args:
-        path: MCAP file, SQLite file, or folder of a bag.
-        topics: topics of a bag that is not of ``rover-rl drive``.
-        world, robot: names, in place of those in the bag.
-
-    Raises:
-        ValueError: if it is no bag, has no drives, or not the topics, its time goes back, or several robots sent.
+    ``topics`` are those of a bag that is not of ``rover-rl drive``. ``world`` and ``robot`` take the place of names in
+    the bag. Raises ``ValueError`` if it is no bag, has no drives, or not the topics, its time goes back, or several
+    robots sent.
     """
     bag, topics = Bag(path), topics or BagTopics()
-    found, least = (_own(bag, topics), 1) if STEP in bag.types else (_Foreign(bag, topics).read(), 2)
+    found, least = (_own(bag, topics), 1) if STEP in bag.types else (_foreign(bag, topics), 2)
     drives, about = [drive for drive in found if len(drive.samples) >= least], bag.about
     if not drives:
         raise ValueError(f"there is no drive in {path}: no goal is followed by poses; {bag.contents}")
@@ -153,14 +136,9 @@ def read_drives(
         # Nothing that a file names is imported: module:attribute, with or without settings.
         if given is None and re.search(r":[^\W\d]", about.get(key, "")):
             raise ValueError(f"{path} names code as its {key}: if you trust it, add --{key} {about[key]}")
-    longest = math.ceil(max(drive.times[-1] for drive in drives))
-    return Drives(
-        policy=about.get("policy", path.stem),
-        world=world or about.get("world"),
-        robot=robot or about.get("robot", "rover_zero"),
-        seconds=float(about.get("seconds", longest)),
-        drives=drives,
-    )
+    policy, longest = about.get("policy", path.stem), math.ceil(max(drive.times[-1] for drive in drives))
+    world, robot = world or about.get("world"), robot or about.get("robot", "rover_zero")
+    return Drives(policy, world, robot, float(about.get("seconds", longest)), drives)
 
 
 def evaluate_drives(bags: Sequence[Drives]) -> list[Evaluation]:
@@ -205,19 +183,25 @@ def recording_of_drive(bag: Drives, number: int | None = None) -> Recording:
     position = driven.position.clone()
     if place.name == NO_WORLD:
         position[:, 2] = 0.0
-    count = len(scans)
-    rovers = RoverState.pack(
-        position=position,
-        orientation=matrix_to_quaternion(euler_to_matrix(driven.angles)),
-        linear_velocity=torch.cat((torch.zeros(1), driven.signed_speed))[:, None],
-        angular_velocity=torch.zeros(count, 1),
-        dt=torch.full((count, 1), driven.dt),
-        stamp=torch.zeros(count, 1).double(),
-    )
-    states: list[State] = [(rovers[step : step + 1], scans[step : step + 1], None) for step in range(count)]
-    angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
+    speed = torch.nn.functional.pad(driven.signed_speed, (1, 0))
+    twist, dt = torch.stack((speed, torch.zeros_like(speed)), 1), torch.full_like(speed, driven.dt)
+    rovers = _rovers(position, driven.angles, twist, dt, torch.zeros_like(speed))
+    states: list[State] = [(rovers[step : step + 1], scans[step : step + 1], None) for step in range(len(scans))]
     moments = moments_of(states, torch.tensor([drive.goal]), driven.dt, drive.ending)
+    angles = beam_angles(scans.shape[1]).float()
     return Recording(moments, place, get_robot(bag.robot), angles, driven.dt, drive.ending, number)
+
+
+def _rovers(position: Tensor, angles: Tensor, twist: Tensor, dt: Tensor, stamp: Tensor) -> RoverState:
+    return RoverState.pack(
+        position=position,
+        orientation=matrix_to_quaternion(euler_to_matrix(angles)),
+        linear_velocity=twist[:, :1],
+        angular_velocity=twist[:, 1:],
+        dt=dt[:, None],
+        stamp=stamp.double()[:, None],
+        contact=torch.zeros(len(position), 1, dtype=torch.bool),
+    )
 
 
 def place_of(world: str | None, drives: Sequence[RecordedDrive]) -> World:
@@ -225,8 +209,74 @@ def place_of(world: str | None, drives: Sequence[RecordedDrive]) -> World:
     if world not in (None, NO_WORLD):
         return get_world(world)
     points = [point for drive in drives for point in (drive.goal, *(sample.position[:2] for sample in drive.samples))]
-    side = float(math.ceil(2 * (max(max(map(abs, point)) for point in points) + _MARGIN)))
+    side = float(math.ceil(2 * (np.abs(points).max() + _MARGIN)))
     return World(NO_WORLD, Terrain.flat((side, side)))
+
+
+class Replay(Simulator):
+    """Backend, simulator and lidar that go through the samples of a drive, whatever is commanded."""
+
+    num_envs, control_dt, device = 1, CONTROL_DT, torch.device("cpu")
+    features = frozenset({"contacts", "lidar"})
+
+    def __init__(self, drive: RecordedDrive) -> None:
+        self._drive, self._index, self.angles = drive, 0, beam_angles(len(drive.samples[0].ranges)).float()
+        dts, position, angles, *_, wheels = zip(*drive.samples, strict=True)
+        place, turn, twist = map(torch.tensor, (position, angles, wheels))
+        steps, times = torch.tensor([dt or CONTROL_DT for dt in dts]), torch.tensor(drive.times, dtype=torch.float64)
+        self._states = _rovers(place, turn, twist, steps, times)
+
+    def make(self, **_: Any) -> Replay:
+        return self
+
+    def scanner(self, beams: int) -> Replay:
+        return self
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        return self._drive.samples[self._index].ranges[None].float()
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        self._index = 0
+        return self.state()
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        self._index += 1
+        return self.state()
+
+    def state(self) -> RoverState:
+        return self._states[self._index : self._index + 1].clone()
+
+
+def transitions(bag: Drives) -> Iterator[tuple[GymWrapper, dict[str, Any]]]:
+    """Yields the environment of each drive that has a step, and the drive as the fields of Minari's ``EpisodeBuffer``.
+
+    Actions are the commands that were sent, m/s and rad/s. The last step is truncated if it does not end the episode.
+    Raises ``ValueError`` for bags that ``rover-rl drive`` has not recorded, or without wheel odometry.
+    """
+    for drive in (drive for drive in bag.drives if len(drive.samples) > 1):
+        actions = np.array([sample.command for sample in drive.samples[1:]], dtype=np.float32)
+        if not np.isfinite([*actions, *(sample.wheels for sample in drive.samples)]).all():
+            raise ValueError("a data set needs bags of rover-rl drive with wheel odometry: see --topics.odometry")
+        place: Any = {"world": place_of(bag.world, [drive]), "robot": bag.robot, "backend": Replay(drive)}
+        lidar, action = LidarConfig(beams=len(drive.samples[0].ranges)), ActionConfig(kind="twist")
+        env = GymWrapper(make_env(EnvConfig(**place, lidar=lidar, action=action, end_on_goal=True, length=10**9)))
+        observations, rewards, terminations = [env.reset(options={"goal": drive.goal})[0]], list[float](), list[bool]()
+        for command in actions:
+            observation, reward, terminated, *_ = env.step(command)
+            observations.append(observation)
+            rewards.append(reward)
+            terminations.append(terminated)
+            if terminated:
+                break
+        env.close()
+        episode = {
+            "observations": {name: np.stack([each[name] for each in observations]) for name in observations[0]},
+            "actions": actions[: len(rewards)],
+            "rewards": rewards,
+            "terminations": terminations,
+            "truncations": [*[False] * (len(rewards) - 1), not terminations[-1]],
+        }
+        yield env, episode
 
 
 def _own(bag: Bag, topics: BagTopics) -> list[RecordedDrive]:
@@ -241,166 +291,71 @@ def _own(bag: Bag, topics: BagTopics) -> list[RecordedDrive]:
         elif drives and topic == ENDING:
             drives[-1].ending = message.data
         elif drives:
-            point, turn, twist = message.pose.position, message.pose.orientation, message.command
-            angles = quaternion_to_euler(torch.tensor([turn.x, turn.y, turn.z, turn.w])).tolist()
-            ranges, events = torch.tensor(message.ranges), (message.collision, message.reached)
-            place, command = (point.x, point.y, point.z), (twist.linear.x, twist.angular.z)
-            drives[-1].samples.append(Sample(message.dt, place, angles, ranges, *events, command, wheels))
+            angles = quaternion_to_euler(torch.tensor(astuple(message.pose.orientation))).tolist()
+            command, events = message.command, (message.collision, message.reached)
+            seen = astuple(message.pose.position), angles, torch.tensor(message.ranges), *events
+            drives[-1].samples.append(Sample(message.dt, *seen, (command.linear.x, command.angular.z), wheels))
     return drives
 
 
-class _Foreign:
-    """Reader of the drives of a bag that others have recorded: see :class:`BagTopics`."""
-
-    def __init__(self, bag: Bag, topics: BagTopics) -> None:
-        bag.require("goal", "--topics.goal", topics.goal, ros.PoseStamped.ros_type)
-        kind = _POSES[bag.require("pose", "--topics.pose", topics.pose, *_POSES)]
-        self._bag, self._topics, self._kinds = bag, topics, {topics.pose: kind, topics.goal: ros.PoseStamped}
-        if topics.scan in bag.types or topics.scan != BagTopics.scan:
-            bag.require("scan", "--topics.scan", topics.scan, ros.LaserScan.ros_type)
-            self._kinds[topics.scan] = ros.LaserScan
-        self._tf = RobotPose(topics.map_frame, topics.base_frame) if kind is ros.TFMessage else None
-        if self._tf is not None:
-            self._kinds[f"{TF_TOPIC}_static"] = kind
-        self._ranges, self._angles = torch.full((BEAMS,), math.inf), [0.0, 0.0, 0.0]
-        self._pose_frames, self._goal_frames = set[str](), set[str]()
-        self._poses = self._jumps = 0
-        self._last: Sample | None = None
-        self._time, self._is_driving = 0.0, False
-        self._drives: list[RecordedDrive] = []
-
-    def read(self) -> list[RecordedDrive]:
-        latest = -math.inf
-        for topic, at, message in self._bag.messages(self._kinds):
-            if at < latest - LATE:
-                text = f"goes back by {latest - at:.1f} s on {topic}, as of a simulation that has restarted"
-                raise ValueError(f"the time in {self._bag.path} {text}: record a bag for each start")
-            latest = max(latest, at)
-            with suppress(ValueError):  # as on a live robot, a message that cannot be used is ignored
-                if topic == self._topics.scan:
-                    scan = read_scan(message, max_invalid=1.0).mounted(self._topics.lidar_yaw)
-                    self._ranges, _ = aligned(scan, BEAMS)
-                elif topic == self._topics.goal:
-                    self._take_goal(at, message)
-                elif (pose := message if self._tf is None else self._tf.after(message)) is not None:
-                    self._take_pose(at, read_place(pose), read_frame(pose))
-        self._check()
-        return self._drives
-
-    def _take_goal(self, at: float, message: Any) -> None:
-        x, y, _ = read_finite("goal", *(getattr(message.pose.position, axis) for axis in "xyz")).tolist()
-        if self._drives and self._drives[-1].goal == (x, y):
-            return
-        if self._is_driving:
-            self._drives[-1].ending = REPLACED
-        self._goal_frames.add(read_frame(message))
-        start = [] if self._last is None else [self._last._replace(ranges=self._ranges)]
-        self._drives.append(RecordedDrive((x, y), start))
-        self._time, self._is_driving = at, True
-
-    def _take_pose(self, at: float, pose: MeasuredPose, frame: str) -> None:
-        self._pose_frames.add(frame)
-        if pose.orientation is not None:
-            self._angles = quaternion_to_euler(pose.orientation).tolist()
-        position, dt = pose.position.tolist(), max(0.0, at - self._time)
-        reached = self._is_driving and math.dist(position[:2], self._drives[-1].goal) <= TaskConfig().success_distance
-        self._poses += 1
-        self._jumps += self._last is not None and math.dist(position, self._last.position) > JUMP + FASTEST * dt
-        self._last, self._time = Sample(dt, position, self._angles, self._ranges, reached=reached), at
-        if self._is_driving:
-            self._drives[-1].samples.append(self._last)
-        if reached:
-            self._drives[-1].ending, self._is_driving = "goal", False
-
-    def _check(self) -> None:
-        path, pose, frames = self._bag.path, self._topics.pose, sorted(self._pose_frames)
-        if len(frames) > 1:
-            raise ValueError(f"the poses on {pose} in {path} are in the frames {frames}, as of several robots")
-        if self._jumps > max(MOST_JUMPS, self._poses / 10):
-            text = f"jumps {self._jumps} times by more than {JUMP:g} m, as of several robots"
-            raise ValueError(f"the pose on {pose} in {path} {text}")
-        for frame in self._goal_frames:
-            if frame and frames[:1] not in ([""], [frame]) and not {frame, *frames} <= {MAP, WORLD}:
-                raise ValueError(f"the goals in {path} are in the frame {frame!r}, and the poses in {frames}")
+def _foreign(bag: Bag, topics: BagTopics) -> list[RecordedDrive]:
+    """Drives of a bag that others have recorded: see :class:`BagTopics`."""
+    drives, pose_frames, goal_frames, jumps = list[RecordedDrive](), set[str](), set[str](), list[bool]()
+    last: Sample | None = None
+    time, angles, is_driving = 0.0, [0.0, 0.0, 0.0], False
+    for at, frame, found, ranges in _goals_and_poses(bag, topics):
+        if isinstance(found, MeasuredPose):
+            pose_frames.add(frame)
+            if found.orientation is not None:
+                angles = quaternion_to_euler(found.orientation).tolist()
+            position, dt = found.position.tolist(), max(0.0, at - time)
+            jumps.append(last is not None and math.dist(position, last.position) > JUMP + FASTEST * dt)
+            reached = is_driving and math.dist(position[:2], drives[-1].goal) <= TaskConfig().success_distance
+            last, time = Sample(dt, position, angles, ranges, reached=reached), at
+            if is_driving:
+                drives[-1].samples.append(last)
+            if reached:
+                drives[-1].ending, is_driving = "goal", False
+        elif not drives or drives[-1].goal != found:
+            if is_driving:
+                drives[-1].ending = REPLACED
+            goal_frames.add(frame)
+            drives.append(RecordedDrive(found, [] if last is None else [last._replace(ranges=ranges)]))
+            time, is_driving = at, True
+    path, frames = bag.path, sorted(pose_frames)
+    if len(frames) > 1:
+        raise ValueError(f"the poses on {topics.pose} in {path} are in the frames {frames}, as of several robots")
+    if sum(jumps) > max(MOST_JUMPS, len(jumps) / 10):
+        text = f"jumps {sum(jumps)} times by more than {JUMP:g} m, as of several robots"
+        raise ValueError(f"the pose on {topics.pose} in {path} {text}")
+    for frame in goal_frames:
+        if frame and frames[:1] not in ([""], [frame]) and not {frame, *frames} <= {MAP, WORLD}:
+            raise ValueError(f"the goals in {path} are in the frame {frame!r}, and the poses in {frames}")
+    return drives
 
 
-class Bag:
-    """Messages of a bag. ``types`` are those on each topic, and ``about`` is what ``rover-rl drive`` adds."""
-
-    def __init__(self, path: Path) -> None:
-        path.stat()  # says that there is none
-        self.path, self.about = path, dict[str, str]()
-        self.types: defaultdict[str, set[str]] = defaultdict(set)
-        for topic, ros_type, _, _ in self._records():
-            self.types[topic].add(ros_type)
-
-    @property
-    def contents(self) -> str:
-        """What is in the bag, as half a sentence."""
-        named = (f"{topic} ({' and '.join(map(short, sorted(types)))})" for topic, types in sorted(self.types.items()))
-        return f"it has {', '.join(named) or 'no messages'}"
-
-    def require(self, what: str, option: str, topic: str, *allowed: str) -> str:
-        """Returns the type on a topic, which is the value of an option. Raises ``ValueError`` for another."""
-        found = sorted(self.types.get(topic, ()))
-        if not found:
-            raise ValueError(f"{self.path} has no {what} on {topic}: name the topic with {option}; {self.contents}")
-        if len(found) > 1 or found[0] not in allowed:
-            types, needed = (" or ".join(map(short, names)) for names in (found, allowed))
-            raise ValueError(f"{topic} in {self.path} has {types}, and {option} takes {needed}; {self.contents}")
-        return found[0]
-
-    def messages(self, kinds: Mapping[str, Any]) -> Iterator[tuple[str, float, Any]]:
-        """Yields topic, time (s) and message of the topics of ``kinds``. Messages that are malformed are ignored."""
-        for topic, ros_type, nanoseconds, data in self._records():
-            if topic in kinds and ros_type == kinds[topic].ros_type:
-                with suppress(ValueError):
-                    yield topic, 1e-9 * nanoseconds, ros.decode(kinds[topic], data)
-
-    def _records(self) -> Iterator[tuple[str, str, int, bytes]]:
-        """Yields topic, type, time (ns) and content of each message. Raises ``ValueError`` for a damaged file."""
-        try:
-            yield from self._of_rosbag2() if self.path.is_dir() or self.path.suffix != BAG else self._of_mcap()
-        except Exception as error:
-            # Libraries of databases and compressions have errors of their own.
-            raise ValueError(f"{self.path} cannot be read: {str(error) or type(error).__name__}") from error
-
-    def _of_mcap(self) -> Iterator[tuple[str, str, int, bytes]]:
-        channels: dict[int, Channel] = {}
-        schemas: dict[int, str] = {}
-        with self.path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise ValueError("it is no MCAP file")
-            whole: Any = _WholeReads(file)
-            records = StreamReader(whole, skip_magic=True, record_size_limit=self.path.stat().st_size).records
-            with suppress(EndOfFile):  # the file was cut off here
-                for record in records:
-                    if isinstance(record, Schema):
-                        schemas[record.id] = record.name
-                    elif isinstance(record, Channel):
-                        channels[record.id] = record
-                    elif isinstance(record, Metadata) and record.name == ABOUT:
-                        self.about = record.metadata
-                    elif isinstance(record, Message) and record.channel_id in channels:
-                        channel = channels[record.channel_id]
-                        coding = "" if channel.message_encoding == "cdr" else f" in {channel.message_encoding}"
-                        name = schemas.get(channel.schema_id, "no type") + coding
-                        yield channel.topic, name, record.log_time, record.data
-
-    def _of_rosbag2(self) -> Iterator[tuple[str, str, int, bytes]]:
-        with AnyReader([self.path], default_typestore=ros.TYPES) as reader:
-            for connection, at, data in reader.messages():
-                yield connection.topic, connection.msgtype, at, bytes(data)
-
-
-class _WholeReads:
-    """Reads all bytes that are asked for or none, as mcap does not tell them apart at the end of a file."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-
-    def read(self, size: int) -> bytes:
-        data = self._file.read(size)
-        if len(data) < size:
-            raise EndOfFile
-        return data
+def _goals_and_poses(
+    bag: Bag, topics: BagTopics
+) -> Iterator[tuple[float, str, tuple[float, float] | MeasuredPose, Tensor]]:
+    """Yields the time (s) and the frame of each goal (x, y, m) and pose that can be used, and the last readings."""
+    kinds = {topics.goal: bag.require("goal", "--topics.goal", topics.goal, ros.PoseStamped)}
+    kinds[topics.pose] = bag.require("pose", "--topics.pose", topics.pose, *_POSES)
+    if topics.scan in bag.types or topics.scan != BagTopics.scan:
+        kinds[topics.scan] = bag.require("scan", "--topics.scan", topics.scan, ros.LaserScan)
+    tf, is_tf = RobotPose(topics.map_frame, topics.base_frame), kinds[topics.pose] is ros.TFMessage
+    if is_tf:
+        kinds[f"{TF_TOPIC}_static"] = ros.TFMessage
+    latest, ranges = -math.inf, torch.full((BEAMS,), math.inf)
+    for topic, at, message in bag.messages(kinds):
+        if at < latest - LATE:
+            text = f"goes back by {latest - at:.1f} s on {topic}, as of a simulation that has restarted"
+            raise ValueError(f"the time in {bag.path} {text}: record a bag for each start")
+        latest = max(latest, at)
+        with suppress(ValueError):  # as on a live robot, a message that cannot be used is ignored
+            if topic == topics.scan:
+                ranges, _ = aligned(read_scan(message, max_invalid=1.0).mounted(topics.lidar_yaw), BEAMS)
+            elif topic == topics.goal:
+                x, y, _ = read_finite("goal", *astuple(message.pose.position)).tolist()
+                yield at, read_frame(message), (x, y), ranges
+            elif (pose := tf.after(message) if is_tf else message) is not None:
+                yield at, read_frame(pose), read_place(pose), ranges

@@ -17,7 +17,7 @@ from tensordict import TensorDict
 
 from rover_rl.algos.config import training_config
 from rover_rl.algos.deploy import export as exporting
-from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, random_observations
+from rover_rl.algos.deploy.export import OnnxPolicy, export, random_observations
 from rover_rl.algos.evaluation.episodes import draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
@@ -125,7 +125,7 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
         export(SAC, tmp_path / "moon.onnx")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
-        onnx_function(tmp_path / "moon.onnx")
+        OnnxPolicy(tmp_path / "moon.onnx")
 
 
 @needs_onnx
