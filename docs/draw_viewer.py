@@ -124,7 +124,9 @@ def draw_inside(browser: Browser) -> None:
     with viewer_of("pretrained:anywhere", 6.0, world="maze:10003", num_envs=1, seed=1) as viewer:
         viewer.stage.show_layer("map of the policy", True)
         with page_of(browser, viewer, (1100, 860), "Inside") as page:
-            viewer.request(viewer._show_panels)
+            session = viewer.session
+            viewer.request(lambda: viewer.panels.show(session))
+            viewer.request(lambda: viewer.stage.show_map(session.seen_map(), session.tracked()))
             page.wait_for_timeout(4_000)
             save(page.screenshot(), "viewer-inside.png")
 

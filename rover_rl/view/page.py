@@ -56,7 +56,17 @@ def open_page(host: str = HOST, port: int = PORT) -> viser.ViserServer:
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.set_panel_label("rover_rl")
-    _light(server.scene)
+    scene, sky, soil, color = server.scene, (231, 238, 255), (150, 128, 106), (255, 243, 222)
+    scene.set_up_direction("+z")
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(None)
+    scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
+    # The shadows of what does not move are in the colors of the world. The others are drawn near the middle, where the
+    # followed rover is.
+    position = tuple(60 * np.array(SUN))
+    scene.add_light_directional("/light/sun", color=color, intensity=2.6, position=position, cast_shadow=True)
+    scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
+    scene.world_axes.visible = False
     return server
 
 
@@ -110,7 +120,6 @@ class Page(ABC):
         self.playing, self._play.label = playing, "Pause" if playing else "Run"
 
     def _add_play(self) -> None:
-        """Adds the buttons that pause, and the speed."""
         gui = self.server.gui
         self._play = gui.add_button("Pause", hint="Space")
         self._play.on_click(lambda _: self.play(not self.playing))
@@ -134,21 +143,6 @@ def check_address(host: str, port: int) -> int:
         except OSError as error:
             raise OSError(f"cannot open a page on {host}:{port} ({error.strerror}); choose another --port") from error
         return int(probe.getsockname()[1])
-
-
-def _light(scene: viser.SceneApi) -> None:
-    """Adds a sun, the light of the sky and the dome of the sky."""
-    scene.set_up_direction("+z")
-    scene.configure_default_lights(enabled=False)
-    scene.configure_environment_map(None)
-    sky, soil = (231, 238, 255), (150, 128, 106)
-    scene.add_light_hemisphere("/light/sky", sky_color=sky, ground_color=soil, intensity=1.9, wxyz=_Z_UP)
-    # The shadows of what does not move are in the colors of the world. The others are drawn near the middle, where the
-    # followed rover is.
-    position, color = tuple(60 * np.array(SUN)), (255, 243, 222)
-    scene.add_light_directional("/light/sun", color=color, intensity=2.6, position=position, cast_shadow=True)
-    scene.add_mesh_trimesh("/light/dome", sky_dome(), cast_shadow=False, receive_shadow=False)
-    scene.world_axes.visible = False
 
 
 class Pilot:

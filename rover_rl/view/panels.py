@@ -51,10 +51,10 @@ class Plot:
         if not lines or len(x) < 2:
             return
         data = (x.astype(np.float64), *(np.asarray(line, dtype=np.float64) for line in lines.values()))
-        if self._handle is not None and tuple(lines) == self._names:
-            self._handle.data = data
-            return
         if self._handle is not None:
+            if tuple(lines) == self._names:
+                self._handle.data = data
+                return
             self._handle.remove()
         self._names = tuple(lines)
         series = [uplot.Series(label=name, stroke=COLORS[i % len(COLORS)], width=2) for i, name in enumerate(lines)]
@@ -71,17 +71,17 @@ class Panels:
         with self._folder:
             self._lidar, self._spread, self._bars = (gui.add_html("") for _ in range(3))
         self.images: dict[str, viser.GuiImageHandle] = {}
-        titles = ("speed, m/s", "distance to the goal, m", "reward components", "estimate of the value")
-        self._speed, self._distance, self._reward, self._value = (Plot(gui, self._folder, title) for title in titles)
+        titles = ("speed, m/s", "distance to the goal, m", "estimate of the value", "reward components")
+        *plots, self._reward = (Plot(gui, self._folder, title) for title in titles)
+        self._plots = dict(zip(plots, (("speed", "speed command"), ("distance",), (VALUE,)), strict=True))
 
     def show(self, session: Session) -> None:
         history, seen = session.history, session.observation
         steps = len(history.get("speed", ()))
         x = np.arange(-steps + 1, 1) * session.rovers.control_dt
         lines = {name: np.array(values) for name, values in history.items() if len(values) == steps}
-        self._speed.show(x, {name: lines[name] for name in ("speed", "speed command") if name in lines})
-        self._distance.show(x, {name: lines[name] for name in ("distance",) if name in lines})
-        self._value.show(x, {name: lines[name] for name in (VALUE,) if name in lines})
+        for plot, names in self._plots.items():
+            plot.show(x, {name: lines[name] for name in names if name in lines})
         rewards = {name.removeprefix(REWARD): line for name, line in lines.items() if name.startswith(REWARD)}
         self._reward.show(x, {name: line for name, line in rewards.items() if line.any()})
         if (lidar := seen.get("lidar", None)) is not None:
@@ -90,13 +90,10 @@ class Panels:
         self._spread.content = "" if spread is None else spread_bars(spread)
         self._bars.content = reward_bars({name: line.sum() for name, line in rewards.items()}, session.inside())
         images = {key: sensor for key, sensor in session.rovers.sensors.items() if sensor.image}
-        self._show_images({key: sensor_picture(sensor, seen[key][session.row]) for key, sensor in images.items()})
-
-    def _show_images(self, pictures: Mapping[str, np.ndarray]) -> None:
-        """Shows what cameras and the like see, pictures ``[height, width, 3]`` by name. Others disappear."""
-        for name in self.images.keys() - pictures.keys():
+        for name in self.images.keys() - images.keys():
             self.images.pop(name).remove()
-        for name, picture in pictures.items():
+        for name, sensor in images.items():
+            picture = sensor_picture(sensor, seen[name][session.row])
             if name in self.images:
                 self.images[name].image = picture
                 continue
@@ -105,28 +102,25 @@ class Panels:
 
 
 def episode_table(episodes: Iterable[Episode]) -> str:
-    """A table of episodes in Markdown."""
-    head = "| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|"
     rows = (f"| {one.row} | {one.number} | {one.seconds:.1f} | {one.goals} | {one.ending} |" for one in episodes)
-    return "\n".join([head, *rows])
+    return "\n".join(["| rover | episode | s | goals | ending |\n|--:|--:|--:|--:|:--|", *rows])
 
 
 def lidar_picture(readings: np.ndarray, max_range: float) -> str:
     """An SVG picture of pooled lidar readings ``[points]`` (m) around the rover, which heads up."""
     count = len(readings)
-    edges = np.arange(count + 1) * (2 * math.pi / count)
+    edges = np.linspace(0, 2 * math.pi, count + 1)
     shares = np.sqrt(np.clip(readings, 0, max_range) / max_range) * 95
     wedges = []
     for share, reading, a, b in zip(shares, readings, edges[:-1], edges[1:], strict=True):
         (x0, y0), (x1, y1) = ((-share * math.sin(angle), -share * math.cos(angle)) for angle in (a, b))
         color = RED if reading < 0.5 else ORANGE if reading < 1.5 else SKY
         wedges.append(f'<path d="M0 0L{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}Z" fill="{color}" fill-opacity="0.75"/>')
-    ring = f'<circle r="95" fill="#f3f4f6" stroke="{GREY}" stroke-width="0.5"/>'
-    rover = '<path d="M0 -7L5 6L0 3L-5 6Z" fill="#111827"/>'
-    caption = f"lidar as the policy sees it: {count} readings up to {max_range:g} m (square-root scale)"
     return (
         f'<div style="text-align:center;font-size:12px"><svg viewBox="-100 -100 200 200" width="220">'
-        f"{ring}{''.join(wedges)}{rover}</svg><br>{caption}</div>"
+        f'<circle r="95" fill="#f3f4f6" stroke="{GREY}" stroke-width="0.5"/>{"".join(wedges)}'
+        f'<path d="M0 -7L5 6L0 3L-5 6Z" fill="#111827"/></svg><br>'
+        f"lidar as the policy sees it: {count} readings up to {max_range:g} m (square-root scale)</div>"
     )
 
 
@@ -239,7 +233,6 @@ class TrainingPanel:
         self._own.value = False
 
     def refresh(self) -> None:
-        """Reads what the run has written since the last call."""
         files = self._run.policies()
         if files and self._seen != (seen := (files[-1], files[-1].stat().st_mtime_ns)):
             self._seen = seen

@@ -10,7 +10,6 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from rover_rl.algos.video.recording import Moment, Recording, curves_of
 from rover_rl.algos.video.session import Pose
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
-from rover_rl.sims.free_space.paths import PathDistances
+from rover_rl.sims.free_space.paths import PathGrid
 from rover_rl.view.page import HOST, PORT, Page, Recorder, close_page, open_page
 from rover_rl.view.panels import Plot
 from rover_rl.view.stage import LOOK_AT, Stage
@@ -44,23 +43,17 @@ class Projector:
         self.recording: Recording | None = None
 
     def load(self, recording: Recording) -> None:
-        """Shows the start of a recording."""
-        self.recording = recording
+        self.recording, self._grid = recording, PathGrid(recording.world, recording.robot)
         self.stage.enter(recording.world, recording.robot, recording.ray_angles)
         self.stage.forget_path()
-        self._distances = PathDistances([recording.world], recording.robot)
-        self._goal: torch.Tensor | None = None
         self.show(0)
 
     def show(self, index: int) -> Moment:
-        """Shows a moment of the recording and returns it."""
         assert self.recording is not None
         moment = self.recording.moments[index]
         pose = Pose.of(moment.rover)
-        self.stage.show(moment, 0, torch.arange(len(moment.goal)), pose)
-        if self._goal is None or not moment.goal[0].equal(self._goal):
-            self._goal = moment.goal[0]
-            self.stage.show_route(self._distances.path(0, pose.position[0, :2], self._goal.cpu()))
+        rows, ends = torch.arange(len(moment.goal)), (pose.position[0, :2], moment.goal[0].cpu())
+        self.stage.show(moment, 0, rows, pose, lambda: self._grid.path(*ends))
         return moment
 
 
@@ -78,8 +71,7 @@ def write_replay(recordings: Sequence[Recording], path: Path, titles: Sequence[s
             for number, (recording, title) in enumerate(zip(recordings, titles or [""] * len(recordings), strict=True)):
                 if recording is not projector.recording:
                     projector.load(recording)
-                stride = _stride(recording)
-                for index in range(0, len(recording.moments), stride):
+                for index in range(0, len(recording.moments), stride := _stride(recording)):
                     caption = caption_of(projector.show(index))
                     captions.append(f"{title} · {caption}" if title else caption)
                     serializer.insert_sleep(stride * recording.dt)
@@ -108,8 +100,7 @@ def _stride(recording: Recording) -> int:
 def _overlay(recordings: Sequence[Recording], captions: Sequence[str]) -> str:
     """Plots of the drives over the whole time, and captions, which follow the time slider."""
     each = [(curves_of(one), _stride(one)) for one in recordings]
-    names = dict.fromkeys(chain.from_iterable(curves for curves, _ in each))
-    curves = {name: np.concatenate([curves[name][::stride] for curves, stride in each]) for name in names}
+    curves = {name: np.concatenate([curves[name][::stride] for curves, stride in each]) for name in each[0][0]}
     plots = "".join(_curve_plot(name, values) for name, values in curves.items())
     script = f"<script>const captions = {json.dumps(captions)};{_SCRIPT.read_text()}</script>"
     shown = f'<div style="display:flex;gap:12px">{plots}</div>'
@@ -171,8 +162,7 @@ class ReplayPage(Page):
             self._time.max = max(recording.dt, recording.seconds)
             x = np.arange(len(recording.moments)) * recording.dt
             for name, values in curves_of(recording).items():
-                plot = self._plots.setdefault(name, Plot(self.server.gui, self._folder, name))
-                plot.show(x, {name: values})
+                self._plots.setdefault(name, Plot(self.server.gui, self._folder, name)).show(x, {name: values})
 
     def _seek(self, seconds: float) -> None:
         self.play(False)

@@ -5,7 +5,7 @@ The follow camera moves the world, not the camera: the pages stay free to orbit 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import torch
 import viser
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from rover_rl.algos.video.recording import Moment
@@ -26,7 +27,7 @@ from rover_rl.worlds import World, hull
 from rover_rl.worlds.movers.parts import Parts
 from rover_rl.worlds.region import union
 
-Vector: TypeAlias = Sequence[float] | np.ndarray
+Route: TypeAlias = Callable[[], Tensor]  # returns the points of the shortest path to a goal, ``[points, 2]``, m
 Mode = Literal["follow", "top", "free"]
 MODES: tuple[Mode, ...] = ("follow", "top", "free")
 ROOT = "/world"  # scene node of everything but light and sky, which the cameras move
@@ -61,7 +62,7 @@ _LIFT = 0.04  # height of paths above the ground, m
 _SPACING = 0.05  # distance between two points of the driven path, m
 _JUMP = 1.0  # distance of a rover from the last point of its path from which it was put elsewhere, m
 _SEGMENTS = 128  # numbers of line segments of a node are multiples of this, so that nodes are seldom made anew
-_NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
 class Cameras:
@@ -96,11 +97,11 @@ class Cameras:
         self._yaw = yaw
         if self.mode != "follow":
             return
-        height = self._offset[2] + _SMOOTHING * (-position[2] - self._offset[2])
-        far = abs(position[2] + self._offset[2]) > 1.0
-        self._move(np.array((-position[0], -position[1], -position[2] if far else height)))
+        lag = -position[2] - self._offset[2]
+        height = self._offset[2] + (lag if abs(lag) > 1.0 else _SMOOTHING * lag)
+        self._move(np.array((-position[0], -position[1], height)))
 
-    def ground_at(self, world: World, eye: Vector, toward: Vector) -> tuple[float, float] | None:
+    def ground_at(self, world: World, eye: ArrayLike, toward: ArrayLike) -> tuple[float, float] | None:
         """Point of the ground in a direction from the camera, x and y (m); ``None`` for the sky."""
         start, direction = np.array(eye) - self._offset, np.array(toward) / np.linalg.norm(toward)
         points = torch.from_numpy(start + np.arange(0, SIGHT, _STEP)[:, None] * direction)
@@ -155,17 +156,15 @@ class Stage:
     world: World
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+        self._server, self.cameras = server, Cameras(server)
         self._robot: Robot | None = None
         self.shown: dict[str, bool] = {}
         self.on_drag: Callable[[viser.SceneNodeDragEvent], None] | None = None
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         self._forms: dict[Form, int] = {}
         self._path: list[np.ndarray] = []
-        server.scene.add_frame(ROOT, show_axes=False)
         for layer in LAYERS:
             self.show_layer(layer, layer != MAP)
-        self.cameras = Cameras(server)
 
     def enter(self, world: World, robot: Robot, ray_angles: Tensor) -> None:
         """Shows a world for a robot, with the direction of each lidar beam in its frame, ``[beams]``, rad."""
@@ -193,13 +192,12 @@ class Stage:
             self._nodes.pop(key).remove()
 
     def forget_path(self) -> None:
-        """Starts a new driven path."""
         self._path.clear()
-        self.show_route(torch.zeros(0, 2))
-        self._lines("driven path", np.zeros((0, 2, 3)), DRIVEN)
+        self._goal: Tensor | None = None
+        for layer, color in (("driven path", DRIVEN), ("shortest path", SHORTEST)):
+            self._lines(layer, np.zeros((0, 2, 3)), color)
 
     def add_controls(self) -> None:
-        """Adds the choice of a camera to the page, and a checkbox for each layer."""
         gui = self._server.gui
         mode = gui.add_dropdown("Camera", MODES, initial_value=MODES[0])
         mode.on_update(lambda _: self.cameras.select(mode.value))
@@ -211,31 +209,29 @@ class Stage:
         self.shown[layer] = shown
         self._server.scene.add_frame(self._name(layer), show_axes=False, visible=shown)
 
-    def show(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
+    def show(self, moment: Moment, row: int, rows: Tensor, pose: Pose, route: Route | None = None) -> None:
         """Shows the rovers ``rows`` (int64) in a moment of all rovers, and lets the camera follow the rover ``row``.
 
-        That one's rays, path and movers are shown. ``pose``, at which rovers are drawn, may be between two moments.
+        That one's rays, path and movers are shown, and its shortest path, which ``route`` returns for each new goal.
+        ``pose``, at which rovers are drawn, may be between two moments.
         """
         assert self._robot is not None
-        position, orientation = pose.position[rows].numpy(), pose.orientation[rows].numpy()
-        self._many("rovers", "rover", partial(robot_surface, self._robot), position, orientation[:, [3, 0, 1, 2]])
+        surface = partial(robot_surface, self._robot)
+        self._many("rovers/rover", surface, pose.position[rows].numpy(), pose.orientation[rows].numpy())
         if self.shown["lidar rays"] or self.shown["lidar hits"]:
             self._show_lidar(moment, row, rows)
         if self.shown["goals"]:
-            goal = moment.goal[rows].cpu()
-            height = self.world.height_at(goal.double()).float()
-            places = torch.cat((goal, height.reshape(-1, 1)), -1).numpy()
+            places = self._on_ground(moment.goal[rows].cpu(), 0.0)
             scales = np.where(rows.numpy() == row, 1.0, OTHERS)
-            self._many("goals", "post", post_surface, places, np.tile(_NO_ROTATION, (len(places), 1)), scales)
+            self._many("goals/post", post_surface, places, np.tile(_NO_ROTATION, (len(places), 1)), scales)
         if moment.movers is not None and self.shown["movers"]:
             self._show_movers(moment.movers)
         self._extend_path(pose.position[row].numpy())
         yaw = quaternion_to_euler(pose.orientation[row : row + 1])[0, 2].item()
         self.cameras.follow(pose.position[row].numpy(), yaw)
-
-    def show_route(self, points: Tensor) -> None:
-        """Shows the shortest path, ``[points, 2]``, m."""
-        self._polyline("shortest path", self._on_ground(points), SHORTEST)
+        if route is not None and (self._goal is None or not moment.goal[row].equal(self._goal)):
+            self._goal = moment.goal[row]
+            self._polyline("shortest path", self._on_ground(route()), SHORTEST)
 
     def show_map(self, seen: tuple[Tensor, Tensor] | None, tracked: Tensor) -> None:
         """Shows what a policy has seen, its route, and the movers that it tracks, with their ways of the next second.
@@ -252,9 +248,9 @@ class Stage:
         ends = torch.cat((sides, torch.cat((place, place + velocity), 1).reshape(-1, 2)))
         self._lines(f"{MAP}/movers", self._on_ground(ends).reshape(-1, 2, 3), TRACKED)
 
-    def _on_ground(self, places: Tensor) -> np.ndarray:
+    def _on_ground(self, places: Tensor, lift: float = _LIFT) -> np.ndarray:
         """Points just above the ground, ``[n, 3]``, at ``places [n, 2]``, m."""
-        return torch.cat((places, self.world.height_at(places.double()).float()[:, None] + _LIFT), -1).numpy()
+        return torch.cat((places, self.world.height_at(places.double()).float()[:, None] + lift), -1).numpy()
 
     def _name(self, layer: str) -> str:
         return f"{ROOT}/{layer.replace(' ', '_')}"
@@ -286,9 +282,8 @@ class Stage:
             if parts.mover[0, part] < len(self.world.movers):
                 groups.setdefault(form, []).append(part)
         for form, members in groups.items():
-            position, turn = parts.position[0, members].numpy(), parts.orientation[0, members].numpy()
-            key = f"form{self._forms.setdefault(form, len(self._forms))}"
-            self._many("movers", key, partial(part_surface, form), position, turn[:, [3, 0, 1, 2]])
+            key, surface = f"movers/form{self._forms.setdefault(form, len(self._forms))}", partial(part_surface, form)
+            self._many(key, surface, parts.position[0, members].numpy(), parts.orientation[0, members].numpy())
 
     def _cloud(self, layer: str, points: np.ndarray, color: Color, size: float) -> None:
         if isinstance(cloud := self._nodes.get(layer), viser.PointCloudHandle):
@@ -315,22 +310,16 @@ class Stage:
         self._nodes[layer] = self._server.scene.add_line_segments(name, filled, color, thickness=thickness)
 
     def _many(
-        self,
-        layer: str,
-        key: str,
-        surface: Callable[[], Surface],
-        position: np.ndarray,
-        wxyz: np.ndarray,
-        scales: np.ndarray | None = None,
+        self, key: str, surface: Callable[[], Surface], position: np.ndarray, xyzw: np.ndarray, scales: Any = None
     ) -> None:
-        """Shows copies of a surface. A change of their number makes a new node."""
-        node = self._nodes.get(f"{layer}/{key}")
+        """Shows copies of a surface, in the layer that ``key`` begins with. A change of their number makes a node."""
+        node, wxyz = self._nodes.get(key), xyzw[:, [3, 0, 1, 2]]
         if isinstance(node, viser.BatchedGlbHandle) and len(node.batched_positions) == len(position):
             node.batched_positions, node.batched_wxyzs, node.batched_scales = position, wxyz, scales
             return
         options: dict[str, Any] = {"batched_scales": scales, "lod": "off" if len(position) <= FEW else "auto"}
-        mesh, name = solid(surface()), f"{self._name(layer)}/{key}"
-        node = self._server.scene.add_batched_meshes_trimesh(name, mesh, wxyz, position, **options)
-        self._nodes[f"{layer}/{key}"] = node
-        if layer == "rovers" and self.on_drag is not None:
+        mesh = solid(surface())
+        node = self._server.scene.add_batched_meshes_trimesh(f"{ROOT}/{key}", mesh, wxyz, position, **options)
+        self._nodes[key] = node
+        if key == "rovers/rover" and self.on_drag is not None:
             node.on_drag(self.on_drag)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import viser
-from torch import Tensor
+from numpy.typing import ArrayLike
 from torchrl.envs import EnvBase
 
 from rover_rl.algos.config import RunConfig
@@ -27,12 +27,11 @@ from rover_rl.algos.policy.names import BASELINES, PRETRAINED, RANDOM, make_base
 from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import pretrained_names
 from rover_rl.algos.train.live import INTERVAL
-from rover_rl.algos.video.recording import Moment
 from rover_rl.algos.video.session import Pose, Session
 from rover_rl.native.threads import single_threaded
 from rover_rl.robots import ROBOTS
 from rover_rl.view.page import HOST, PORT, Page, Pilot, Recorder, check_address
-from rover_rl.view.panels import LiveMoment, Load, Panels, TrainingPanel, episode_table
+from rover_rl.view.panels import LiveMoment, Panels, TrainingPanel, episode_table
 from rover_rl.view.replay import caption_of
 from rover_rl.view.stage import MAP, Stage
 from rover_rl.worlds import world_names
@@ -46,28 +45,21 @@ MAX_LAG = 0.25  # time that a simulation slower than its speed setting catches u
 BACKENDS = ("bullet", "warp", "mujoco")  # simulators that the page offers
 
 
-def named_policy(name: str) -> Policy | None:
-    return resolve_policy(name).module
-
-
 class Viewer(Page):
     """Page in the browser with the rovers of an environment. It runs in the background until :meth:`close`.
-
-    The page shows terrain, rovers, lidar, goals and paths, pauses and steps the simulation, sets goals by clicks on the
-    ground, changes policy and world, and lets a person drive. ``print(viewer.address)`` says where it is.
 
     Args:
         env: :class:`~rover_rl.RoverEnv` or :func:`~rover_rl.make_env`, with ``num_envs``.
         policy: policy that drives, or its name; ``None`` acts at random.
         name: name of the policy on the page.
-        host: address that the page is served on. ``"0.0.0.0"`` lets other machines reach it.
+        host: address of the page. ``"0.0.0.0"`` lets other machines reach it.
         port: port of the page; 0 takes a free one.
         find_policy: function that returns the policy of a name. By default: ``random``, a baseline,
             ``pretrained:NAME``, the folder of a run or a checkpoint.
         run: run whose learning curve and snapshots the page shows.
 
     Attributes:
-        address: address of the page.
+        address: address of the page, to open in a browser.
         error: what went wrong last, such as an error in the policy; empty if nothing has.
 
     Raises:
@@ -84,7 +76,7 @@ class Viewer(Page):
         name: str | None = None,
         host: str = HOST,
         port: int = PORT,
-        find_policy: Callable[[str], Policy | None] = named_policy,
+        find_policy: Callable[[str], Policy | None] = lambda name: resolve_policy(name).module,
         run: RunFiles | None = None,
     ) -> None:
         check_address(host, port)
@@ -103,7 +95,7 @@ class Viewer(Page):
         self._watching, self._due, self._last, self._read = False, 0.0, 0.0, 0.0
         self.stage = Stage(self.server)
         self._make_page(name, run)
-        self._show_world()
+        self._moved()
         self.start()
 
     def close(self) -> None:
@@ -145,7 +137,9 @@ class Viewer(Page):
             self._episodes = gui.add_markdown("No episode has ended yet.")
         if run is not None:
             with tabs.add_tab("Training"):
-                self._training = TrainingPanel(gui, run, self._drive_with)
+                self._training = TrainingPanel(
+                    gui, run, lambda load: self.request(lambda: self.session.set_policy(*load()), self._moved)
+                )
         scene.on_click()(self._on_click)
         scene.on_click(modifier="shift")(self._on_click)
         self.stage.on_drag = self._on_drag
@@ -181,23 +175,22 @@ class Viewer(Page):
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Moves the goal of the followed rover to where the ground was clicked, or with Shift the rover."""
-        session, row = self.session, self.session.row
-        place = self.stage.cameras.ground_at(session.rovers.worlds[row], event.ray_origin, event.ray_direction)
-        if place is None:
-            return
-        if event.modifier == "shift":
-            self._drive(lambda: session.put(row, place), self._moved)
-        else:
-            self._drive(lambda: session.set_goal(row, place), self._show_route)
+        self._put(self.session.row, event.ray_origin, event.ray_direction, goal=event.modifier != "shift")
 
     def _on_drag(self, event: viser.SceneNodeDragEvent) -> None:
         """Puts a rover that was dragged to the ground under the pointer."""
         if event.phase != "end" or event.instance_index is None:
             return
+        row, eye = int(self.session.neighbors()[event.instance_index]), event.client.camera.position
+        self._put(row, eye, np.array(event.end_position) - eye)
+
+    def _put(self, row: int, eye: ArrayLike, toward: ArrayLike, goal: bool = False) -> None:
+        """Puts a rover or its goal to where a line of sight meets the ground, if it does."""
         session = self.session
-        row, eye = int(session.neighbors()[event.instance_index]), event.client.camera.position
-        place = self.stage.cameras.ground_at(session.rovers.worlds[row], eye, np.array(event.end_position) - eye)
-        if place is not None:
+        place = self.stage.cameras.ground_at(session.rovers.worlds[row], eye, toward)
+        if place is not None and goal:
+            self._drive(lambda: session.set_goal(row, place))
+        elif place is not None:
             self._drive(lambda: session.put(row, place), self._moved)
 
     def set_policy(self, name: str) -> None:
@@ -212,9 +205,6 @@ class Viewer(Page):
         self.session.set_robot(name, make_baseline(self._policy, name) if self._policy in BASELINES else policy)
         self._moved()
 
-    def _drive_with(self, load: Load) -> None:
-        self.request(lambda: self.session.set_policy(*load()), self._moved)
-
     def _change(self, **changes: Any) -> None:
         self._status.content = "Loading …"
         self.session.change(**changes)
@@ -225,20 +215,11 @@ class Viewer(Page):
         self._moved()
 
     def _moved(self) -> None:
-        """Shows a rover that is elsewhere than before."""
-        self.stage.forget_path()
-        self._show_world()
-
-    def _show_world(self) -> None:
-        """Shows the world of the followed rover and its shortest path."""
+        """Shows a rover that is elsewhere than before, perhaps in another world."""
         rovers = self.session.rovers
         self.stage.enter(rovers.worlds[self.session.row], rovers.robot, rovers.scanner.angles.cpu())
+        self.stage.forget_path()
         self._before = self._now = Pose.of(rovers.rover_state)
-        self._show_route()
-
-    def _show_route(self) -> None:
-        self._goal = self.session.rovers.goal[self.session.row]
-        self.stage.show_route(self.session.route())
 
     @single_threaded()
     def _run(self) -> None:
@@ -279,10 +260,9 @@ class Viewer(Page):
         if self._watching:
             self._watching = False
             self._moved()
-        began = time.monotonic()
-        passed, self._last, dt = began - self._last, began, self.session.rovers.control_dt
-        most = MAX_LAG * max(1.0, self.speed)
-        self._due = min(self._due + passed * self.speed, most) if self.playing else 0.0
+        began, dt = time.monotonic(), self.session.rovers.control_dt
+        due, self._last = self._due + (began - self._last) * self.speed, began
+        self._due = min(due, MAX_LAG * max(1.0, self.speed)) if self.playing else 0.0
         while self._due >= dt and self.playing and not self._closed.is_set():
             self._step()
             self._due -= dt
@@ -296,19 +276,19 @@ class Viewer(Page):
 
     def _step(self) -> None:
         session, row = self.session, self.session.row
-        by_hand = row if self.pilot.active else None
         action = self.pilot.steered(session.decide(), row, session.config.bounded_action)
-        self._before = self._now
-        session.advance(action, by_hand)
-        self._now = Pose.of(session.rovers.rover_state)
-        if not session.rovers.goal[row].equal(self._goal):
-            self._show_world()
+        session.advance(action, row if self.pilot.active else None)
+        self._before, self._now = self._now, Pose.of(session.rovers.rover_state)
+        if session.rovers.worlds[row] is not self.stage.world:
+            self._moved()
 
     def _show(self, share: float) -> None:
         """Shows the state, ``share`` of the way from the last step but one to the last."""
         session = self.session
         pose = self._before.toward(self._now, min(1.0, share))
-        self._show_moment(session.moment(), session.row, session.neighbors(), pose)
+        with self.server.atomic():
+            self.stage.show(session.moment(), session.row, session.neighbors(), pose, session.route)
+        self.frames += 1
         if self.frames % PANELS_EVERY == 0:
             self._show_status()
             self.panels.show(session)
@@ -318,22 +298,18 @@ class Viewer(Page):
                 self._episodes.content = episode_table(session.episodes)
 
     def _show_live(self, live: LiveMoment) -> None:
-        """Shows the rovers of a training."""
         row = min(self.session.row, len(live.worlds) - 1)
         world, moment, rows = live.of(row)
         self.stage.enter(world, *self._trained)
         if not self._watching:
             self._watching = True
             self.stage.forget_path()
-        self._show_moment(moment, row, rows, Pose.of(moment.rover))
+        with self.server.atomic():
+            self.stage.show(moment, row, rows, Pose.of(moment.rover))
+        self.frames += 1
         speed = moment.rover.linear_velocity[row].item()
         distance = (moment.goal[row] - moment.rover.position[row, :2]).norm().item()
         self._status.content = f"{world.name} · training · {speed:.2f} m/s · goal {distance:.1f} m"
-
-    def _show_moment(self, moment: Moment, row: int, rows: Tensor, pose: Pose) -> None:
-        self.frames += 1
-        with self.server.atomic():
-            self.stage.show(moment, row, rows, pose)
 
     def _show_status(self) -> None:
         session = self.session

@@ -52,12 +52,9 @@ def _read_file(path: Path, worlds: Sequence[int] | None) -> list[Course]:
     matching = len(ends) == len(found) + 1 == len(lengths) + 1
     if not (ordered and matching and ends[0] == 0 and ends[-1] == len(arrays["cylinder_xy"])):
         raise ValueError(f"the arrays of {path} do not match: offsets must be the first cylinder of each world")
-    rows = {number: row for row, number in enumerate(found)}
     centers = np.split(arrays["cylinder_xy"], ends[1:-1])
-    return [
-        _course(f"world {number} in {path}", number, centers[rows[number]], lengths[rows[number]])
-        for number in _chosen(path, found, worlds)
-    ]
+    stored = {number: each for number, *each in zip(found, centers, lengths, strict=False)}
+    return [_course(f"world {number} in {path}", number, *stored[number]) for number in _chosen(path, found, worlds)]
 
 
 def _read_folder(folder: Path, worlds: Sequence[int] | None) -> list[Course]:

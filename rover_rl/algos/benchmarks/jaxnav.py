@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from rover_rl.algos.benchmarks.suite import COLUMNS, Course, Result, Suite, open_world, read_arrays
-from rover_rl.algos.evaluation.metrics import Estimate, ratio
+from rover_rl.algos.evaluation.metrics import UNDEFINED, Estimate, ratio
 from rover_rl.algos.evaluation.trajectory import Trajectory
 from rover_rl.envs.config import EnvConfig
 from rover_rl.worlds import boxes
@@ -98,7 +98,7 @@ class JaxNav(Suite):
         return (run.ending == "goal") * shortest / max(run.length, shortest, 1e-9)
 
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        worst = Estimate(math.nan, math.nan, math.nan)
+        worst = UNDEFINED
         if self.runs > 1:
             success, scores = result.succeeded, result.scores
             choice = list(zip(success[:, ::2].mean(1).tolist(), scores[:, ::2].mean(1).tolist(), strict=True))
@@ -109,11 +109,8 @@ class JaxNav(Suite):
     def differences(self, env: EnvConfig) -> list[str]:
         spl = "SPL: relative to the shortest path over the cells and their eight neighbors, less the goal radius."
         mine, theirs = f"{self.goal_radius:g} m and {self.seconds:g} s", f"{GOAL_RADIUS:g} m and {SECONDS:g} s"
-        differences = [*super().differences(env), spl]
-        if mine != theirs:
-            differences.append(f"Limits: goal radius {mine} (JaxNav: {theirs}).")
-        if self.runs < 2:
-            differences.append("The worst 10 % of the levels need two runs or more: half choose them, half score them.")
-        if self.unsolvable:
-            differences.append(f"Left out: {self.unsolvable} levels without a path from the start to the goal.")
-        return differences
+        limits = f"Limits: goal radius {mine} (JaxNav: {theirs})."
+        few = "The worst 10 % of the levels need two runs or more: half choose them, half score them."
+        out = f"Left out: {self.unsolvable} levels without a path from the start to the goal."
+        others = {limits: mine != theirs, few: self.runs < 2, out: self.unsolvable}
+        return [*super().differences(env), spl, *(text for text, applies in others.items() if applies)]

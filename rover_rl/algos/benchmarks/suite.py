@@ -21,6 +21,7 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 from torch import Tensor
+from torch.nn.functional import pad
 
 from rover_rl.algos.driving import CONTACT, TIME_LIMIT
 from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -55,12 +56,9 @@ _BOUND = 1e4  # distance of the bounds of a course, which no run reaches, m
 
 
 class Course(NamedTuple):
-    """A world with a start (x, y in m, yaw in rad), a goal (x, y in m), and the length of the reference path, m.
+    """A world with a start (x, y in m, yaw in rad), a goal (x, y in m), and the length of the reference path, m."""
 
-    ``number`` is that of the world in its benchmark.
-    """
-
-    number: int
+    number: int  #: That of the world in its benchmark.
     world: World
     start: tuple[float, float, float]
     goal: tuple[float, float]
@@ -68,13 +66,11 @@ class Course(NamedTuple):
 
 
 def open_world(name: str, obstacles: Sequence[Solids], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
-    """A world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches.
-
-    The areas for starts and goals, which the environment needs, are free ground left of the course.
-    """
+    """A world on flat, open ground around ``points [P, 2]`` (m), whose bounds no run reaches."""
     low = np.floor(points.min(0)) - _MARGIN
     columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1
     terrain = Terrain(torch.zeros(int(rows), int(columns)), cell=1.0, origin=(float(low[0]), float(low[1])))
+    # The environment needs areas for starts and goals: free ground left of the course.
     (left, _), across = terrain.extent
     beside = (left, left + _MARGIN - 1.0), across
     bounds = (-_BOUND, _BOUND), (-_BOUND, _BOUND)
@@ -123,14 +119,14 @@ class Suite(ABC):
         seen = "" if mine.lidar_view == 2 * math.pi else f", of which {math.degrees(mine.lidar_view):.0f} are seen"
         beams = f"{settings.beams} beams in 360 degrees{seen}, up to {settings.max_range:g} m"
         away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad away, drawn with seed {self.seed}"
-        differences = [
+        return [
             self.worlds,
             f"Robot: {mine.name}, {size}, up to {action_bounds(env.bounded_action).high[0]:g} m/s{self.robot}.",
             f"Lidar: {beams}, as {settings.points} readings ({self.name}: {self.lidar}).",
             f"Simulator: {env.backend}, 20 Hz, without noise.",
             "Contact: the footprint, a rectangle, comes within 1 cm of an obstacle, checked at 20 Hz.",
+            *[f"Starts: all runs but the first of each start up to {away}."] * (self.runs > 1),
         ]
-        return differences + [f"Starts: all runs but the first of each start up to {away}."] * (self.runs > 1)
 
     @property
     def title(self) -> str:
@@ -151,8 +147,7 @@ class Suite(ABC):
         for run in range(1, self.runs):
             rng = np.random.default_rng((self.seed, course.number, run))
             near = starts[0] + torch.from_numpy(rng.uniform(-1, 1, (_TRIES, 3)) * JITTER).float()
-            position = torch.nn.functional.pad(near[:, :2], (0, 1))
-            angles = torch.nn.functional.pad(near[:, 2:], (2, 0))
+            position, angles = pad(near[:, :2], (0, 1)), pad(near[:, 2:], (2, 0))
             free = ~is_touching(position, angles, course.world, robot)
             starts.append(near[int(free.to(torch.uint8).argmax())] if free.any() else starts[0])
         return torch.stack(starts)
@@ -208,9 +203,9 @@ class Result:
     def rows(self) -> list[dict[str, Any]]:
         rows = []
         for number, ((course, run), score) in enumerate(zip(self._pairs, self.scores.flatten().tolist(), strict=True)):
-            row = {"world": course.number, "run": number % self.suite.runs, "ending": run.ending}
-            row |= {"seconds": round(run.seconds, 3), "length": run.length, "reference_length": course.length}
-            rows.append(row | {self.suite.score_name: score})
+            driven = {"seconds": round(run.seconds, 3), "length": run.length, "reference_length": course.length}
+            head = {"world": course.number, "run": number % self.suite.runs, "ending": run.ending}
+            rows.append(head | driven | {self.suite.score_name: score})
         return rows
 
     def worst(self, count: int) -> list[int]:
@@ -273,19 +268,15 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
         rows += [head | row for row in result.rows()]
         described = {"differences": suite.differences(env), "env": plain_env_or_none(env)}
         policies.append({**head, **described, "metrics": plain_estimates(result.metrics), "runs": result.rows()})
-    worlds = [course.number for course in suite.courses]
-    settings = {"runs": suite.runs, "seed": suite.seed, "goal_radius": suite.goal_radius, "seconds": suite.seconds}
-    head = {"benchmark": suite.name, "worlds": worlds, "jitter": JITTER, **settings}  # type: ignore[dict-item]
-    write_json(path, {**MADE_BY, **head, "policies": policies})
+    settings = {key: getattr(suite, key) for key in ("runs", "seed", "goal_radius", "seconds")}
+    worlds, head = [course.number for course in suite.courses], {**MADE_BY, "benchmark": suite.name}
+    write_json(path, {**head, "worlds": worlds, "jitter": JITTER, **settings, "policies": policies})
     write_rows(path.with_suffix(".csv"), rows)
 
 
 def draw_worst_runs(result: Result, path: Path) -> None:
-    rows, panels = result.rows(), []
-    for run in result.worst(WORST_RUNS):
-        row = rows[run]
-        title = f"world {row['world']}, run {row['run']}: {row['ending']} after {row['seconds']:.1f} s"
-        panels.append((title, result.evaluation.select([run])))
+    rows, title = result.rows(), "world {world}, run {run}: {ending} after {seconds:.1f} s"
+    panels = [(title.format(**rows[run]), result.evaluation.select([run])) for run in result.worst(WORST_RUNS)]
     draw_panels(panels, path, f"{result.name} in {result.suite.name}: the runs with the lowest scores")
 
 

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -62,8 +63,7 @@ class EpisodeSet:
     world_index: Tensor = None  # type: ignore[assignment]  # Never None after __post_init__.
     """Index of each episode's world in the pool, int64 ``[count]``; 0 by default."""
     endless: bool = False
-    """Whether a reached goal is followed by a new one. Starts, goals and lengths, which the environment draws then, are
-    nan."""
+    """Whether a reached goal is followed by a new one. The environment draws starts and goals; here they are nan."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pool", WorldPool.of(self.pool))
@@ -207,9 +207,14 @@ def stored_episodes(world: str) -> EpisodeSet:
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((Path(__file__).parent / "episode_sets" / f"{world}.json").read_text())
-    keys = ("start", "goal", "shortest")
-    start, goal, shortest = (torch.tensor([row[key] for row in data["episodes"]]) for key in keys)
-    return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
+    return read_episodes(world, data["seed"], data["episodes"])
+
+
+def read_episodes(world: str, seed: int, rows: Sequence[Mapping[str, Any]]) -> EpisodeSet:
+    """Episodes in a world or a range as files hold them, a row each."""
+    start, goal, shortest = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
+    index = torch.tensor([row.get("world", 0) for row in rows])
+    return EpisodeSet(world, WorldPool(world), seed, start, goal, shortest, world_index=index)
 
 
 def choose_episodes(

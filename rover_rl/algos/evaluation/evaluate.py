@@ -41,10 +41,7 @@ from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.tasks.task import Task
 
-ROWS = 8
-"""Number of rovers of a part of an evaluation in one world. With more rovers, more of them wait for the last one. In
-several worlds, each episode of a part has a rover, as rovers stay in their worlds, and in Warp, where more of them
-take hardly more time."""
+ROWS = 8  # number of rovers of a part of an evaluation in one world: with more, more of them wait for the last one
 BATCHED_PER_PART = 128  # EPISODES_PER_PART of several worlds in Warp, which steps many rovers almost as fast as few
 SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
@@ -71,7 +68,7 @@ def evaluate(
     """Evaluates a policy on episodes with a time limit, with one goal each or endless.
 
     If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
-    any other episodes: the policy is called with at least 32 rows, as matrix products of few rows round differently.
+    any other episodes.
 
     With ``env.agents``, the rovers of that many consecutive episodes drive at once in the same world; draw such
     episodes with ``draw_episodes(..., agents=...)``. A rover whose episode has ended stays where it is until those of
@@ -128,7 +125,7 @@ def evaluate(
                 if watch is not None:
                     watch(rovers, schedule.number, step.rows)
                 display.update(recorder.progress)
-        return recorder.trajectories
+        return [recorder.trajectory(episode) for episode in range(len(part))]
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     config = replace(config, world=episodes.name, seed=episodes.seed)
@@ -202,7 +199,10 @@ def default_backend(robot: RobotLike) -> str:
 
 
 def rows_of(episodes: EpisodeSet, env: EnvConfig | None) -> int:
-    """Number of rovers that drive the episodes of a part of an evaluation: see :data:`ROWS`."""
+    """Number of rovers that drive the episodes of a part of an evaluation.
+
+    It is that of the episodes in several worlds, as rovers stay in theirs, and in Warp, where more take hardly longer.
+    """
     return len(episodes) if episodes.several_worlds or (env is not None and env.backend == "warp") else ROWS
 
 
@@ -320,10 +320,9 @@ class _Recorder:
         if self._has_movers:
             gap = (outcome["mover_distance"] - env.robot.radius).clamp(min=0)
             values += [outcome["mover_contact"], gap, env.movers.nearest_center(rover.position[:, :2])]
-        record = torch.cat(values, -1).to("cpu")
-        steps = outcome["steps"].squeeze(-1).to("cpu")
-        self._records[episode[rows], steps[rows]] = record[rows]
-        self._steps[episode[rows]] = steps[rows]
+        steps = outcome["steps"].squeeze(-1).to("cpu")[rows]
+        self._records[episode[rows], steps] = torch.cat(values, -1).to("cpu")[rows]
+        self._steps[episode[rows]] = steps
         if self._tracking:
             self._track(env, episode, rows)
         for row, ending in step.endings().items():
@@ -344,15 +343,11 @@ class _Recorder:
         ended = torch.tensor([bool(ending) for ending in self._endings])
         return torch.where(ended, 1.0, self._steps / (self._records.shape[1] - 1)).mean().item()
 
-    @property
-    def trajectories(self) -> list[Trajectory]:
-        return [self._trajectory(episode) for episode in range(len(self._endings))]
-
-    def _trajectory(self, episode: int) -> Trajectory:
+    def trajectory(self, episode: int) -> Trajectory:
         record = self._records[episode, : self._steps[episode] + 1]
         position, angles, events, met = record.tensor_split((3, 6, 8), -1)
         collision, goal = events[1:].bool().unbind(-1)
-        encounters, track = None, None
+        encounters = track = None
         # In a world without movers, the nearest one is infinitely far away.
         if self._has_movers and met[0, 1].isfinite():
             contact, gap, center_distance = met.unbind(-1)

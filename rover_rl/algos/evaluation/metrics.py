@@ -41,10 +41,13 @@ class Estimate:
     high: float
 
 
+UNDEFINED = Estimate(math.nan, math.nan, math.nan)
+
+
 def proportion(successes: int, count: int) -> Estimate:
     """A proportion with its Wilson score interval (J. Am. Stat. Assoc. 22, 1927); nan for a ``count`` of 0."""
     if not count:
-        return Estimate(math.nan, math.nan, math.nan)
+        return UNDEFINED
     from scipy.stats import binomtest  # takes a second, and most programs compute no metrics
 
     interval = binomtest(successes, count).proportion_ci(confidence_level=0.95, method="wilson")
@@ -166,35 +169,32 @@ def _touching(contacts: str) -> Callable[[Row], bool]:
     return lambda row: row[contacts] > 0
 
 
-def _ended(*endings: str) -> Callable[[Row], bool]:
-    return lambda row: row["ending"] in endings
+def _ended(*endings: str, otherwise: bool = False) -> Callable[[Row], bool]:
+    return lambda row: (row["ending"] in endings) != otherwise
 
 
-def _ended_by_own(row: Row) -> bool:
-    return row["ending"] not in (*ENDINGS.values(), *EARLY_ENDINGS, CONTACT, TIME_LIMIT)
-
-
-_of_goals, _of_movers = partial(Metric, of="goal"), partial(Metric, of="movers")
-_endless = partial(Metric, of="endless", default=True)
-_TIME, _LEAST = "mean time to a reached goal", "mean of the least distance to a mover"
+_of_goals, _endless = (partial(Metric, of=of, default=True) for of in ("goal", "endless"))
+_of_movers = partial(Metric, of="movers")
+_LEAST = "mean of the least distance to a mover"
 _CLEAN = "episodes that reach their goal without touching an obstacle"
 _TOUCHED = "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs"
 _TOUCHED_WALL = "episodes in which the body touches an obstacle at rest"
 _TOUCHED_MOVER = "episodes in which the body touches a mover"
-_MOVER_TOUCHES = "contacts of the body with movers per episode"
 _FAULT = "contacts with movers that begin while the rover moves, per goal reached"
 _RUN_INTO = "contacts with movers that begin while the rover stands still"
 _RISK = "time with the centers of rover and mover within 0.5 m, per goal reached"
 _TRAVERSE = "shortest-path length to reached goals per second of driving"
 _ROUGH = "mean speed on ground with a tilt of 10 degrees or more"
 _FROZEN = "time spent slower than 0.05 m/s within 2 m of a mover"
+_OWN_END = "episodes that end by a termination of one's own"
+_KNOWN_ENDINGS = (*ENDINGS.values(), *EARLY_ENDINGS, CONTACT, TIME_LIMIT)
 _REVERSALS = "changes of the commanded turning direction per second"
 METRICS = {
-    "success_rate": _of_goals("success", "%", "episodes that reach their goal", "success", default=True),
-    "contact_free_success_rate": _of_goals("clean", "%", _CLEAN, "clean", default=True),
-    "spl": _of_goals("SPL", "", "success weighted by path length", "spl", default=True),
+    "success_rate": _of_goals("success", "%", "episodes that reach their goal", "success"),
+    "contact_free_success_rate": _of_goals("clean", "%", _CLEAN, "clean"),
+    "spl": _of_goals("SPL", "", "success weighted by path length", "spl"),
     # [MTT] It is short for a policy that reaches near goals only.
-    "mean_time_to_traverse": _of_goals("time", "s", _TIME, "success_seconds", "success", default=True),
+    "mean_time_to_traverse": _of_goals("time", "s", "mean time to a reached goal", "success_seconds", "success"),
     "goals_per_episode": _endless("goals", "", "goals reached per episode", "goals"),
     "seconds_per_goal": _endless("per goal", "s", "driving time per goal reached", "seconds", "goals"),
     "ended_early": _endless("early", "%", "episodes that end before the time limit", _ended(*EARLY_ENDINGS)),
@@ -206,11 +206,9 @@ METRICS = {
         ENDING + kind.replace(" ", "_"): Metric(kind, "%", "", _ended(kind), default=True)
         for kind in (TIME_LIMIT, *EARLY_ENDINGS)
     },
-    ENDING + "own": Metric(
-        "own end", "%", "episodes that end by a termination of one's own", _ended_by_own, default=True
-    ),
+    ENDING + "own": Metric("own end", "%", _OWN_END, _ended(*_KNOWN_ENDINGS, otherwise=True), default=True),
     # [TR] A failure contributes its time and no length, since SPL does not credit partial progress either.
-    "traverse_rate": _of_goals("traverse rate", "m/s", _TRAVERSE, "success_shortest", "seconds"),
+    "traverse_rate": _of_goals("traverse rate", "m/s", _TRAVERSE, "success_shortest", "seconds", default=False),
     "episode_seconds": _endless("duration", "s", "mean duration of an episode", "seconds", default=False),
     # [VORT] nan if no ground is rough, as in the maze.
     "velocity_over_rough_terrain": Metric("speed on rough", "m/s", _ROUGH, "rough_speed", "rough_steps"),
@@ -223,7 +221,7 @@ METRICS = {
     "jerk": Metric("jerk", "m/s^3", "root mean square jerk of the driven speed", "jerk", "jerk_steps", root=True),
     "at_fault": _of_movers("at fault", "1/goal", _FAULT, "at_fault", "goals"),
     "wall_contact_share": _of_movers("wall touched", "%", _TOUCHED_WALL, _touching("wall_contacts")),
-    "mover_contacts": _of_movers("mover touches", "", _MOVER_TOUCHES, "mover_contacts"),
+    "mover_contacts": _of_movers("mover touches", "", "contacts of the body with movers per episode", "mover_contacts"),
     "risk_per_goal": _of_movers("risk", "s/goal", _RISK, "risk_seconds", "goals"),
     "intrusion": _of_movers("intrusion", "%", "time within 1.2 m of a mover", "intrusion_seconds", "seconds"),
     "frozen": _of_movers("frozen", "%", _FROZEN, "frozen_seconds", "seconds"),

@@ -91,8 +91,7 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
     axes = list(figure.axes)
     figure.colorbar(_SPEED, ax=axes, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
     driven = [trajectory for _, evaluation in panels for trajectory in evaluation.trajectories]
-    endings = {trajectory.ending for trajectory in driven}
-    ends = {f"end: {kind}": style for kind, style in _end_styles(endings).items() if kind in endings}
+    ends = {f"end: {kind}": style for kind, style in _end_styles(driven).items()}
     marks = {"start": _START, "goal": _GOAL, **ends}
     handles: list[Artist] = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
     if any(trajectory.movers is not None for trajectory in driven):
@@ -119,20 +118,21 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
     draw_pale_map(ax, episodes.world, area)
     for trajectory in driven:
         _draw_mover_traces(ax, episodes.world, trajectory, alone=len(driven) == 1)
-    segments, speeds = zip(*(_segments(trajectory) for trajectory in driven), strict=True)
-    colors = _SPEED.to_rgba(np.concatenate(speeds))
-    lines = list(np.concatenate(segments))
-    ax.add_collection(LineCollection(lines, colors=colors, linewidths=1.8, capstyle="round", zorder=4))
+    segments, speeds = map(np.concatenate, zip(*map(_segments, driven), strict=True))
+    colors = _SPEED.to_rgba(speeds)
+    ax.add_collection(LineCollection(list(segments), colors=colors, linewidths=1.8, capstyle="round", zorder=4))
     ax.scatter(*episodes.goal.T, zorder=5, **_GOAL)
     ax.scatter(*episodes.start[:, :2].T, zorder=6, **_START)
-    for ending, style in _end_styles({trajectory.ending for trajectory in driven}).items():
+    for ending, style in _end_styles(driven).items():
         ends = [trajectory.path[-1].tolist() for trajectory in driven if trajectory.ending == ending]
-        ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
+        ax.scatter(*np.array(ends).T, zorder=7, **style)
 
 
-def _end_styles(endings: set[str]) -> dict[str, dict[str, Any]]:
-    """Styles of the marks of endings, with those of one's own."""
-    return _ENDS | {ending: {"marker": "p", **_EARLY} for ending in sorted(endings - {*_ENDS})}
+def _end_styles(driven: Sequence[Trajectory]) -> dict[str, dict[str, Any]]:
+    """Styles of the marks of the endings of drives, those of one's own last."""
+    endings = {trajectory.ending for trajectory in driven}
+    own = {ending: {"marker": "p", **_EARLY} for ending in sorted(endings - {*_ENDS})}
+    return {ending: style for ending, style in (_ENDS | own).items() if ending in endings}
 
 
 def _draw_mover_traces(ax: Axes, world: World, trajectory: Trajectory, alone: bool) -> None:

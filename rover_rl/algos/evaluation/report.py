@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import torch
 from rich.box import SIMPLE_HEAD
@@ -26,8 +26,6 @@ LEAST_NAME_WIDTH = 12  # width of the names in a narrow terminal, characters
 HEADING_WIDTH = 16  # largest width of a heading, characters
 ALL_COLUMNS = "all"  # in place of the names of columns: all metrics
 LISTED = 20  # largest number of printed episodes on which backends disagree
-_Row: TypeAlias = tuple[str, dict[str, str]]
-"""Row of a table: a name, with a note in its second line, and the cell of each metric."""
 
 
 def print_table(
@@ -55,11 +53,9 @@ def print_table(
     for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
         keys = [key for key in chosen if _is_shown(key, together)]
-        rows = _rows(together, groups or {})
-        cells = [
-            Column(METRICS[key].heading, METRICS[key].unit, [row.get(key, "-") for _, row in rows]) for key in keys
-        ]
-        print_tables(title, [name for name, _ in rows], cells, console)
+        names, rows = zip(*_rows(together, groups or {}), strict=True)
+        cells = [Column(METRICS[key].heading, METRICS[key].unit, [row.get(key, "-") for row in rows]) for key in keys]
+        print_tables(title, names, cells, console)
         shown |= dict.fromkeys(keys)
         grouped |= len(rows) > len(together)
         _print_imperfections(title, together, console)
@@ -91,8 +87,8 @@ def _is_shown(key: str, evaluations: Sequence[Evaluation]) -> bool:
     return any(value > 0 for value in values) or not (key.startswith(ENDING) or all(map(math.isnan, values)))
 
 
-def _rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[_Row]:
-    """Rows of policies, in the order of their names, and of groups of several policies."""
+def _rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[tuple[str, dict[str, str]]]:
+    """Names (with a note in the second line) and cells of policies, in their order, and of groups of several."""
     several = len({(one.name, one.backend) for one in evaluations}) > len({one.name for one in evaluations})
 
     def label(name: str, one: Evaluation, note: str = "") -> str:
@@ -114,8 +110,9 @@ def _rows(evaluations: Sequence[Evaluation], groups: Mapping[str, str]) -> list[
 
 
 def _cell(key: str, estimate: Estimate) -> str:
-    shown = Estimate(estimate.value, math.nan, math.nan) if key.startswith(ENDING) else estimate
-    return cell(shown, METRICS[key].unit)
+    """Formats a value with its interval, and an ending without."""
+    text = cell(estimate, METRICS[key].unit)
+    return text.splitlines()[0] if key.startswith(ENDING) else text
 
 
 def _mean_cell(key: str, values: Sequence[float]) -> str:
@@ -276,16 +273,14 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
     ``evaluation.csv`` has a row for each episode, ``evaluation-summary.csv`` a row for each evaluation with all
     metrics and their intervals, and with several worlds, ``evaluation-worlds.csv`` a row for each world.
     """
-    results, summaries, by_world = [], [], []
-    for one in evaluations:
-        results.append(MADE_BY | one.to_json())
-        summaries.append(one.summary() | estimate_row(one.metrics))
-        if one.episodes.several_worlds:
-            head = {"policy": one.name, "backend": one.backend, "worlds": one.episodes.name}
-            by_world += [head | world for world in one.by_world]
-    write_json(path, results)
+    write_json(path, [MADE_BY | one.to_json() for one in evaluations])
     write_rows(path.with_suffix(".csv"), [row for one in evaluations for row in one.episode_rows()])
+    summaries = [one.summary() | estimate_row(one.metrics) for one in evaluations]
     write_rows(path.with_name(f"{path.stem}-summary.csv"), summaries)
+    by_world = []
+    for one in (one for one in evaluations if one.episodes.several_worlds):
+        head = {"policy": one.name, "backend": one.backend, "worlds": one.episodes.name}
+        by_world += [head | world for world in one.by_world]
     if by_world:
         write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)
 

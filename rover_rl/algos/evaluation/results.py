@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.episodes import EpisodeSet, read_episodes
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate, Row, compute_metrics, episode_row, finite_row
 from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
@@ -23,7 +23,6 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.robots import Robot, get_robots
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.free_space.fitting import RobotGroups
-from rover_rl.worlds.pool import WorldPool
 
 FILE = "evaluation.json"  # name of the file in the folder of a run
 WORST = 6  # number of worlds with the lowest success rates that are named and drawn
@@ -190,9 +189,8 @@ class Evaluation:
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
     """Indices of the worlds with the lowest mean success, then with most contacts, then slowest."""
 
-    def merit(results: Sequence[dict[str, Any]]) -> tuple[float, float, float]:
-        keys = ("success_rate", "contact_free_success_rate")
-        success, clean = (sum(result[key] for result in results) for key in keys)
+    def merit(results: Sequence[dict[str, Any]]) -> tuple[float, ...]:
+        success, clean = (sum(result[key] for result in results) for key in _OF_WORLD[:2])
         return success, clean, sum(-(result[_TIME] or math.inf) for result in results)
 
     results = zip(*(evaluation.by_world for evaluation in evaluations), strict=True)
@@ -229,12 +227,11 @@ class StoredEvaluation:
 
     def telling(self, worst: int, good: int) -> list[int]:
         """The ``worst`` episodes, failures or else those that took longest, and ``good`` ones of usual time."""
-        failed = self.failures
-        others = [index for index in range(len(self.endings)) if index not in failed]
-        order = failed + sorted(others, key=lambda index: -self.durations[index])
-        usual = [one for one in order[worst:] if one not in failed]
+        failed, by_time = self.failures, sorted(range(len(self.endings)), key=lambda index: -self.durations[index])
+        slowest = [index for index in by_time if index not in failed]
+        usual = slowest[max(0, worst - len(failed)) :]
         middle = max(0, (len(usual) - good) // 2)
-        return order[:worst] + usual[middle : middle + good]
+        return [*failed, *slowest][:worst] + usual[middle : middle + good]
 
     def to_drive(self, episode: int) -> EpisodeSet:
         """Episodes to drive for the same drive as in the evaluation: if it is random, with those that were its part."""
@@ -269,9 +266,7 @@ def read_evaluation(path: Path, policy: str, world: str | None = None, backend: 
 
 def _stored(entry: Mapping[str, Any]) -> StoredEvaluation:
     rows, world = entry["episodes"], entry["world"]
-    start, goal, shortest = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
-    worlds = torch.tensor([row.get("world", 0) for row in rows])
-    episodes = EpisodeSet(world, WorldPool(world), entry["seed"], start, goal, shortest, world_index=worlds)
+    episodes = read_episodes(world, entry["seed"], rows)
     env = EnvConfig(backend=entry["backend"]) if entry["env"] is None else env_from_plain(entry["env"], FILE)
     endings, durations = ([row[key] for row in rows] for key in ("ending", "seconds"))
     driven = entry["action_repeat"], entry["time_limit"], replace(env, world=world)

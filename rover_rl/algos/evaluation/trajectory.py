@@ -118,8 +118,7 @@ def count_runs(flags: Tensor) -> int:
 
 def count_reversals(yaw_rates: Sequence[float]) -> int:
     """Counts the changes of sign in successive yaw rates (rad/s), ignoring zeros."""
-    turning = [yaw_rate for yaw_rate in yaw_rates if yaw_rate]
-    return sum(a * b < 0 for a, b in pairwise(turning))
+    return sum(a * b < 0 for a, b in pairwise(filter(None, yaw_rates)))
 
 
 def find_body_contacts(

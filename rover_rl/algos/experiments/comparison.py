@@ -32,20 +32,16 @@ _FEW = 5  # number of runs below which intervals are far too narrow
 
 @dataclass(frozen=True)
 class Row:
-    """Result of the experiments with the same settings in one world or in all of them (:data:`ALL_WORLDS`).
-
-    ``scores`` are the success rates of the runs in each world, ``[runs]`` each, and ``success`` is their interquartile
-    mean. ``steps`` and ``minutes`` are medians to the level, infinity if half of the runs do not reach it.
-    """
+    """Result of the experiments with the same settings in one world or in all of them (:data:`ALL_WORLDS`)."""
 
     world: str
     name: str
     settings: str
-    scores: list[np.ndarray]
-    success: Estimate
+    scores: list[np.ndarray]  #: Success rates of the runs in each world, ``[runs]`` each.
+    success: Estimate  #: Interquartile mean of the scores.
     reached: int
-    steps: float
-    minutes: float
+    steps: float  #: Median to the level; infinity if half of the runs do not reach it.
+    minutes: float  #: The same in minutes of training.
 
     @property
     def runs(self) -> int:
@@ -64,16 +60,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of experiments: results in each world, then in all of them.
-
-    ``scored_by`` says what the success rates are of: an evaluation, or the last twelfth of training. ``scores`` are
-    those of the runs by their folders, and ``level`` is the success rate of ``steps`` and ``minutes`` in the rows.
-    """
+    """Comparison of experiments: results in each world, then in all of them."""
 
     runs: list[Run]
-    scored_by: str
-    level: float
-    scores: dict[Path, float]
+    scored_by: str  #: What the success rates are of: an evaluation, or the last twelfth of training.
+    level: float  #: Success rate of ``steps`` and ``minutes`` in the rows.
+    scores: dict[Path, float]  #: Success rates of the runs by their folders.
     rows: list[Row]
     pairs: list[Pair]
 
@@ -105,7 +97,7 @@ def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
     rows, pairs = [], []
     for world, experiments in tables:
         here = [_row(world, strata, scores, level) for strata in experiments]
-        here.sort(key=lambda row: -1.0 if math.isnan(row.success.value) else row.success.value, reverse=True)
+        here.sort(key=lambda row: np.nan_to_num(row.success.value, nan=-1.0), reverse=True)
         rows += here
         for one, other in combinations(here, 2):
             pairs.append(Pair(world, one.name, other.name, probability_of_improvement(one.scores, other.scores)))
@@ -141,17 +133,14 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
         names = [row.name if row.settings == row.name else f"{row.name}\n{row.settings}" for row in rows]
         print_tables(f"{world}: {comparison.scored_by}", names, columns, console, heading="experiment")
         for pair in (pair for pair in comparison.pairs if pair.world == world):
-            low, high = pair.probability.low, pair.probability.high
-            ends = "" if math.isnan(low) else f" [{100 * low:.0f}–{100 * high:.0f}]"
+            value, low, high = (100 * end for end in vars(pair.probability).values())
+            ends = "" if math.isnan(low) else f" [{low:.0f}–{high:.0f}]"
             better = f"Probability that a run of {pair.better} is better than one of {pair.other}"
-            console.print(f"{better}: {100 * pair.probability.value:.0f} %{ends}", highlight=False, markup=False)
-    notes = [
-        "success: interquartile mean of the runs; below it and in brackets: 95 % bootstrap interval over runs",
-        f"to {level}: median of the runs, in training",
-    ]
-    if any(row.runs < _FEW for row in comparison.rows):
-        notes.append(f"with fewer than {_FEW} runs, intervals are too narrow")
-    console.print("; ".join(notes) + ".", style="dim", highlight=False)
+            console.print(f"{better}: {value:.0f} %{ends}", highlight=False, markup=False)
+    intervals = "success: interquartile mean of the runs; below it and in brackets: 95 % bootstrap interval over runs"
+    medians = f"to {level}: median of the runs, in training"
+    few = f"; with fewer than {_FEW} runs, intervals are too narrow" * any(row.runs < _FEW for row in comparison.rows)
+    console.print(f"{intervals}; {medians}{few}.", style="dim", highlight=False)
 
 
 def _or_none(value: float, form: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle, product
 from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeAlias
@@ -33,6 +34,8 @@ _NARROW = 1 / 100  # width of the averaging window of the faint line, as a fract
 _PALETTES = {"ppo": (BLUE, GREEN, SKY, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, SKY, GREEN, BLUE)}
 """Colors of each algorithm's curves, one for each of its settings in turn."""
 _LINES = ("-", "--", ":", "-.")  # styles of the lines, one for each turn through the colors
+_LABEL = 96  # largest number of characters in a line of the legend
+_LONG_LABEL = 48  # largest number of characters of a label in a legend with two columns
 
 
 def draw_learning_curve(runs: Sequence[str | Path], path: Path, panels: Panels = OF_A_RUN) -> None:
@@ -115,13 +118,10 @@ class _Curve:
 
 
 def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
-    curves, used = [], dict.fromkeys(_PALETTES, 0)
+    curves, styles = [], {algo: cycle(product(_LINES, colors)) for algo, colors in _PALETTES.items()}
     for experiment in sorted(experiments, key=lambda one: (one.world, one.settings)):
-        algo = experiment.runs[0].config.algo
-        turn, color = divmod(used[algo], len(_PALETTES[algo]))
-        used[algo] += 1
-        style = {"color": _PALETTES[algo][color], "linestyle": _LINES[turn % len(_LINES)]}
-        curves.append(_Curve(experiment, style, len(experiments) > 1))
+        line, color = next(styles[experiment.runs[0].config.algo])
+        curves.append(_Curve(experiment, {"color": color, "linestyle": line}, len(experiments) > 1))
     return curves
 
 
@@ -137,16 +137,13 @@ def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
     style_axes(ax)
 
 
-_LABEL = 96  # largest number of characters in a line of the legend
-_LONG_LABEL = 48  # largest number of characters of a label in a legend with two columns
-
-
 def _legend(curves: Sequence[_Curve]) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [Line2D([], [], linewidth=2.2, label=one.label, **one.style) for one in curves]
-    if any(len(one.experiment.runs) > 1 for one in curves):
+    counts = {len(one.experiment.runs) for one in curves}
+    if counts != {1}:
         label = "lines: interquartile mean of the runs; areas: its 95 % interval"
         handles.append(Patch(color=GREY, alpha=0.3, linewidth=0, label=label))
-    if any(len(one.experiment.runs) == 1 for one in curves):
+    if 1 in counts:
         label = f"averaged over {_NARROW:.0%} of the run instead of {WINDOW:.0%}"
         handles.append(Line2D([], [], color=GREY, alpha=0.4, linewidth=1, label=label))
     return handles

@@ -37,16 +37,13 @@ _SHOWN = 400  # number of points of a curve of RunFiles at most: a long run has 
 
 @dataclass(frozen=True)
 class Run:
-    """Record of a training run: numerators and denominators of each measure in each row of its table, ``[rows]``.
-
-    ``shares`` are those of the time, by their columns.
-    """
+    """Record of a training run, with the values of each row of its table, ``[rows]``."""
 
     folder: Path
     config: TrainingConfig
     x: dict[str, np.ndarray]
-    measures: dict[str, tuple[np.ndarray, np.ndarray]]
-    shares: dict[str, np.ndarray]
+    measures: dict[str, tuple[np.ndarray, np.ndarray]]  #: Numerators and denominators of each measure.
+    shares: dict[str, np.ndarray]  #: Shares of the time, by their columns.
 
     @classmethod
     def read(cls, folder: str | Path) -> Run:
@@ -80,8 +77,7 @@ class Run:
     @property
     def final_success(self) -> float:
         """Success rate in the last twelfth of the run's steps; nan if no episode ended in it."""
-        end = self.end("steps")
-        width = end * WINDOW
+        end, width = self.end("steps"), self.end("steps") * WINDOW
         return float(self.curve("success", "steps", np.array([end - width / 2]), width)[0])
 
     def first_at(self, success: float, against: Against) -> float:
@@ -130,8 +126,7 @@ def find_runs(words: Sequence[str]) -> list[Path]:
     ``FileNotFoundError`` if it names no run.
     """
     found: dict[Path, None] = {}
-    for word in words:
-        path = Path(word)
+    for path in map(Path, words):
         named = [path] if (path / SETTINGS).is_file() else [file.parent for file in path.glob(f"*/{PROGRESS}")]
         named = named or [*path.parent.glob(f"{path.name}{SEED_SUFFIX}*")]
         if not named:
@@ -167,9 +162,9 @@ def evaluated_success(runs: Sequence[Run]) -> tuple[str, dict[Path, float]] | No
 def seed_runs(config: TrainingConfig, seeds: Sequence[int]) -> list[tuple[TrainingConfig, Path | None]]:
     """Returns the settings of a run for each seed, and the folder of the run if it exists, to continue it.
 
-    So an interrupted experiment goes on where it was when it is started again. A run that exists keeps its own settings
-    where these do not change what is learned, such as its backend. The name in ``config``, by default that of a single
-    run, such as ``ppo-moon``, is the first part of the folders' names.
+    So an interrupted experiment goes on where it was. A run that exists keeps its own settings where these do not
+    change what is learned, such as its backend. The folders' names begin with that in ``config``, by default such as
+    ``ppo-moon``.
 
     Raises a ``ValueError`` for no or repeated seeds, or a setting out of range, and a ``FileExistsError`` if there is a
     run of that name with other settings.
@@ -177,12 +172,10 @@ def seed_runs(config: TrainingConfig, seeds: Sequence[int]) -> list[tuple[Traini
     if not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds must be at least one, each once, got {tuple(seeds)}")
     name = config.run.name or default_name(config)
-    runs: list[tuple[TrainingConfig, Path | None]] = []
-    for seed in seeds:
-        run = with_settings(config, seed=seed, name=f"{name}{SEED_SUFFIX}{seed}")
+    runs = [with_settings(config, seed=seed, name=f"{name}{SEED_SUFFIX}{seed}") for seed in seeds]
+    for run in runs:
         run.check()
-        runs.append(continued(run))
-    return runs
+    return [continued(run) for run in runs]
 
 
 def continued(config: TrainingConfig) -> tuple[TrainingConfig, Path | None]:
@@ -191,9 +184,9 @@ def continued(config: TrainingConfig) -> tuple[TrainingConfig, Path | None]:
     if not folder.exists():
         return config, None
     saved = run_config(folder)
-    if others := differing_settings(config, saved):
+    if others := ", ".join(differing_settings(config, saved)):
         raise FileExistsError(
-            f"there is a run {folder} already, with other settings of {', '.join(others)}; choose another --name"
+            f"there is a run {folder} already, with other settings of {others}; choose another --name"
         )
     return saved, folder
 
@@ -243,9 +236,8 @@ class RunFiles:
         # The last row is always among the points.
         shown = slice((rows - 1) % (step := -(-rows // _SHOWN)), None, step)
         steps, width = run.x["steps"][shown], max(WINDOW, 1 / rows) * end
+        curves = {name: values[shown] for name, values in run.shares.items()}
         measures: dict[str, Measure] = {"success rate": "success", "goals in 2000 steps": "goals"}
-        curves = {
-            title: np.nan_to_num(run.curve(measure, "steps", steps - width / 2, width))
-            for title, measure in measures.items()
-        }
-        return steps, {**curves, **{name: values[shown] for name, values in run.shares.items()}}
+        for title, measure in measures.items():
+            curves[title] = np.nan_to_num(run.curve(measure, "steps", steps - width / 2, width))
+        return steps, curves

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import trim_mean
 
-from rover_rl.algos.evaluation.metrics import Estimate
+from rover_rl.algos.evaluation.metrics import RESAMPLES, Estimate
 
-RESAMPLES = 2000  # number of bootstrap resamples
 _ENDS = (0.025, 0.975)  # quantiles of the ends of an interval
 _CUT = 0.25  # share of the values that is left out at each end
 

@@ -125,14 +125,14 @@ def film_recording(recording: Recording, path: Path, style: Style) -> None:
     """Films a recorded drive. The last picture of an episode is shown for a second."""
     style.check(path)
     write, default_fps = _writer(path)
-    fps = default_fps if style.fps is None else style.fps
-    steps = len(recording.moments) - 1
+    fps = style.fps or default_fps
     count = max(1, round(recording.seconds / style.speed * fps))
-    moments = [recording.moments[step] for step in np.linspace(0, steps, count + 1)[1:].round().astype(int)]
+    steps = np.linspace(0, len(recording.moments) - 1, count + 1)[1:].round().astype(int)
+    moments = [recording.moments[step] for step in steps]
     with written_whole(path) as temporary, ProgressDisplay("filming") as display:
         view = _VIEWS[style.view](recording, style.width, style.height)
         pictures = display.track(_pictures(view, moments), count)
-        write(temporary, _held(pictures, round(HOLD * fps) if recording.ending else 0), fps)
+        write(temporary, _held(pictures, round(HOLD * fps)) if recording.ending else pictures, fps)
 
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
@@ -150,11 +150,9 @@ def _pictures(view: ChaseView | TopView, moments: Sequence[Moment]) -> Iterator[
 
 
 def _held(pictures: Iterator[np.ndarray], count: int) -> Iterator[np.ndarray]:
-    picture = None
     for picture in pictures:
         yield picture
-    if picture is not None:
-        yield from [picture] * count
+    yield from [picture] * count
 
 
 def _writer(path: Path) -> tuple[Callable[[Path, Iterable[np.ndarray], int], None], int]:
@@ -184,13 +182,9 @@ def _write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
         if count_frames_and_secs(path)[0] < written:
             raise OSError("frames are missing")
     except (OSError, RuntimeError) as error:
-        _require_space(path)
+        with path.open("ab") as file:
+            file.write(bytes(1 << 20))  # raises the error of a full disk
         raise OSError(f"ffmpeg could not write {path.name}, after {written} frames") from error
-
-
-def _require_space(path: Path) -> None:
-    with path.open("ab") as file:
-        file.write(bytes(1 << 20))
 
 
 def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:

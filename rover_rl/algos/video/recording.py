@@ -103,11 +103,9 @@ class Tally:
         reached = outcome["goal_reached"].squeeze(-1).cpu()
         self.goals, self.episodes = self.goals + reached, self.episodes + step.ended
         endings, took = step.endings(), outcome["steps"].squeeze(-1) * dt
-        goals = self.goals - self._goals_before
-        self.ended += [
-            Episode(one, int(self.episodes[one]), took[one].item(), ending, int(goals[one]))
-            for one, ending in endings.items()
-        ]
+        for one, ending in endings.items():
+            goals = int(self.goals[one] - self._goals_before[one])
+            self.ended.append(Episode(one, int(self.episodes[one]), took[one].item(), ending, goals))
         self._goals_before = torch.where(step.ended, self.goals, self._goals_before)
         if row in endings or reached[row]:
             self.event = f"{endings[row]}: new start" if row in endings else "goal reached", seconds
@@ -134,15 +132,13 @@ def record_endless(
     tally = Tally(rows)
     with closing(rewarded), ProgressDisplay("driving") as display:
         for step in drives(rewarded, policy or RandomPolicy(seed)):
-            seconds = len(driven) * rovers.control_dt
             if step.transition is None:
-                # A new start takes the place of the end.
-                moments[-1:] = [tally.moment(seconds, rovers)]
-                continue
-            driven.append(step.transition.select("action", "next")[0])
-            tally.add(step, seconds + rovers.control_dt, rovers.control_dt)
-            moments.append(tally.moment(seconds + rovers.control_dt, rovers))
-            display.update(len(driven) / steps)
+                del moments[-1:]  # A new start takes the place of the end.
+            else:
+                driven.append(step.transition.select("action", "next")[0])
+                tally.add(step, len(driven) * rovers.control_dt, rovers.control_dt)
+                display.update(len(driven) / steps)
+            moments.append(tally.moment(len(driven) * rovers.control_dt, rovers))
             if len(driven) == steps:
                 break
         angles = rovers.scanner.angles.cpu()
@@ -168,21 +164,18 @@ def record_episodes(
     # As in an evaluation: a randomized drive depends on its row.
     rows = rows_of(episodes, options.get("env"))
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
-    drives = []
+    recordings = []
     for index in wanted:
-        ending = evaluation.endings[index]
+        ending, place = evaluation.endings[index], (episodes.worlds[index], evaluation.robots[index])
         moments = moments_of(states[index], episodes.goal[index : index + 1], dt, ending)
-        where = episodes.offset + index
-        drives.append(Recording(moments, episodes.worlds[index], evaluation.robots[index], angles, dt, ending, where))
-    return drives
+        recordings.append(Recording(moments, *place, angles, dt, ending, episodes.offset + index))
+    return recordings
 
 
 def record_stored(policy: Policy | None, stored: StoredEvaluation, episode: int) -> Recording:
     episodes = stored.to_drive(episode)
     options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
-    wanted = [episode - episodes.offset]
-    (driven,) = record_episodes(policy, episodes, name=f"episode {episode}", wanted=wanted, **options)
-    return driven
+    return record_episodes(policy, episodes, [episode - episodes.offset], name=f"episode {episode}", **options)[0]
 
 
 def curves_of(recording: Recording) -> dict[str, np.ndarray]:
@@ -196,12 +189,8 @@ def curves_of(recording: Recording) -> dict[str, np.ndarray]:
 
 
 def moments_of(states: Sequence[State], goal: Tensor, dt: float, ending: str) -> list[Moment]:
-    """Moments of an episode of one rover."""
     none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
-    moments = [
-        Moment(step * dt, rover, scan, goal, none, none, movers=movers)
-        for step, (rover, scan, movers) in enumerate(states)
-    ]
+    moments = [Moment(k * dt, *seen[:2], goal, none, none, movers=seen[2]) for k, seen in enumerate(states)]
     reached = ending == "goal"
     event, endings = ("goal reached" if reached else ending, moments[-1].seconds), () if reached else (ending,)
     moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)

@@ -29,7 +29,7 @@ from rover_rl.envs.sensors.route import map_of
 from rover_rl.envs.sensors.suite import MOVERS
 from rover_rl.envs.task import StepEvent
 from rover_rl.rotations import quaternion_to_euler
-from rover_rl.sims.free_space.paths import PathDistances
+from rover_rl.sims.free_space.paths import PathGrid
 from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 
@@ -80,7 +80,7 @@ class Session:
     def _set_env(self, env: EnvBase) -> None:
         self.env, self._drive = env, Drive(env, None)
         self.rovers = self._drive.rovers
-        self._distances: tuple[World, PathDistances] | None = None
+        self._grid: tuple[World, PathGrid] | None = None
 
     @property
     def observation(self) -> TensorDictBase:
@@ -158,8 +158,7 @@ class Session:
 
     def advance(self, action: Tensor, by_hand: int | None = None) -> None:
         """Takes a step. The episode of the rover that is driven ``by_hand`` goes on when it stands for long."""
-        before = self.observation
-        step = self._drive.step(action)
+        before, step = self.observation, self._drive.step(action)
         self.seconds += self.rovers.control_dt
         self._record(before, step.observation, action)
         if by_hand is not None and step.observation["outcome", "phase"][by_hand] in (StepEvent.STUCK, StepEvent.NONE):
@@ -169,10 +168,9 @@ class Session:
             self._drive.begin(step.ended)
 
     def _record(self, before: TensorDictBase, after: TensorDictBase, action: Tensor) -> None:
-        row = self.row
-        speed = self.rovers.rover_state.linear_velocity[row].item()
-        values = {"distance": after["target"][row, 0].item(), "speed": speed, "speed command": action[row, 0].item()}
-        values["turn command"] = action[row, 1].item()
+        row, speed = self.row, self.rovers.rover_state.linear_velocity[self.row].item()
+        values = {"distance": after["target"][row, 0].item(), "speed": speed}
+        values |= zip(("speed command", "turn command"), action[row].tolist(), strict=False)
         if self._critic is not None:
             values[VALUE] = self._critic(before[row : row + 1])
         if (components := after.get("reward_components", None)) is not None:
@@ -190,16 +188,14 @@ class Session:
 
     def route(self) -> Tensor:
         row, world = self.row, self.rovers.worlds[self.row]
-        if self._distances is None or self._distances[0] is not world:
-            self._distances = world, PathDistances([world], self.rovers.robot)
-        position, goal = self.rovers.rover_state.position[row, :2].cpu(), self.rovers.goal[row].cpu()
-        return self._distances[1].path(0, position, goal)
+        if self._grid is None or self._grid[0] is not world:
+            self._grid = world, PathGrid(world, self.rovers.robot)
+        return self._grid[1].path(self.rovers.rover_state.position[row, :2].cpu(), self.rovers.goal[row].cpu())
 
     def action_spread(self) -> Tensor | None:
-        """Distribution of the followed rover's action; ``None`` if the policy has none.
+        """Distribution of each part of the followed rover's action, ``[k, 5]``; ``None`` if the policy has none.
 
-        It is the lower bound, one standard deviation below the center, the center, one above it, and the upper bound of
-        each part, ``[k, 5]``.
+        The columns are lower bound, one standard deviation below the center, center, one above it, and upper bound.
         """
         if (distribution := self._drive.runner.distribution) is None:
             return None
@@ -212,9 +208,8 @@ class Session:
     def seen_map(self) -> tuple[Tensor, Tensor] | None:
         """The map that the policy has of what the followed rover has seen, and its route on it; ``None`` without one.
 
-        Returns:
-            Cells that are not free, ``[cells, 3]``: x, y (m) and the level of ``SeenMap.levels``, and the points of the
-            route from the rover on, ``[3, 2]``, m.
+        The cells that are not free are ``[cells, 3]``: x, y (m) and the level of ``SeenMap.levels``. The points of the
+        route begin at the rover, ``[3, 2]``, m.
         """
         if (seen := map_of(self.rovers.observer)) is None:
             return None

@@ -29,7 +29,7 @@ from rover_rl.sims.rover_state import RoverState
 from rover_rl.worlds import World
 from rover_rl.worlds.movers.part_kernels import cast_at_movers
 from rover_rl.worlds.movers.parts import Parts
-from rover_rl.worlds.world import Area
+from rover_rl.worlds.region import Area, expanded, union
 
 _INCHES = 3.75  # height of every frame, so that text and lines scale with the resolution
 _BEAM = "#ffd400"  # color of lidar beams
@@ -97,9 +97,8 @@ class ChaseView:
         self._figure = _FrameFigure(width, height, (0.03, 0.22, 0.48, 0.8))
         ax = self._figure.ax
         ax.set(xlim=(0, width), ylim=(height, 0))
-        self._beams, self._hidden_beams = (
-            ax.plot([], [], color=_BEAM, linewidth=0.7, alpha=alpha)[0] for alpha in (0.5, 0.1)
-        )
+        beams = (ax.plot([], [], color=_BEAM, linewidth=0.7, alpha=alpha)[0] for alpha in (0.5, 0.1))
+        self._beams, self._hidden_beams = beams
         self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
         self._figure.artists += [self._hidden_beams, self._beams, self._hits]
         if recording.moments[0].movers is not None:
@@ -119,25 +118,21 @@ class ChaseView:
         return Rendered(image, pixels, seen)
 
     def picture(self, moment: Moment, rendered: Rendered) -> np.ndarray:
-        rover = moment.rover[0]
-        self._draw_beams(rendered)
-        away = moment.goal[0] - rover.position[:2]
-        bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
-        arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
-        speed = f"{round(rover.linear_velocity.item(), 2) + 0:.2f} m/s".replace("-", "−")
-        goals = f"goals: {moment.goals[0]}"
-        caption = (f"{moment.seconds:.1f} s", speed, f"goal {arrow} {away.norm():.1f} m", goals)
-        event, since = moment.event
-        return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "", rendered.image)
-
-    def _draw_beams(self, rendered: Rendered) -> None:
-        pixels, seen = rendered.beams, rendered.seen
+        rover, pixels, seen = moment.rover[0], rendered.beams, rendered.seen
         shown = seen[:, :-1] & seen[:, 1:]
         # Lines break at points that are not a number.
         segments = torch.stack((pixels[:, :-1], pixels[:, 1:], torch.full_like(pixels[:, 1:], math.nan)), 2)
         for line, drawn in ((self._beams, shown), (self._hidden_beams, ~shown)):
             line.set_data(*segments[drawn].reshape(-1, 2).T.numpy())
         self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
+        away = moment.goal[0] - rover.position[:2]
+        bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
+        arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
+        speed = f"{round(rover.linear_velocity.item(), 2) + 0:.2f} m/s".replace("-", "−")
+        goal, goals = f"goal {arrow} {away.norm():.1f} m", f"goals: {moment.goals[0]}"
+        event, since = moment.event
+        event = event if moment.seconds < since + _EVENT_SECONDS else ""
+        return self._figure.picture((f"{moment.seconds:.1f} s", speed, goal, goals), event, rendered.image)
 
 
 def lidar_beams(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
@@ -227,8 +222,7 @@ class TopView:
 
 
 def _area(world: World, aspect: float) -> Area:
-    x, y = zip(world.spawn_range, world.goal_range, strict=True)
-    ends = [(min(low for low, _ in axis) - _MARGIN, max(high for _, high in axis) + _MARGIN) for axis in (x, y)]
+    ends = expanded(union(world.spawn_range, world.goal_range), _MARGIN)
     (x_center, width), (y_center, height) = (((low + high) / 2, high - low) for low, high in ends)
     width, height = max(width, aspect * height), max(height, width / aspect)
     return (x_center - width / 2, x_center + width / 2), (y_center - height / 2, y_center + height / 2)
