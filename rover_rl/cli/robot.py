@@ -42,8 +42,7 @@ class Robot:
     env: Path | None = None
     """YAML file of EnvConfig, or a run's config.yaml, for world, robot, simulator and topics. Options override it."""
     world: str | None = None
-    """World that the rover is in: inspect, moon, maze ("maze:7" is the maze of seed 7), or module:attribute.
-    Default: maze."""
+    """World that the rover is in: inspect, moon, maze ("maze:7": of seed 7), or module:attribute. Default: maze."""
     rate: float = 1.0
     """Simulation speed as a multiple of real time."""
     seed: int = 0
@@ -84,8 +83,7 @@ class Robot:
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.envs.served_rover import ServedRover
         from rover_rl.robots import get_robot
-        from rover_rl.sims.ros2.frames import world_map
-        from rover_rl.sims.ros2.robot import RobotNode
+        from rover_rl.sims.ros2.robot import RobotNode, world_map
         from rover_rl.sims.ros2.transport import make_transport
         from rover_rl.worlds import get_world
 
@@ -98,15 +96,14 @@ class Robot:
         connection, settings = renamed(self.ros_args, described.connection, self.settings)
         x, y, yaw = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", node_name(self.ros_args, robot.name))
-        view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
-        lidar, kind = replace(described.lidar, beams=self.lidar_beams), replace(robot, lidar_view=view)
-        rover = ServedRover(replace(described, world=world, robot=kind, lidar=lidar, seed=self.seed))
+        if self.lidar_view is not None:
+            robot = replace(robot, lidar_view=math.radians(self.lidar_view))
+        lidar, shown = replace(described.lidar, beams=self.lidar_beams), world_map(world) if self.map else None
+        rover = ServedRover(replace(described, world=world, robot=robot, lidar=lidar, seed=self.seed))
         try:
-            told: dict[str, Any] = {"is_localized": self.localize, "world_map": world_map(world) if self.map else None}
-            start = (x, y, yaw)
-            node = RobotNode(rover, transport, robot.lidar_range, settings, connection, start, view, **told)
-            place, topics = described.world_names[0], (connection.scan_topic, connection.cmd_vel_topic)
-            print(f"Rover in {place} on ROS 2: publishes {topics[0]}, receives {topics[1]}", flush=True)
+            node = RobotNode(rover, transport, settings, connection, (x, y, yaw), self.localize, shown)
+            topics = f"publishes {connection.scan_topic}, receives {connection.cmd_vel_topic}"
+            print(f"Rover in {described.world_names[0]} on ROS 2: {topics}", flush=True)
             node.run(self.rate, stop)
         finally:
             transport.close()

@@ -21,8 +21,8 @@ from torch import Tensor
 
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import MAP
 from rover_rl.sims.ros2.settings import BAG
+from rover_rl.sims.ros2.tf import MAP
 from rover_rl.sims.ros2.transport import short
 
 try:

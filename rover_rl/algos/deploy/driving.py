@@ -29,8 +29,8 @@ from rover_rl.envs.make import add_terms
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.native.threads import single_threaded
 from rover_rl.sims import RoverState
-from rover_rl.sims.ros2.frames import MAP
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.ros2.tf import MAP
 
 _log = logging.getLogger(__name__)
 

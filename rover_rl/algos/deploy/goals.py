@@ -40,7 +40,7 @@ class GoalTopic:
         self._require, self._pose_frame, self._frames = require, pose_frame, frames
         self._newest: deque[tuple[float, float]] = deque(maxlen=1)
         self._is_canceled = False
-        self._publish = transport.publisher(f"{topic}/status", ros.String, reliable=True, latched=True)
+        self._publish = transport.publisher(f"{topic}/status", ros.String, latched=True)
         transport.subscribe(topic, ros.PoseStamped, self._receive, reliable=True)
         transport.subscribe(f"{topic}/cancel", ros.Empty, self._cancel, reliable=True)
         self.tell("waiting")

@@ -20,9 +20,9 @@ from rover_rl.envs.sensors.movers import movers_in_world
 from rover_rl.envs.sensors.route import map_of
 from rover_rl.envs.sensors.suite import MOVERS, ROUTE
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import MAP
 from rover_rl.sims.ros2.poses import heading
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.ros2.tf import MAP
 
 PERIOD = 1.0  # time between two diagnostics, and two maps, s
 CLOSE_TIMEOUT = 5.0  # longest time to wait at the end until all is published, s
@@ -54,7 +54,7 @@ class DriveOutputs:
         kinds |= {topics.plan_topic: ros.Path} if ROUTE in readers else {}
         kinds |= {topics.movers_topic: ros.MarkerArray} if MOVERS in readers else {}
         late, publisher = (topics.seen_map_topic, topics.plan_topic), self._rover.transport.publisher
-        self._publish = {to: publisher(to, kind, reliable=True, latched=to in late) for to, kind in kinds.items()}
+        self._publish = {to: publisher(to, kind, latched=to in late) for to, kind in kinds.items()}
         self._is_open, self._wake = True, Event()
         self._pending: dict[str, Callable[[], Any]] = {}  # what makes the newest message of each topic
         self._last: dict[str, Any] = {}  # the last observation

@@ -31,12 +31,11 @@ from rover_rl.rotations import euler_to_matrix, matrix_to_quaternion, quaternion
 from rover_rl.sims import RoverState, Simulator
 from rover_rl.sims.free_space.paths import shortest_paths
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import MAP, WORLD
 from rover_rl.sims.ros2.poses import POSE_MESSAGES, MeasuredPose, read_finite, read_place
 from rover_rl.sims.ros2.scans import aligned, read_scan
 from rover_rl.sims.ros2.sensors import read_frame
 from rover_rl.sims.ros2.settings import BagTopics
-from rover_rl.sims.ros2.tf import TF_TOPIC, RobotPose
+from rover_rl.sims.ros2.tf import MAP, TF_TOPIC, WORLD, RobotPose
 from rover_rl.sims.rover_state import beam_angles
 from rover_rl.sims.settings import CONTROL_DT
 from rover_rl.worlds import Terrain, World, get_world

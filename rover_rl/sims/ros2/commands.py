@@ -43,7 +43,7 @@ def command_sender(transport: Transport, topic: str, settings: Ros2Settings) -> 
     if settings.command == "none":
         return lambda speed, yaw_rate: None
     stamped = settings.command == "twist_stamped"
-    publish = transport.publisher(topic, TwistStamped if stamped else Twist, reliable=True)
+    publish = transport.publisher(topic, TwistStamped if stamped else Twist)
 
     def send(speed: float, yaw_rate: float) -> None:
         twist = Twist(Vector3(x=speed), Vector3(z=yaw_rate))
@@ -115,10 +115,8 @@ class Commands:
         if others := other_types(self._transport, self._topic, self._message, receivers=True):
             choices = {"TwistStamped": "command='twist_stamped', --command", "Twist": "command='twist', --command"}
             choice = choices.get(others.removeprefix("geometry_msgs/"), "another topic, --cmd-vel-topic")
-            own = short(self._message.ros_type)
-            raise ValueError(
-                f"the receiver of {self._topic} expects {others}, and {own} would be sent: choose {choice}"
-            )
+            text = f"expects {others}, and {short(self._message.ros_type)} would be sent: choose {choice}"
+            raise ValueError(f"the receiver of {self._topic} {text}")
 
     def halt(self) -> None:
         """Stops the rover for good, whatever is sent. Any thread may call it."""

@@ -35,7 +35,7 @@ except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 over DDS requires the package cyclonedds: pip install "rover_rl[ros2]"') from error
 
 from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, ThrottledLogger
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, Receive, ThrottledLogger
 
 MAX_ENDPOINTS = 10_000  # publishers or subscribers in a domain among which those of a topic are looked up
 MAX_PASSES = 8  # looks for messages that have arrived before those that were found are passed on
@@ -57,13 +57,13 @@ class DdsTransport:
     """
 
     def __init__(self, node: str, environment: Mapping[str, str] = os.environ) -> None:
-        distribution = environment.get("ROS_DISTRO", "")
         self.node, self._domain = node, _domain(environment)
         # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
         self._participant: Any = DomainParticipant(domain_id(environment), Qos(Policy.Userdata(b"enclave=/;")))
         self._topics: dict[str, Topic[Any]] = {}
         self._readers: list[_Reader] = []
         self._writers: dict[str, DataWriter[Any]] = {}
+        distribution = environment.get("ROS_DISTRO", "")
         self._identifier_size = 24 if distribution in LONG_IDENTIFIERS else 16
         self._gid, self._node, self._announcement = announcement_messages(distribution)
         self._nodes = Topic(self._participant, NODE_LIST, _sample_type(self._announcement))
@@ -76,14 +76,11 @@ class DdsTransport:
         self._thread = threading.Thread(target=self._read, name=f"{node} DDS reader", daemon=True)
         self._thread.start()
 
-    def subscribe(
-        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
-    ) -> None:
+    def subscribe(self, topic: str, kind: Any, receive: Receive, reliable: bool = False, latched: bool = False) -> None:
         self._listen(topic, kind, _qos(reliable, HISTORY_DEPTH, latched), lambda message, _: receive(message))
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
-        own = _writers_of_node[self.node]
-        qos = _qos(False, HISTORY_DEPTH)
+        own, qos = _writers_of_node[self.node], _qos(False, HISTORY_DEPTH)
         self._listen(topic, kind, qos, lambda message, sender: sender in own or receive(message, sender))
 
     def _listen(self, topic: str, kind: Any, qos: Qos, receive: Callable[[Any, str], object]) -> None:
@@ -94,9 +91,8 @@ class DdsTransport:
             self._wait_set.attach(reader.condition)
         self._announce()
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
-        writer = DataWriter(*self._on(topic, kind), _qos(reliable, 1 if reliable else HISTORY_DEPTH, latched))
-        self._writers[topic] = writer
+    def publisher(self, topic: str, kind: Any, *, latched: bool = False) -> Publisher:
+        self._writers[topic] = writer = DataWriter(*self._on(topic, kind), _qos(True, 1, latched))
         _writers_of_node[self.node].add(writer.guid.hex)
         self._announce()
 
@@ -129,9 +125,7 @@ class DdsTransport:
         deadline = time.monotonic() + NAMING_TIME
         while sender and time.monotonic() < deadline:
             for sample in reader.take(MAX_ENDPOINTS):
-                if not sample.sample_info.valid_data or isinstance(sample, ValueError):
-                    continue
-                for node in sample.node_entities_info_seq:
+                for node in getattr(sample, "node_entities_info_seq", ()):  # none if malformed, or of one that has left
                     if any(gid.data.tobytes().hex().startswith(sender) for gid in node.writer_gid_seq):
                         return f"{node.node_namespace.rstrip('/')}/{node.node_name}"
             time.sleep(0.01)
@@ -238,12 +232,11 @@ class _Reader:
 
 
 @cache
-def announcement_messages(distribution: str) -> tuple[Any, Any, Any]:
+def announcement_messages(distribution: str) -> list[Any]:
     """Returns the classes of an identifier, a node and a participant in a ROS distribution, such as ``"jazzy"``."""
     types = get_typestore(Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY)
     names = ("Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo")
-    gid, node, participant = (message_class(f"rmw_dds_common/msg/{name}", types) for name in names)
-    return gid, node, participant
+    return [message_class(f"rmw_dds_common/msg/{name}", types) for name in names]
 
 
 _domains: WeakValueDictionary[int, Domain] = WeakValueDictionary()
@@ -274,8 +267,7 @@ def domain_settings(environment: Mapping[str, str]) -> str:
     """Returns Cyclone DDS's settings: XML fragments and file URIs, of which later ones take precedence."""
     # Fast DDS peers that offer type objects do not match without it.
     own = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-    own += _discovery(environment)
-    return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
+    return ",".join(filter(None, (own + _discovery(environment), environment.get("CYCLONEDDS_URI", "").strip())))
 
 
 def _discovery(environment: Mapping[str, str]) -> str:
@@ -286,8 +278,8 @@ def _discovery(environment: Mapping[str, str]) -> str:
     if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
         found, peers = "LOCALHOST", []
     elif found not in DISCOVERY_RANGES:
-        known = ", ".join(DISCOVERY_RANGES)
-        _log.warning("ROS_AUTOMATIC_DISCOVERY_RANGE=%s is none of %s: assuming LOCALHOST", given, known)
+        text = "ROS_AUTOMATIC_DISCOVERY_RANGE=%s is none of %s: assuming LOCALHOST"
+        _log.warning(text, given, ", ".join(DISCOVERY_RANGES))
         found = "LOCALHOST"
     if found == "OFF":  # the tag separates the process from all others
         return (
@@ -352,13 +344,8 @@ def _write(writer: DataWriter[Any], message: Any) -> None:
     writer.write(sample)
 
 
-# Indexing these classes creates types, which type checkers do not support.
-_SEQUENCE: Any = idl.types.sequence
-_ARRAY: Any = idl.types.array
-_BASE_TYPES: dict[str, Any] = {"string": str, "bool": bool, "byte": idl.types.uint8, "char": idl.types.uint8} | {
-    name: getattr(idl.types, name)
-    for name in ("int8", "int32", "uint64", "uint32", "uint16", "uint8", "float32", "float64")
-}
+_TYPES: Any = idl.types  # indexing its sequences and arrays creates types, which type checkers do not support
+_OTHER_NAMES = {"string": str, "bool": bool, "byte": idl.types.uint8, "char": idl.types.uint8}
 
 
 @cache
@@ -378,9 +365,8 @@ def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[idl.Idl
 def _idl(layout: Any, definitions: Typestore) -> Any:
     node, content = layout
     if node == Nodetype.BASE:
-        return _BASE_TYPES[content[0]]
+        return _OTHER_NAMES.get(content[0]) or getattr(_TYPES, content[0])
     if node == Nodetype.NAME:
         return _struct(content, definitions)
-    element, length = content
-    element = _idl(element, definitions)
-    return _ARRAY[element, length] if node == Nodetype.ARRAY else _SEQUENCE[element]
+    element, length = _idl(content[0], definitions), content[1]
+    return _TYPES.array[element, length] if node == Nodetype.ARRAY else _TYPES.sequence[element]

@@ -39,9 +39,8 @@ POLL = 0.02  # time between two looks for the publisher of a topic, s
 class LivePoints:
     """Elevation maps and point clouds of a live rover. Topics are subscribed to when they are first asked for.
 
-    What is in the frame of the pose, or in that of the robot (``Ros2Settings.frame_id``) at the time of the message, is
-    told by the name of the frame. Any other frame of a point cloud is that of the lidar, whose axes are those of the
-    robot.
+    The name of a frame tells whether it is that of the pose, or that of the robot (``Ros2Settings.frame_id``) at the
+    time of the message. Any other frame of a point cloud is that of the lidar, whose axes are those of the robot.
     """
 
     def __init__(self, sensors: Sensors, settings: Ros2Settings, connection: Connection) -> None:
@@ -155,9 +154,8 @@ def read_elevation_map(msg: Any, layer: str = "elevation") -> ElevationMap:
     heights = _read_layer(msg.data[names.index(layer)])
     size = [length / cell for length in (info.length_x, info.length_y)]
     if any(not abs(cells - count) < 0.5 for cells, count in zip(size, heights.shape, strict=True)):
-        raise ValueError(
-            f"an elevation map of {info.length_x} x {info.length_y} m with cells of {cell} m has {heights.shape} cells"
-        )
+        sides = f"{info.length_x} x {info.length_y} m with cells of {cell} m"
+        raise ValueError(f"an elevation map of {sides} has {heights.shape} cells")
     start = -int(msg.outer_start_index), -int(msg.inner_start_index)
     unwrapped = torch.from_numpy(np.array(heights)).roll(start, (0, 1))
     return ElevationMap(unwrapped.masked_fill(~unwrapped.isfinite(), torch.nan), (x, y), cell, layer)
@@ -167,9 +165,8 @@ def _read_layer(array: Any) -> np.ndarray:
     sizes, labels = [int(each.size) for each in array.layout.dim], [each.label for each in array.layout.dim]
     data = np.asarray(array.data, dtype=np.float32)[int(array.layout.data_offset) :]
     if labels not in (COLUMN_MAJOR, ROW_MAJOR) or min(sizes) < 1 or len(data) < math.prod(sizes):
-        raise ValueError(
-            f"a layer must have the dimensions {COLUMN_MAJOR}, got {labels} of {sizes} with {len(data)} values"
-        )
+        found = f"{labels} of {sizes} with {len(data)} values"
+        raise ValueError(f"a layer must have the dimensions {COLUMN_MAJOR}, got {found}")
     grid = data[: math.prod(sizes)].reshape(sizes)
     return grid if labels == ROW_MAJOR else grid.T
 
@@ -196,10 +193,8 @@ def read_points(msg: Any) -> Tensor:
     # Drivers of unorganized clouds often leave out the length of the only row.
     row_step = columns * step if rows == 1 else row_step
     if step < end or row_step < columns * step or len(data) < rows * row_step:
-        raise ValueError(
-            f"a point cloud of {columns} x {rows} points of {step} bytes, whose coordinates end at {end}, has "
-            f"{len(data)} bytes, in rows of {row_step}"
-        )
+        size = f"{columns} x {rows} points of {step} bytes, whose coordinates end at {end},"
+        raise ValueError(f"a point cloud of {size} has {len(data)} bytes, in rows of {row_step}")
     formats = [(">" if msg.is_bigendian else "<") + kind for kind in kinds]
     point = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": step})
     cloud = np.ndarray((rows, columns), point, data, strides=(row_step, step)).reshape(-1)

@@ -27,8 +27,8 @@ except ImportError:  # pragma: no cover
     Image = None  # type: ignore[assignment]
 
 MILLIMETERS = 0.001  # unit of depths that are whole numbers, m
-ENCODINGS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", MILLIMETERS), "mono16": ("u2", MILLIMETERS)}
-"""Type of a depth, and its unit in m, by the name of the encoding."""
+ENCODINGS = {"32FC1": (4, ("f4", 1.0)), "16UC1": (2, ("u2", MILLIMETERS)), "mono16": (2, ("u2", MILLIMETERS))}
+"""Number of bytes of a depth, its type, and its unit in m, by the name of the encoding."""
 RGB, BGR = [0, 1, 2], [2, 1, 0]
 COLOR_ENCODINGS = {"rgb8": (3, RGB), "bgr8": (3, BGR), "rgba8": (4, RGB), "bgra8": (4, BGR), "mono8": (1, [0, 0, 0])}
 """Number of bytes of a pixel, and those of red, green and blue, by the name of the encoding."""
@@ -73,19 +73,12 @@ def image_format(kind: ImageKind, topic: str) -> ImageFormat:
         return ImageFormat(ros.CompressedImage, _read_compressed_depth, write)
     if transport != "compressed":
         raise ValueError(f"topics of colors end in /compressed if they are compressed, got {topic!r}")
-    return ImageFormat(
-        ros.CompressedImage,
-        _read_compressed_colors,
-        lambda colors, *at: _compressed("rgb8; jpeg compressed bgr8", _file(_pixels(colors), "JPEG"), *at),
-    )
+    return ImageFormat(ros.CompressedImage, _read_compressed_colors, _write_jpeg)
 
 
 def _read_depth(msg: Any) -> Tensor:
-    if msg.encoding not in ENCODINGS:
-        raise ValueError(f"the encoding of a depth image must be one of {[*ENCODINGS]}, got {msg.encoding!r}")
-    kind, unit = ENCODINGS[msg.encoding]
-    depth_type = np.dtype(kind).newbyteorder(">" if msg.is_bigendian else "<")
-    return _depths(_lines(msg, depth_type.itemsize, "depth").view(depth_type), unit)
+    (kind, unit), lines = _lines(msg, ENCODINGS, "depth")
+    return _depths(lines.view(np.dtype(kind).newbyteorder(">" if msg.is_bigendian else "<")), unit)
 
 
 def _depths(values: np.ndarray, unit: float = 1.0) -> Tensor:
@@ -95,24 +88,24 @@ def _depths(values: np.ndarray, unit: float = 1.0) -> Tensor:
 
 
 def _read_colors(msg: Any) -> Tensor:
-    if msg.encoding not in COLOR_ENCODINGS:
-        raise ValueError(f"the encoding of a color image must be one of {[*COLOR_ENCODINGS]}, got {msg.encoding!r}")
-    width, channels = COLOR_ENCODINGS[msg.encoding]
-    lines = _lines(msg, width, "color")
-    return _colors(lines.reshape(len(lines), -1, width)[..., channels])
+    channels, lines = _lines(msg, COLOR_ENCODINGS, "color")
+    return _colors(lines.reshape(len(lines), int(msg.width), -1)[..., channels])
 
 
 def _colors(pixels: np.ndarray) -> Tensor:
     return torch.from_numpy(np.moveaxis(pixels, -1, 0).astype(np.float32)) / 255
 
 
-def _lines(msg: Any, width: int, what: str) -> np.ndarray:
-    """Returns the bytes of the rows of an image with ``width`` bytes a pixel, uint8 ``[rows, columns * width]``."""
+def _lines(msg: Any, encodings: dict[str, tuple[int, Any]], what: str) -> tuple[Any, np.ndarray]:
+    """Returns what a table has of the encoding of an image, and the bytes of its rows, uint8 ``[rows, bytes]``."""
+    if msg.encoding not in encodings:
+        raise ValueError(f"the encoding of a {what} image must be one of {[*encodings]}, got {msg.encoding!r}")
+    width, layout = encodings[msg.encoding]
     rows, columns, step = int(msg.height), int(msg.width), int(msg.step)
     data = np.frombuffer(bytes(msg.data), dtype=np.uint8)
     if rows < 1 or columns < 1 or step < columns * width or len(data) < rows * step:
         raise ValueError(f"a {what} image of {columns} x {rows} pixels has {len(data)} bytes, in rows of {step}")
-    return np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, : columns * width])
+    return layout, np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, : columns * width])
 
 
 def _read_compressed_colors(msg: Any) -> Tensor:
@@ -158,6 +151,10 @@ def _write_depth(depth: Tensor, stamp: Any, frame: str) -> Any:
 
 def _write_colors(colors: Tensor, stamp: Any, frame: str) -> Any:
     return _raw(_pixels(colors), "rgb8", stamp, frame)
+
+
+def _write_jpeg(colors: Tensor, stamp: Any, frame: str) -> Any:
+    return _compressed("rgb8; jpeg compressed bgr8", _file(_pixels(colors), "JPEG"), stamp, frame)
 
 
 def _pixels(colors: Tensor) -> np.ndarray:

@@ -72,11 +72,6 @@ def read_orientation(q: Any) -> Tensor:
     return (quaternion / norm).float()
 
 
-def read_pose(pose: Any) -> MeasuredPose:
-    point = pose.position
-    return MeasuredPose(read_finite("position", point.x, point.y, point.z), read_orientation(pose.orientation))
-
-
 def pose_in(msg: Any) -> Any:
     """Returns the ``geometry_msgs/Pose`` of a message of a pose, the first one of an array."""
     if not hasattr(msg, "poses"):
@@ -84,6 +79,13 @@ def pose_in(msg: Any) -> Any:
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
     return msg.poses[0]
+
+
+def read_pose(msg: Any) -> MeasuredPose:
+    """Reads a message of a pose."""
+    pose = pose_in(msg)
+    point, turn = pose.position, read_orientation(pose.orientation)
+    return MeasuredPose(read_finite("position", point.x, point.y, point.z), turn)
 
 
 def read_place(msg: Any) -> MeasuredPose:
@@ -94,17 +96,13 @@ def read_place(msg: Any) -> MeasuredPose:
     return MeasuredPose(read_finite("position", pose.position.x, pose.position.y, pose.position.z), turn)
 
 
-def _read_whole(msg: Any) -> MeasuredPose:
-    return read_pose(pose_in(msg))
-
-
 POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
     "pose_array": (ros.PoseArray, read_place),
-    "pose_stamped": (ros.PoseStamped, _read_whole),
-    "odometry": (ros.Odometry, _read_whole),
-    "pose_with_covariance": (ros.PoseWithCovarianceStamped, _read_whole),
-    "tf": (ros.TFMessage, _read_whole),  # of the pose that RobotPose makes of it
-    "wheels": (ros.Odometry, _read_whole),
+    "pose_stamped": (ros.PoseStamped, read_pose),
+    "odometry": (ros.Odometry, read_pose),
+    "pose_with_covariance": (ros.PoseWithCovarianceStamped, read_pose),
+    "tf": (ros.TFMessage, read_pose),  # of the pose that RobotPose makes of it
+    "wheels": (ros.Odometry, read_pose),
 }
 """Type of the pose message of each source, and the function that reads it."""
 
@@ -123,8 +121,8 @@ class PoseEstimator:
 
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
-    aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
-    ``frame`` is the position ``[3]`` (m) and orientation ``[4]`` in the world of the frame of the measured poses.
+    aligned with the world at the start of each episode. ``frame`` is the position ``[3]`` (m) and orientation ``[4]``
+    in the world of the frame of the measured poses.
     """
 
     def __init__(self, source: PoseSource) -> None:
@@ -134,9 +132,9 @@ class PoseEstimator:
 
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
         """Adds the yaw offset of the IMU to a localizer's pose that has just arrived."""
-        if self._source not in ("pose_array", "wheels"):
-            return pose._replace(imu_yaw_offset=yaw_of(pose.orientation) - yaw_of(imu_orientation))
-        return pose
+        if self._source in ("pose_array", "wheels"):
+            return pose
+        return pose._replace(imu_yaw_offset=yaw_of(pose.orientation) - yaw_of(imu_orientation))
 
     def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
         """Returns position ``[3]`` and orientation ``[4]`` in the world of an aligned pose."""
@@ -147,10 +145,7 @@ class PoseEstimator:
     def start_episode(
         self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float
     ) -> None:
-        """Aligns the frame of the wheel odometry with the world, unless the rover was not moved to a target.
-
-        ``ground`` is the height of the ground there, m.
-        """
+        """Aligns wheel odometry with the world at a target, if the rover was moved to one, at height ``ground``, m."""
         if self._source != "wheels":
             return
         turn = 0.0 if target is None else target.yaw - yaw_of(pose.orientation)
@@ -172,10 +167,9 @@ class PoseEstimator:
 
 
 class Placer:
-    """Moves the rover to the start of an episode in the way that the settings select.
+    """Moves the rover to the start of an episode in the way that the settings select, in a ``world`` of Gazebo.
 
-    ``world`` is the name of the world in Gazebo. Raises ``FileNotFoundError`` if Gazebo's command is selected, and is
-    not installed.
+    Raises ``FileNotFoundError`` if Gazebo's command is selected, and is not installed.
     """
 
     def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
@@ -188,7 +182,7 @@ class Placer:
                 f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
             )
         if self._way in ("auto", "topic"):
-            self._publish = transport.publisher(self._topic, ros.PoseStamped, reliable=True)
+            self._publish = transport.publisher(self._topic, ros.PoseStamped)
 
     @property
     def moves(self) -> bool:
@@ -207,14 +201,18 @@ class Placer:
             pose = ros.Pose(ros.Point(target.x, target.y, target.z), ros.Quaternion(*heading(target.yaw)))
             self._publish(ros.PoseStamped(ros.Header(frame_id="world"), pose))
         elif self._way == "manual":
-            _ask_for(target)
+            where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
+            try:
+                input(f"Put the rover at {where}, and press Enter: ")
+            except EOFError as error:
+                problem = f"nobody answers the prompt to put the rover at {where}: no standard input"
+                raise PoseResetError(problem) from error
 
     def _select(self) -> PoseReset:
         if self._has_subscriber(DISCOVERY_TIMEOUT):
             return "topic"
-        for command in GAZEBO_MESSAGES:
-            if shutil.which(command):
-                return command
+        if installed := [*filter(shutil.which, GAZEBO_MESSAGES)]:
+            return installed[0]
         text = "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
         _log.warning(text + "choose another way to move it with Ros2Settings(reset=...)", self._topic)
         return "none"
@@ -229,8 +227,8 @@ class Placer:
 def place_in_gazebo(command: PoseReset, world: str, model: str, target: TargetPose) -> None:
     """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through the command ``"ign"`` or ``"gz"``.
 
-    Its exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure. Raises
-    ``PoseResetError`` if it fails, or the pose is not finite.
+    Its exit code is always 0; success is ``data: true`` without a printed failure. Raises ``PoseResetError`` if it
+    fails, or the pose is not finite.
     """
     if not all(map(math.isfinite, target)):
         raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
@@ -248,11 +246,3 @@ def place_in_gazebo(command: PoseReset, world: str, model: str, target: TargetPo
     if "data: true" not in map(str.strip, answer.stdout.splitlines()) or any(word in printed for word in FAILURES):
         output = printed.strip() or "nothing"
         raise PoseResetError(f"{' '.join(arguments[:4])} did not move {model!r}; its output: {output}")
-
-
-def _ask_for(target: TargetPose) -> None:
-    where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
-    try:
-        input(f"Put the rover at {where}, and press Enter: ")
-    except EOFError as error:
-        raise PoseResetError(f"nobody answers the prompt to put the rover at {where}: no standard input") from error

@@ -20,14 +20,13 @@ try:
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 except ImportError as error:
     raise ModuleNotFoundError(
-        "transport='rclpy' requires ROS 2's Python library: on Linux on x86-64, pip install ros-jazzy-rclpy "
-        "ros-jazzy-rmw-fastrtps-cpp ros-jazzy-{nav,sensor,rosgraph,visualization,diagnostic}-msgs; or source an "
-        "installed ROS (/opt/ros/.../setup.bash), and use the Python that it was built for. transport='dds' requires "
-        "neither",
+        "transport='rclpy' requires ROS 2's Python library: on Linux on x86-64, pip install ros-jazzy-rclpy and what "
+        "docs/ros2.md lists; or source an installed ROS (/opt/ros/.../setup.bash), and use the Python that it was "
+        "built for. transport='dds' requires neither",
         name="rclpy",
     ) from error
 
-from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, Receive
 
 MAX_LOST = 100  # messages of a publisher that may be lost one after the other
 UNNAMED = "_NODE_NAME_UNKNOWN_"  # name of a node that has not been announced yet
@@ -56,9 +55,7 @@ class RclpyTransport:
         self._closed = False
         self._thread.start()
 
-    def subscribe(
-        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
-    ) -> None:
+    def subscribe(self, topic: str, kind: Any, receive: Receive, reliable: bool = False, latched: bool = False) -> None:
         streams = self._streams[topic]
 
         def take(message: Any, number: int | None) -> None:
@@ -84,8 +81,8 @@ class RclpyTransport:
         self._subscriptions[topic] += 1
         self._node.create_subscription(_ros_class(kind), topic, collect, qos)
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
-        publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable, latched))
+    def publisher(self, topic: str, kind: Any, *, latched: bool = False) -> Publisher:
+        publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(True, latched))
         self._publishers[topic] = publisher
         sent, numbers = _sent[self._name, topic], count(1)
 

@@ -1,6 +1,11 @@
-"""ROS 2 node of a simulated rover, with the topics of the original's rover in Gazebo.
+"""ROS 2 node of a simulated rover, with the topics of the original's rover in Gazebo, tf, its shape and a map.
 
-It replaces a real rover or Gazebo in tests and first trials. Every ROS 2 tool can use it.
+It replaces a real rover or Gazebo in tests and first trials. The frames of tf, from parent to child, are::
+
+    map -> world -> odom -> base_link -> lidar_link, imu_link, NAME_link, NAME_link -> NAME_optical_frame
+
+``NAME`` is that of a camera or a 3D lidar. ``world`` is ``map``: the frame of the poses. Wheel odometry tells where
+``base_link`` is in ``odom``, and a localizer, which errs as the robot's pose does, where ``odom`` is in ``world``.
 """
 
 from __future__ import annotations
@@ -10,29 +15,41 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from rover_rl.robots import Robot
+from rover_rl.robots.shapes import Frame, Shape
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import BASE, IMU, LIDAR, ODOM, WORLD, RobotFrames, info_topic
 from rover_rl.sims.ros2.ground import elevation_map_message, point_cloud_message
 from rover_rl.sims.ros2.images import image_format
 from rover_rl.sims.ros2.poses import heading, read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.tf import MAP, WORLD, Transform
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport, other_types, short
 from rover_rl.sims.rover_state import RoverState
-from rover_rl.sims.sensor_report import SensorReport, SimulatedRover, Variances
+from rover_rl.sims.sensor_report import Device, DeviceKind, SensorReport, SimulatedRover, Variances
 from rover_rl.sims.settings import Connection
+from rover_rl.worlds.clearance import clearance_on_grid
+from rover_rl.worlds.world import World
 
+ODOM, BASE, LIDAR, IMU = "odom", "base_link", "lidar_link", "imu_link"
 TYPES_PERIOD = 1.0  # time between two looks at the types of the messages that others send, s
 COMMAND_LIFETIME = 0.5  # simulation time without a command after which the rover stops, as real rovers do, s
 RANGE_MIN = 0.15  # minimum range of the original's lidar, m
 NOT_MEASURED = -1.0  # first entry of a covariance that marks a quantity as not measured (sensor_msgs/Imu)
 UNKNOWN = 1e6  # variance of the numbers of a message that are 0 because nothing measures them
 EXACT = 1e-6  # least variance: a covariance of zeros would mean that it is unknown (sensor_msgs/Imu)
+MAP_CELL = 0.05  # side of a cell of the map, m
+OCCUPIED = 100  # what an occupied cell of a ``nav_msgs/OccupancyGrid`` has; a free one has 0
+OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""Axes of an image in those of its camera: to the right, down and ahead (REP 103)."""
+GRAY = (0.5, 0.5, 0.5)
 
 _log = logging.getLogger(__name__)
 
@@ -40,7 +57,7 @@ _log = logging.getLogger(__name__)
 class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, poses, tf, clock and images; receives commands.
 
-    It starts at x, y (m) and yaw (rad). Scans cover the angle ``view`` (rad), half of it to either side of straight
+    It starts at x, y (m) and yaw (rad). Scans cover the robot's ``lidar_view``, half of it to either side of straight
     ahead. ``is_localized`` is that of :class:`RobotFrames`, and ``world_map`` a ``nav_msgs/OccupancyGrid`` to publish.
     """
 
@@ -48,26 +65,21 @@ class RobotNode:
         self,
         rover: SimulatedRover,
         transport: Transport,
-        lidar_range: float,
         settings: Ros2Settings = Ros2Settings(),  # noqa: B008  (it is frozen)
         connection: Connection = Connection(),  # noqa: B008
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        view: float = 2 * math.pi,
         is_localized: bool = True,
         world_map: Any = None,
     ) -> None:
         self._rover, self._transport, self._settings, self._connection = rover, transport, settings, connection
-        self._lidar_range, self._view = lidar_range, view
         # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived: replaced by the transport's thread.
         self._command: list[Any] = [(0.0, 0.0), 0.0]
-        self._reset_poses = deque[Any](maxlen=1)  # messages
-        self._yaw = start[2]
+        self._reset_poses, self._yaw = deque[Any](maxlen=1), start[2]  # messages, and the last yaw (rad)
         self._frames = RobotFrames(rover.robot, rover.devices, settings.lidar_yaw, is_localized)
         self._odometry = (0.0, 0.0, 0.0)  # pose relative to the start: the integral of the wheels' velocities
         self._spread = np.zeros((4, 4))  # covariance of that pose and of the scale factor of the velocities
         self._publishers: dict[str, Callable[[Any], None]] = {}
-        self._types_checked = -math.inf
-        self._log = ThrottledLogger(_log)
+        self._types_checked, self._log = -math.inf, ThrottledLogger(_log)
         rover.reset(start)
         command = ros.TwistStamped if settings.command == "twist_stamped" else ros.Twist
         self._receives = {connection.cmd_vel_topic: command, settings.reset_topic: ros.PoseStamped}
@@ -100,8 +112,8 @@ class RobotNode:
 
     def _receive_command(self, msg: Any) -> None:
         twist = getattr(msg, "twist", msg)
-        linear, angular = twist.linear, twist.angular
-        speed, *others, yaw_rate = numbers = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        numbers = [getattr(part, axis) for part in (twist.linear, twist.angular) for axis in "xyz"]
+        speed, *others, yaw_rate = numbers
         read_finite("command", *numbers)
         if any(others):
             text = "%s: only linear.x and angular.z move the robot, and the rest of a command is ignored"
@@ -112,9 +124,8 @@ class RobotNode:
         try:
             if (frame := msg.header.frame_id) not in ("", WORLD):
                 raise ValueError(f"its frame_id must be {WORLD!r}, the frame of the world, or empty, got {frame!r}")
-            position, orientation, _ = read_pose(msg.pose)
-            x, y, _ = position.tolist()
-            yaw = yaw_of(orientation)
+            pose = read_pose(msg)
+            (x, y, _), yaw = pose.position.tolist(), yaw_of(pose.orientation)
             self._rover.move_to((x, y, yaw))
         except ValueError as error:
             text = "%s: ignored a pose, and the rover stays where it is: %s"
@@ -136,8 +147,7 @@ class RobotNode:
     def _publish_report(self, report: SensorReport) -> None:
         state, settings, connection, frames = report.state, self._settings, self._connection, self._frames
         stamp, scan_time = (ros.Time.from_seconds(time) for time in (state.stamp.item(), report.scan_stamp))
-        orientation = ros.Quaternion(*state.orientation[0].tolist())
-        pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
+        pose = ros.Pose(ros.Point(*state.position[0].tolist()), ros.Quaternion(*state.orientation[0].tolist()))
         for kind, images in report.images.items():
             for own, image in images.items():
                 topic, frame = own or connection.image_topics[kind], frames.frame_of(kind, own)
@@ -150,7 +160,7 @@ class RobotNode:
             self._publish(own or connection.elevation_topic, elevation_map_message(ground, stamp, WORLD))
         self._publish(settings.clock_topic, ros.Clock(ros.Time.from_seconds(report.time)))
         self._publish(settings.pose_topic, ros.PoseArray(ros.Header(stamp, WORLD), [pose]))
-        self._publish(connection.imu_topic, self._imu(state, stamp, orientation, report.variances))
+        self._publish(connection.imu_topic, self._imu(state, stamp, pose.orientation, report.variances))
         odometry = self._wheel_odometry(state, stamp, report.variances)
         self._publish(settings.odometry_topic, odometry)
         if (moving := frames.moving(stamp, pose, odometry.pose.pose)) is not None:
@@ -161,7 +171,7 @@ class RobotNode:
     def _publish(self, topic: str, message: Any, latched: bool = False) -> None:
         if topic not in self._publishers:
             # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
-            self._publishers[topic] = self._transport.publisher(topic, type(message), reliable=True, latched=latched)
+            self._publishers[topic] = self._transport.publisher(topic, type(message), latched=latched)
         self._publishers[topic](message)
 
     def _wheel_odometry(self, state: RoverState, stamp: Any, variances: Variances) -> Any:
@@ -193,29 +203,18 @@ class RobotNode:
         return imu
 
     def _scan(self, ranges: Tensor, stamp: Any) -> Any:
-        """Builds a scan message according to REP 117, with the lidar's zero angle in direction ``lidar_yaw``.
-
-        A full turn begins straight ahead; a narrower view begins at its right edge.
-        """
-        increment = 2 * math.pi / len(ranges)
-        first, count = 0, len(ranges)
-        if self._view < 2 * math.pi:
-            half = int(self._view / 2 / increment)
+        """Builds a scan message (REP 117): a full turn begins straight ahead, a narrower view at its right edge."""
+        robot, increment, first, count = self._rover.robot, 2 * math.pi / len(ranges), 0, len(ranges)
+        if robot.lidar_view < 2 * math.pi:
+            half = int(robot.lidar_view / 2 / increment)
             first, count = -half, 2 * half + 1
         readings = ranges.roll(-first)[:count].numpy().astype(np.float32)
-        readings[readings > self._lidar_range] = np.inf
+        readings[readings > robot.lidar_range] = np.inf
         readings[readings < RANGE_MIN] = -np.inf
-        angle_min = first * increment - self._settings.lidar_yaw
-        return ros.LaserScan(
-            ros.Header(stamp, LIDAR),
-            angle_min=angle_min,
-            angle_max=angle_min + (count - 1) * increment,
-            angle_increment=increment,
-            scan_time=self._rover.control_dt,
-            range_min=RANGE_MIN,
-            range_max=self._lidar_range,
-            ranges=readings,
-        )
+        low = first * increment - self._settings.lidar_yaw
+        angles = (low, low + (count - 1) * increment, increment)
+        rest = {"range_min": RANGE_MIN, "range_max": robot.lidar_range, "scan_time": self._rover.control_dt}
+        return ros.LaserScan(ros.Header(stamp, LIDAR), *angles, **rest, ranges=readings)
 
 
 def _propagated(spread: np.ndarray, way: float, turn: float, yaw: float, noise: float) -> np.ndarray:
@@ -229,3 +228,112 @@ def _propagated(spread: np.ndarray, way: float, turn: float, yaw: float, noise: 
     change[:2, 2], change[:2, 3], change[2, 3] = way * left, way * ahead, turn
     drawn[:2, 0], drawn[2, 1] = way * ahead, turn
     return change @ spread @ change.T + noise * drawn @ drawn.T
+
+
+class RobotFrames:
+    """Frames of a robot, its lidar, turned by ``lidar_yaw`` (rad), its IMU and its ``devices``.
+
+    If it ``is_localized``, they tell where ``odom`` is in ``world``. Else, another node tells where it is in ``map``.
+    """
+
+    def __init__(
+        self, robot: Robot, devices: Iterable[Device] = (), lidar_yaw: float = 0.0, is_localized: bool = True
+    ) -> None:
+        self._robot, self._lidar_yaw, self._is_localized = robot, lidar_yaw, is_localized
+        self._devices = {(device.kind, device.topic): device for device in devices}
+        self._last = -math.inf
+
+    def fixed(self) -> Any:
+        """Returns the transforms that never change, a ``tf2_msgs/TFMessage``."""
+        origin, straight, turned = np.zeros(3), Rotation.identity(), Rotation.from_euler("z", self._lidar_yaw)
+        found = [Transform(BASE, LIDAR, np.array(self._robot.lidar_position), turned)]
+        found += [Transform(BASE, IMU, np.array(self._robot.imu_position), straight)]
+        for device in self._devices.values():
+            link, ahead = f"{device.name}_link", Rotation.from_euler("ZY", (device.yaw, device.pitch))
+            found.append(Transform(BASE, link, np.array(device.mount), ahead))
+            if device.kind != "points":
+                found.append(Transform(link, _frame(device), origin, OPTICAL))
+        found += [Transform(MAP, WORLD, origin, straight)] if self._is_localized else []
+        return ros.TFMessage([each.message(ros.Time()) for each in found])
+
+    def moving(self, stamp: Any, pose: Any, odometry: Any) -> Any | None:
+        """Returns the transforms at a stamp, or ``None`` if it is not later than the last one, as tf wants it.
+
+        ``pose`` and ``odometry`` are where the robot is in ``world`` and ``odom``, a ``geometry_msgs/Pose`` each.
+        """
+        if ros.seconds_of(stamp) <= self._last:
+            return None
+        self._last = ros.seconds_of(stamp)
+        base = Transform(ODOM, BASE, *_read(odometry))
+        found = [base]
+        if self._is_localized:
+            # world -> base_link = world -> odom * odom -> base_link
+            position, rotation = _read(pose)
+            turn = rotation * base.rotation.inv()
+            found.append(Transform(WORLD, ODOM, position - turn.apply(base.position), turn))
+        return ros.TFMessage([each.message(stamp) for each in found])
+
+    def frame_of(self, kind: DeviceKind, topic: str | None) -> str:
+        """Returns the frame of what a camera or a 3D lidar tells, by its topic, or ``None`` for the connection's."""
+        return _frame(self._devices[kind, topic])
+
+    def camera_info(self, kind: DeviceKind, topic: str | None, stamp: Any) -> Any:
+        """Returns what a camera is, a ``sensor_msgs/CameraInfo``: one without distortion."""
+        camera = self._devices[kind, topic]
+        (rows, columns), focal = camera.size, camera.focal_length
+        matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
+        projection = np.hstack((matrix, np.zeros((3, 1)))).ravel()
+        header, lens = ros.Header(stamp, _frame(camera)), ("plumb_bob", np.zeros(5))
+        return ros.CameraInfo(header, rows, columns, *lens, matrix.ravel(), np.eye(3).ravel(), projection)
+
+    def description(self) -> Any:
+        """Returns a URDF, a ``std_msgs/String``: one link with the visual shapes of the robot, its joints at zero."""
+        boxes = (Shape("box", Frame(np.array(box.center), np.eye(3)), box.size) for box in self._robot.boxes)
+        shapes = self._robot.visuals or [*boxes]
+        link = f'<link name="{BASE}">{"".join(map(_visual, shapes))}</link>'
+        return ros.String(f"<robot name={quoteattr(self._robot.name)}>{link}</robot>")
+
+
+def info_topic(image_topic: str) -> str:
+    """Returns the topic of the ``sensor_msgs/CameraInfo`` of an image: beside it, as in image_transport."""
+    raw = image_topic.removesuffix("/compressed").removesuffix("/compressedDepth")
+    return f"{raw.rpartition('/')[0]}/camera_info"
+
+
+def world_map(world: World) -> Any:
+    """Returns the obstacles of a world, a ``nav_msgs/OccupancyGrid`` with cells of 5 cm: 100 occupied, 0 free."""
+    xs, ys = (
+        low + MAP_CELL * (np.arange(max(1, math.floor((high - low) / MAP_CELL + 1e-6))) + 0.5)
+        for low, high in world.terrain.extent
+    )
+    reach = MAP_CELL / math.sqrt(2)
+    occupied = clearance_on_grid(world.terrain, world.obstacles, xs, ys, 2 * reach).numpy() < reach
+    corner = ros.Pose(ros.Point(float(xs[0] - MAP_CELL / 2), float(ys[0] - MAP_CELL / 2)))
+    about = ros.MapMetaData(resolution=MAP_CELL, width=len(xs), height=len(ys), origin=corner)
+    return ros.OccupancyGrid(ros.Header(frame_id=MAP), about, np.where(occupied, OCCUPIED, 0).astype(np.int8).ravel())
+
+
+def _read(pose: Any) -> tuple[np.ndarray, Rotation]:
+    place, turn = pose.position, pose.orientation
+    return np.array([place.x, place.y, place.z]), Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+
+
+def _frame(device: Device) -> str:
+    return f"{device.name}_link" if device.kind == "points" else f"{device.name}_optical_frame"
+
+
+def _visual(shape: Shape) -> str:
+    angles = Rotation.from_matrix(shape.frame.rotation).as_euler("xyz")
+    place = f'<origin xyz="{_text(shape.frame.position)}" rpy="{_text(angles)}"/>'
+    if shape.kind == "cylinder":
+        sizes = 'radius="{:g}" length="{:g}"'.format(*shape.sizes)
+    elif shape.kind == "mesh":
+        sizes = f'filename={quoteattr(shape.file)} scale="{_text(shape.sizes)}"'
+    else:
+        sizes = f'{"radius" if shape.kind == "sphere" else "size"}="{_text(shape.sizes)}"'
+    color = f'<material name=""><color rgba="{_text(shape.color or GRAY)} 1"/></material>'
+    return f"<visual>{place}<geometry><{shape.kind} {sizes}/></geometry>{color}</visual>"
+
+
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(f"{number:g}" for number in numbers)

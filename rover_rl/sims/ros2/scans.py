@@ -23,8 +23,8 @@ TURN = 2 * math.pi
 class Scan(NamedTuple):
     """A lidar scan in the lidar's own layout: ranges ``[beams]`` (m), counter-clockwise from ``angle_min`` (rad).
 
-    A range of ``inf`` is no return, one of ``-inf`` an object that is too close (REP 117). ``valid``, bool ``[beams]``,
-    says whether each reading is. ``stamp`` is the time by the sender's clock, s.
+    A range of ``inf`` is no return, one of ``-inf`` an object that is too close (REP 117). ``valid`` is bool
+    ``[beams]``. ``stamp`` is the time by the sender's clock, s.
     """
 
     ranges: Tensor
@@ -52,19 +52,16 @@ class Scan(NamedTuple):
 def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     """Reads a ``sensor_msgs/LaserScan``, of which a share of at most ``max_invalid`` readings may be invalid.
 
-    A reading is invalid if it is NaN, or a finite number outside of the message's limits, if it has such (REP 117).
-    Readings that the angles announce and ``ranges`` lacks also count. Raises ``ValueError`` if there are no readings,
-    unusable angles, or too many invalid readings.
+    They are NaN, finite but outside of the message's limits, if it has such (REP 117), or announced by the angles and
+    missing. Raises ``ValueError`` if there are no readings, unusable angles, or too many invalid readings.
     """
     ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
     if ranges.ndim != 1 or not len(ranges):
         raise ValueError(f"a scan must have a list of ranges, got shape {tuple(ranges.shape)}")
     angle_min, increment = float(msg.angle_min), float(msg.angle_increment)
     if not math.isfinite(angle_min) or not 1e-6 < abs(increment) < math.inf:
-        raise ValueError(
-            "a scan must have a finite angle_min and a finite angle_increment other than 0, "
-            f"got angle_min {angle_min}, angle_increment {increment}"
-        )
+        got = f"got angle_min {angle_min}, angle_increment {increment}"
+        raise ValueError(f"a scan must have a finite angle_min and a finite angle_increment other than 0, {got}")
     low, high = float(msg.range_min), float(msg.range_max)
     valid = ~ranges.isnan()
     if high > low:
@@ -73,10 +70,8 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     announced = max(len(ranges), round(steps) + 1 if 0 <= steps < math.inf else 0)  # 0: the angles are inconsistent
     invalid = announced - int(valid.sum())
     if invalid > max_invalid * announced:
-        raise ValueError(
-            f"{invalid} of {announced} readings of the scan are missing, NaN or outside of its limits of {low:g} to "
-            f"{high:g} m; the limit is {max_invalid:.0%}"
-        )
+        which = f"missing, NaN or outside of its limits of {low:g} to {high:g} m"
+        raise ValueError(f"{invalid} of {announced} readings of the scan are {which}; the limit is {max_invalid:.0%}")
     if increment < 0:
         ranges, valid = ranges.flip(0), valid.flip(0)
         angle_min, increment = angle_min + increment * (len(ranges) - 1), -increment
@@ -86,40 +81,35 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
 def aligned(scan: Scan, beams: int) -> tuple[Tensor, Tensor]:
     """Converts a mounted scan to a full turn of beams, counter-clockwise from straight ahead.
 
-    Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
-    without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
-    increment away. Otherwise the beam is unseen, never free.
-
-    Returns:
-        Ranges ``[beams]``, m, and which beams are seen, bool ``[beams]``. Unseen ones have the range ``inf``.
+    Returns ranges ``[beams]``, m, and which beams are seen, bool ``[beams]``. A beam gets the minimum of the valid
+    readings in its sector, its equal share of the turn. Without one, it gets the reading nearest in angle, if that is
+    valid and at most half an angle increment away. Otherwise, it is unseen, never free, with the range ``inf``.
     """
-    beam_of_reading, nearest = _beams_and_readings(beams, len(scan.ranges), scan.angle_min, scan.angle_increment)
+    layout = len(scan.ranges), scan.angle_min, scan.angle_increment
+    beam_of_reading, nearest, is_near = _beams_and_readings(beams, *layout)
     ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
     closest = torch.full((beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
-    covered = torch.zeros(beams, dtype=torch.bool)
-    covered[beam_of_reading[scan.valid]] = True
-    # The padded entry stands for beams without a reading nearby.
-    near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
-    near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
-    return torch.where(covered, closest, near), covered | near_is_valid
+    covered = beam_of_reading[scan.valid].bincount(minlength=beams) > 0
+    near = ranges[nearest].masked_fill(~is_near, math.inf)
+    return torch.where(covered, closest, near), covered | (is_near & scan.valid[nearest])
 
 
 @lru_cache(maxsize=1)  # the layout of a lidar's scans seldom changes
-def _beams_and_readings(beam_count: int, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
-    """Returns the beam whose sector contains each reading, and the reading nearest to each beam, else ``count``."""
+def _beams_and_readings(beam_count: int, count: int, first: float, increment: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns the beam whose sector has each reading, and each beam's nearest reading and whether that is near it."""
     angles = first + increment * torch.arange(count, dtype=torch.float64)
     beams = TURN / beam_count * torch.arange(beam_count, dtype=torch.float64)
     beam_of_reading = (angles * beam_count / TURN).round().long() % beam_count
     distances = TURN / 2 - (TURN / 2 - (beams[:, None] - angles).remainder(TURN)).abs()
     distance, nearest = distances.min(-1)
-    return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
+    return beam_of_reading, nearest, distance <= increment / 2 + 1e-6
 
 
 def cut(scan: Scan, points: int) -> Tensor | None:
     """Returns the nearest valid reading of each segment of a mounted scan, ``[points]``, m; ``inf`` where none is.
 
-    Segments are as equal as can be: neighboring readings of a full turn from straight ahead on, of which no segment has
-    more than one more than another. ``None`` if a full turn has fewer readings than segments.
+    Segments are as equal as can be, from straight ahead on: none has more than one reading more than another. ``None``
+    if a full turn has fewer readings than segments.
     """
     segment = _segment_of_reading(points, len(scan.ranges), scan.angle_min, scan.angle_increment)
     if segment is None:

@@ -39,8 +39,7 @@ _log = logging.getLogger(__name__)
 class ReceivedMessage(NamedTuple):
     """A value of the ``number``-th message of its kind, which arrived at ``time`` by :func:`time.monotonic`, s.
 
-    ``company`` has the values of the other kinds that belong to a scan: those that were latest when it arrived, or
-    whose stamps are not newer than its own.
+    ``company`` has the values of other kinds that belong to a scan: the latest when it arrived, or not newer by stamp.
     """
 
     value: Any
@@ -94,19 +93,17 @@ class Source(NamedTuple):
 class Sensors:
     """Subscribes to scan, IMU, odometry and pose, and stores the latest valid values.
 
-    Messages arrive in the transport's thread. The kinds of ``sources`` are ``"scan"``, ``"imu"``, ``"odometry"``,
-    ``"pose"`` unless the pose comes from wheel odometry, and what is subscribed to later. ``pose_frame`` is the name of
-    the frame that poses are in; empty if it is not known.
+    The kinds of ``sources`` are ``"scan"``, ``"imu"``, ``"odometry"``, ``"pose"`` unless the pose comes from wheel
+    odometry, and what is subscribed to later. ``pose_frame`` is the frame that poses are in; empty if it is not known.
     """
 
-    def __init__(
-        self, transport: Transport, settings: Ros2Settings, connection: Connection, pose_estimator: poses.PoseEstimator
-    ) -> None:
-        self.transport, self.pose_estimator, self._connection = transport, pose_estimator, connection
+    def __init__(self, transport: Transport, settings: Ros2Settings, connection: Connection) -> None:
+        self.transport, self._connection = transport, connection
+        self.pose_estimator = poses.PoseEstimator(settings.pose)
         self.messages, self.rejected_scans, self.pose_frame = LatestMessages(), 0, ""
         self._tf_topics, self._follows_tf = (settings.tf_topic, settings.tf_static_topic), False
-        base = settings.frame_id.strip("/") if settings.pose == "tf" else ""
-        self._tf = RobotPose(settings.map_frame.strip("/"), base)
+        by_tf = settings.pose == "tf"
+        self._tf = RobotPose(settings.map_frame.strip("/"), settings.frame_id.strip("/") if by_tf else "")
         self._control_dt, self._old = settings.control_dt, settings.step_timeout
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         # Stamp, position and orientation. Written by the transport's thread.
@@ -115,6 +112,7 @@ class Sensors:
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
         pose_type, read_pose = poses.POSE_MESSAGES[settings.pose]
+        put = self.messages.put
 
         def read_mounted(msg: Any) -> Scan:
             return read_scan(msg, settings.max_invalid).mounted(settings.lidar_yaw, settings.lidar_inverted)
@@ -123,15 +121,13 @@ class Sensors:
         self.sources = {
             "imu": Source(connection.imu_topic, Imu, {"imu": lambda msg: poses.read_orientation(msg.orientation)}),
             "odometry": Source(settings.odometry_topic, Odometry, {"odometry": read_twist}),
-            "pose": Source(settings.pose_topic, pose_type, {"pose": read_pose}),
+            "pose": Source(settings.tf_topic if by_tf else settings.pose_topic, pose_type, {"pose": read_pose}),
             "scan": Source(connection.scan_topic, LaserScan, {"scan": read_mounted}),
         }
         if settings.pose == "wheels":
             self.sources["odometry"].readers.update(self.sources.pop("pose").readers)
-        if settings.pose == "tf":
-            self.sources["pose"] = Source(settings.tf_topic, pose_type, {"pose": read_pose})
+        if by_tf:
             self.follow_tf()
-        put = self.messages.put
         transport.subscribe(settings.clock_topic, Clock, lambda msg: put("clock", seconds_of(msg.clock)))
         for kind, source in self.sources.items():
             if source.message is not TFMessage:
@@ -140,10 +136,9 @@ class Sensors:
     def follow_tf(self) -> FrameTree:
         """Returns the transforms of tf, as they are from the first call on."""
         if not self._follows_tf:
-            self._follows_tf, (moving, fixed) = True, self._tf_topics
-            receive = partial(self._receive_tf, fixed=True)
-            self.transport.subscribe(fixed, TFMessage, receive, reliable=True, latched=True)
-            self.transport.subscribe(moving, TFMessage, self._receive_tf)
+            self._follows_tf, (moving, fixed), receive = True, self._tf_topics, self._receive_tf
+            self.transport.subscribe(fixed, TFMessage, partial(receive, fixed=True), reliable=True, latched=True)
+            self.transport.subscribe(moving, TFMessage, receive)
         return self._tf.tree
 
     @property
@@ -156,12 +151,12 @@ class Sensors:
 
     @property
     def wheel_velocity(self) -> Tensor:
-        """Forward speed (m/s) and yaw rate (rad/s), ``[2]``; zeros before the first message."""
+        """Forward speed (m/s) and yaw rate (rad/s), ``[2]``."""
         return self.messages.value("odometry", torch.zeros(2))
 
     @property
     def world_pose(self) -> tuple[Tensor, Tensor]:
-        """Position ``[3]`` and orientation ``[4]`` in the world by the latest pose and IMU orientation."""
+        """Position ``[3]`` and orientation ``[4]`` in the world by the latest messages."""
         return self.pose_estimator.estimate(self.pose, self.imu_orientation)
 
     def image(self, of: ImageKind, topic: str | None, size: tuple[int, int]) -> Tensor:
@@ -175,7 +170,7 @@ class Sensors:
         return interpolate(flat, size, mode="nearest-exact").reshape(*image.shape[:-2], *size)
 
     def latest_on(self, topic: str, what: str, message: Any, read: Callable[[Any], Any]) -> Any:
-        """Returns the latest of what ``read`` reads from the messages on a topic; ``None`` before the first one.
+        """Returns what ``read`` reads from the latest usable message on a topic, else ``None``.
 
         The first call subscribes to the topic. ``what`` tells apart what is read from the same topic.
         """
@@ -236,9 +231,9 @@ class Sensors:
         return 0.0 < period <= missing < 2 * period + STAMP_TOLERANCE
 
     def pose_at(self, stamp: float) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world at the time of a stamp, s.
+        """Returns the latest position ``[3]`` and orientation ``[4]`` in the world that are not newer than a stamp, s.
 
-        They are the latest that are not newer, as of ROS's tf, or the latest if all are, as with clocks that differ.
+        If all are newer, as with clocks that differ, they are the latest.
         """
         known = (each[1:] for each in reversed([*self._poses]) if each[0] <= stamp + STAMP_TOLERANCE)
         return next(known, None) or self.world_pose
@@ -246,16 +241,17 @@ class Sensors:
     def state_age(self) -> float | None:
         """Returns the time since the latest pose or IMU orientation was measured, s; ``None`` if it is not known.
 
-        The time now is that of the clock of a simulation, if it is received, else that of this machine. As for ROS's
-        tf, the clock of the robot must be synchronized with it.
+        Now is the time of a simulation's clock, if it is received, else of this machine, with which the clock of the
+        robot must be synchronized.
         """
         if not (known := [*self._poses]):
             return 0.0
         age = self.messages.value("clock", time.time()) - known[-1][0]
         return max(0.0, age) if abs(age) <= MAX_AGE else None
 
-    def forget_poses(self) -> None:
-        """Forgets the poses of the past, which may be in another frame."""
+    def start_episode(self, target: poses.TargetPose | None, ground: float) -> None:
+        """Aligns the frame of the pose: see :class:`PoseEstimator`. Forgets past poses, which may be in another."""
+        self.pose_estimator.start_episode(self.pose, self.imu_orientation, target, ground)
         self._poses.clear()
 
     def arrivals(self) -> dict[str, tuple[int, float, str]]:
@@ -282,12 +278,10 @@ class Sensors:
 
     def _check_scan_rate(self, stamp: float) -> None:
         self._scan_times.append((stamp, time.monotonic()))
-        if len(self._scan_times) <= RATE_WINDOW:
-            return
         (first, arrived), (last, now) = self._scan_times[0], self._scan_times[-1]
         span = last - first if last > first else now - arrived
         low, high = (share / self._control_dt for share in SUPPORTED_RATES)
-        if span > 0 and not low <= RATE_WINDOW / span <= high:
+        if len(self._scan_times) > RATE_WINDOW and span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
             self._throttled_log.warning("rate", text, self.sources["scan"].topic, RATE_WINDOW / span, low, high)
 

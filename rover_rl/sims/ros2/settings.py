@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from rover_rl.checks import NAME, check_topics
+from rover_rl.checks import NAME, check_positive, check_topics
 from rover_rl.sims.settings import CONTROL_DT, MIN_REVERSAL
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "pose_with_covariance", "tf", "wheels"]
@@ -66,8 +66,7 @@ class Ros2Settings:
     frame_id: str = "base_link"
     """Frame of the robot: of stamped commands, in tf, and of elevation maps and points that are in it."""
     give_way: bool = False
-    """While another node sends commands, such as that of a joystick, send none, and drive on 0.5 s after its last one.
-    Default: stop, and name the node."""
+    """While another node sends commands, send none, until 0.5 s after its last. Default: stop, and name the node."""
     lidar_yaw: float = math.pi
     """Direction in which the lidar's zero angle points, counter-clockwise from straight ahead, rad. The default is
     backward: the original rover's lidar is mounted turned by 180 degrees. Most others face forward: 0."""
@@ -79,8 +78,7 @@ class Ros2Settings:
     """Range of directions that no valid beam covers, m. It is neither free space nor a collision. With inf, they have
     no return, as in training with hidden beams. The rover never drives towards them."""
     max_speed: float | None = None
-    """Largest forward speed of a command, m/s. Default of the four limits: what the policy was trained with, else that
-    of the robot."""
+    """Largest forward speed of a command, m/s. Default of the four limits: as in training, else the robot's."""
     max_yaw_rate: float | None = None
     """Largest yaw rate of a command, rad/s."""
     max_acceleration: float | None = None
@@ -108,19 +106,18 @@ class Ros2Settings:
     node: str = "rover_rl"
     """Name of the node, after its namespace if it has one: /robot1/rover_rl."""
     control_dt: float = CONTROL_DT
-    """Duration of a control step in training, s. A scan that comes sooner than three quarters of it after the last one
-    is skipped."""
+    """Control step in training, s. Scans that come sooner than three quarters of it after the last are skipped."""
 
     def __post_init__(self) -> None:
-        check_topics(**{name: topic for name, topic in vars(self).items() if name.endswith("_topic")})
+        values = vars(self)
+        check_topics(**{name: topic for name, topic in values.items() if name.endswith("_topic")})
         if not (isinstance(self.node, str) and re.fullmatch(f"/?{NAME}(/{NAME})*", self.node)):
             raise ValueError(f"node must be letters, digits and _, and begin with no digit, got {self.node!r}")
         limits = "max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"
         for name in (*limits, "reset_timeout", "pose_tolerance", "settle", "step_timeout", "control_dt"):
-            if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
-        if not self.unseen_range > 0:
-            raise ValueError(f"unseen_range must be positive, got {self.unseen_range}")
+            if values[name] is not None and not 0 < values[name] < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {values[name]}")
+        check_positive(math.inf, unseen_range=self.unseen_range)
         if not 0 <= self.min_reversal < math.inf:
             raise ValueError(f"min_reversal must not be negative, got {self.min_reversal}")
         if not math.isfinite(self.lidar_yaw):
@@ -129,9 +126,8 @@ class Ros2Settings:
             raise ValueError(f"max_invalid must be at least 0 and less than 1, got {self.max_invalid}")
         choices = {"transport": TransportName, "pose": PoseSource, "command": Command, "reset": PoseReset}
         for name, choice in choices.items():
-            allowed = get_args(choice)
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
+            if values[name] not in get_args(choice):
+                raise ValueError(f"{name} must be one of {get_args(choice)}, got {values[name]!r}")
 
 
 @dataclass(frozen=True)

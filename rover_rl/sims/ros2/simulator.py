@@ -18,7 +18,7 @@ from rover_rl.sims.command_limiter import CommandLimiter, CommandLimits
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError, scans
 from rover_rl.sims.ros2.commands import STOP, Commands
 from rover_rl.sims.ros2.ground import LivePoints
-from rover_rl.sims.ros2.poses import Placer, PoseEstimator, TargetPose
+from rover_rl.sims.ros2.poses import Placer, TargetPose
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Tap, TappedTransport, ThrottledLogger, Transport, make_transport
@@ -45,8 +45,8 @@ REST_DISTANCE = 0.05  # distance below which a rover at rest may move while it s
 class Ros2Simulator(Simulator):
     """A live rover: a real one, one in Gazebo, or ``rover-rl robot``.
 
-    Messages arrive in a thread of the transport. :meth:`step` sends a command, waits for the next scan, and uses the
-    latest of the other messages. A malformed message is ignored with a warning; the last valid value remains.
+    :meth:`step` sends a command, waits for the next scan, and uses the latest of the other messages, which arrive in a
+    thread. A malformed message is ignored with a warning; the last valid value remains.
 
     The command path limits speed, yaw rate and their rates of change, and cancels the forward speed towards directions
     that no valid lidar beam covers. A rover without a usable scan is stopped after 0.25 s, and counts as lost after
@@ -62,15 +62,11 @@ class Ros2Simulator(Simulator):
     features: frozenset[Feature] = frozenset({"contacts", "lidar"})
 
     def __init__(
-        self,
-        worlds: Sequence[World],
-        robot: Robot,
-        settings: Ros2Settings | None = None,
-        connection: Connection | None = None,
+        self, worlds: Sequence[World], robot: Robot, settings: Ros2Settings, connection: Connection | None = None
     ) -> None:
         if len(worlds) != 1:
             raise ValueError(f"backend 'ros2' drives one live rover, got num_envs={len(worlds)}")
-        self.settings = settings = settings or Ros2Settings()
+        self.settings = settings
         self._connection = connection = connection or Connection()
         self.num_envs, self.control_dt, self.device = 1, settings.control_dt, torch.device("cpu")
         self._world, self._dt = worlds[0], self.control_dt
@@ -90,7 +86,7 @@ class Ros2Simulator(Simulator):
         self._finalizer = weakref.finalize(self, self._commands.close)
         self._placer = Placer(settings, self._world.name, self.transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
-        self._sensors = Sensors(self.transport, settings, connection, PoseEstimator(settings.pose))
+        self._sensors = Sensors(self.transport, settings, connection)
         points = LivePoints(self._sensors, settings, connection)
         self.point_cloud, self.ground_at, self.image = points.cloud, points.ground_at, self._sensors.image
         self.stop, self.halt, self.receive = self._commands.stop, self._commands.halt, self._sensors.receive
@@ -119,7 +115,7 @@ class Ros2Simulator(Simulator):
     @property
     def field_of_view(self) -> float:
         scan = self._sensors.messages.latest("scan")
-        return 0.0 if scan is None else scan.value.field_of_view
+        return scan.value.field_of_view if scan else 0.0
 
     @property
     def robot_connected(self) -> bool:
@@ -172,8 +168,7 @@ class Ros2Simulator(Simulator):
         self._take_next_scan(after=messages.count("scan"))
         self._limiter.reset()
         moved_to, ground = target if self._placer.moves else None, self._world.height_at(poses[0, :2]).item()
-        sensors.pose_estimator.start_episode(sensors.pose, sensors.imu_orientation, moved_to, ground)
-        sensors.forget_poses()
+        sensors.start_episode(moved_to, ground)
         self._dt = self.control_dt
         return self.state()
 
@@ -210,7 +205,10 @@ class Ros2Simulator(Simulator):
         if time.monotonic() - self._publishers_checked > PUBLISHER_CHECK_INTERVAL:
             self._require_one_robot()
         scans_before = self._sensors.messages.count("scan")
-        speed, yaw_rate = self._limited(commands)
+        if not torch.isfinite(commands).all():
+            raise ValueError(f"a command must be finite, got {commands[0, 0]} m/s and {commands[0, 1]} rad/s")
+        last, dt = (torch.tensor([each], dtype=torch.float64) for each in (self._commands.last, (self._dt,)))
+        speed, yaw_rate = self._limiter(last, commands.double(), dt, self._limits)[0].tolist()
         self.held = scans.is_blocked(speed, self._seen)
         if self.held:
             direction = "forward" if speed > 0 else "backward"
@@ -223,13 +221,6 @@ class Ros2Simulator(Simulator):
         self.on_command()
         self._take_next_scan(after=scans_before)
         return self.state()
-
-    def _limited(self, commands: Tensor) -> tuple[float, float]:
-        if not torch.isfinite(commands).all():
-            raise ValueError(f"a command must be finite, got {commands[0, 0]} m/s and {commands[0, 1]} rad/s")
-        last, dt = (torch.tensor([each], dtype=torch.float64) for each in (self._commands.last, (self._dt,)))
-        speed, yaw_rate = self._limiter(last, commands.double(), dt, self._limits)[0].tolist()
-        return speed, yaw_rate
 
     def state(self) -> RoverState:
         sensors, scan = self._sensors, self._scan
@@ -297,16 +288,11 @@ class Ros2Simulator(Simulator):
         if not self.settings.give_way and (other := self._commands.other(since)):
             if self._commands.last != STOP:
                 self.stop()
-            raise RobotLostError(
-                f"{other} also sends commands on {self._connection.cmd_vel_topic}, so that the rover is stopped: end "
-                "it, or let it win by Ros2Settings(give_way=True), --give-way"
-            )
+            what = f"{other} also sends commands on {self._connection.cmd_vel_topic}, so that the rover is stopped"
+            raise RobotLostError(f"{what}: end it, or let it win by Ros2Settings(give_way=True), --give-way")
 
     def _require_one_robot(self) -> None:
-        """Raises an error if several robots publish: their messages would mix, and all of them would be driven.
-
-        Also if the only receivers of the commands expect another type.
-        """
+        """Raises an error if several robots publish, which would mix, or all receivers expect another type."""
         self._publishers_checked = time.monotonic()
         self._commands.require_receiver()
         sources = self._sensors.sources
@@ -317,7 +303,7 @@ class Ros2Simulator(Simulator):
                 raise RobotLostError(f"{count} publishers send on {topic}: {text}")
 
     def _require_recent_messages(self) -> None:
-        """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
+        """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a first message."""
         deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
         for kind in self._sensors.sources:
             message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
@@ -337,10 +323,8 @@ class Ros2Simulator(Simulator):
         if self._repeated[0] > FROZEN_SCANS and self._repeated[1] > FROZEN_DISTANCE:
             self._repeated = (0, 0.0)
             self.stop()
-            raise RobotLostError(
-                f"the scans on {self._connection.scan_topic} stay the same to the last bit while the wheels turn, as "
-                "of a lidar that hangs; a stop command was sent"
-            )
+            what = f"the scans on {self._connection.scan_topic} stay the same to the last bit while the wheels turn"
+            raise RobotLostError(f"{what}, as of a lidar that hangs; a stop command was sent")
 
     def _lost(self, kind: str) -> RobotLostError:
         self.stop()
@@ -355,7 +339,7 @@ class Ros2Simulator(Simulator):
         while time.monotonic() - rest_start < settings.settle:
             self._require_recent_messages()
             self._require_only_driver(since=began)
-            if self._commands.gives_way:
+            if self.gives_way:
                 deadline = time.monotonic() + settings.reset_timeout
             position = sensors.world_pose[0]
             arrived = not self._placer.moves or (
@@ -368,10 +352,10 @@ class Ros2Simulator(Simulator):
             if time.monotonic() > deadline:
                 x, y, z = position.tolist()
                 place = f" at x {target.x:.2f} m, y {target.y:.2f} m" if self._placer.moves else ""
-                raise PoseResetError(
-                    f"the rover did not come to rest{place}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, "
-                    f"y {y:.2f} m, z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
-                )
+                now = f"at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m"
+                wheels = "at rest" if self._wheels_at_rest() else "moving"
+                late = f"after {settings.reset_timeout:g} s it is {now}, and its wheels are {wheels}"
+                raise PoseResetError(f"the rover did not come to rest{place}; {late}")
             messages.wait("odometry", messages.count("odometry"), timeout=settings.settle / 4)
 
     def _wheels_at_rest(self) -> bool:

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from rover_rl.sims.ros2 import messages as ros
 
+MAP, WORLD = "map", "world"
 TF_TOPIC = "/tf"
 KEPT = 1000  # number of transforms of a frame that are kept, 10 s at 100 Hz
-SAME = {"map", "world"}  # names of the frame of the world, which are the same if no transform tells otherwise
+SAME = {MAP, WORLD}  # names of the frame of the world, which are the same if no transform tells otherwise
 RESTART = 0.5
 """Time by which a stamp is older than the last one from which on the clock has gone back, s. Else, it is late."""
 
@@ -31,15 +32,13 @@ class Transform(NamedTuple):
         move, turn = msg.transform.translation, msg.transform.rotation
         frames = msg.header.frame_id.strip("/"), msg.child_frame_id.strip("/")
         position, quaternion = np.array([move.x, move.y, move.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        if not (np.isfinite(position).all() and np.isfinite(quaternion).all() and quaternion.any()):
-            raise ValueError(
-                f"the transform from {frames[0]!r} to {frames[1]!r} must be finite, and turn by a rotation"
-            )
+        if not (np.isfinite([*position, *quaternion]).all() and quaternion.any()):
+            parent, child = frames
+            raise ValueError(f"the transform from {parent!r} to {child!r} must be finite, and turn by a rotation")
         return cls(*frames, position, Rotation.from_quat(quaternion))
 
     def message(self, stamp: Any) -> Any:
-        x, y, z, w = self.rotation.as_quat().tolist()
-        place = ros.Transform(ros.Vector3(*self.position.tolist()), ros.Quaternion(x, y, z, w))
+        place = ros.Transform(ros.Vector3(*self.position.tolist()), ros.Quaternion(*self.rotation.as_quat().tolist()))
         return ros.TransformStamped(ros.Header(stamp, self.parent), self.child, place)
 
 
@@ -87,9 +86,8 @@ class FrameTree:
         while way[-1] != end and (history := self._known.get(way[-1])):
             known = [history[-1]] if stamp is None else [each for each in history if each[0] <= stamp]
             if not known and len(history) > 1:
-                raise ValueError(
-                    f"where {way[-1]!r} was at {stamp:.1f} s is not known, but from {history[0][0]:.1f} s on"
-                )
+                since = history[0][0]
+                raise ValueError(f"where {way[-1]!r} was at {stamp:.1f} s is not known, but from {since:.1f} s on")
             _, transform = (known or history)[-1]  # one without others holds at any time
             if transform.parent in way:
                 raise ValueError(f"the transforms of {' in '.join(map(repr, [*way, transform.parent]))} form a loop")
@@ -102,8 +100,8 @@ class FrameTree:
 class RobotPose:
     """Pose of the frame ``base`` in the frame ``root``, by the latest transforms in a ``tree``.
 
-    A localizer tells where ``odom`` is more seldom, and later, than wheel odometry tells where the robot is in it, so
-    that a pose has the stamp of the transform of ``base``.
+    A localizer tells where ``odom`` is more seldom and later than wheel odometry tells where the robot is in it: a pose
+    has the stamp of the transform of ``base``.
     """
 
     def __init__(self, root: str, base: str) -> None:
@@ -120,6 +118,5 @@ class RobotPose:
             return None  # late, or repeated
         self._stamp = stamp
         found = self.tree.between(self._root, self._base)
-        x, y, z, w = found.rotation.as_quat().tolist()
-        place = ros.Pose(ros.Point(*found.position.tolist()), ros.Quaternion(x, y, z, w))
+        place = ros.Pose(ros.Point(*found.position.tolist()), ros.Quaternion(*found.rotation.as_quat().tolist()))
         return ros.PoseStamped(ros.Header(ros.Time.from_seconds(stamp), self._root), place)

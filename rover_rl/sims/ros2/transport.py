@@ -12,8 +12,9 @@ from typing import Any, Protocol, TypeAlias
 from rover_rl.sims.ros2.settings import TransportName
 
 Publisher: TypeAlias = Callable[[Any], None]
+Receive: TypeAlias = Callable[[Any], object]
 Tap: TypeAlias = Callable[[str, Any, Any], None]
-HISTORY_DEPTH = 5  # unread messages of a best-effort topic that are kept; reliable publishers keep one
+HISTORY_DEPTH = 5  # unread messages of a best-effort topic that are kept; publishers keep one
 ACTIVE_TIME = 1.0  # time since its last message during which a publisher counts as active, s
 NAMING_TIME = 0.3  # time to wait for the name of the node of a publisher, s
 WARNING_INTERVAL = 5.0  # minimum time between two warnings with the same key, s
@@ -23,18 +24,16 @@ class Transport(Protocol):
     """A ROS 2 node's connection to other nodes.
 
     Messages are those of :mod:`rover_rl.sims.ros2.messages`, or objects with the same attributes; a ``kind`` is a class
-    of them. Quality of service is best effort with a history of five messages, as for sensor data, which matches every
-    publisher; if ``reliable``, it is reliable with a history of one. A subscriber that is ``latched``, too, also gets
-    the last message from before it came, if the publisher is.
+    of them. Publishers are reliable with a history of one. Subscriptions are best effort with a history of five, which
+    matches every publisher, or ``reliable``. One that is ``latched``, too, also gets the last message from before it
+    came, if the publisher is.
     """
 
-    def subscribe(
-        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
-    ) -> None:
+    def subscribe(self, topic: str, kind: Any, receive: Receive, reliable: bool = False, latched: bool = False) -> None:
         """Calls ``receive`` with each message, from the transport's thread, in the order of sending on any topic.
 
-        A message that cannot be decoded is ignored with a warning. ``receive`` returns False for an unusable message,
-        which :meth:`publishers` does not count.
+        A message that cannot be decoded is ignored with a warning. ``receive`` returns False for an unusable one, which
+        :meth:`publishers` does not count.
         """
 
     def overhear(self, topic: str, kind: Any, receive: Callable[[Any, str], object]) -> None:
@@ -43,7 +42,7 @@ class Transport(Protocol):
         ``receive`` is called with each message and an identifier of its publisher for :meth:`name_of`.
         """
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher: ...
+    def publisher(self, topic: str, kind: Any, *, latched: bool = False) -> Publisher: ...
 
     def name_of(self, sender: str, topic: str) -> str:
         """Name of the node of a publisher that was overheard."""
@@ -95,17 +94,15 @@ class TappedTransport:
         for message in [*self._latched.values()]:
             hear(*message)
 
-    def subscribe(
-        self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False, latched: bool = False
-    ) -> None:
+    def subscribe(self, topic: str, kind: Any, receive: Receive, reliable: bool = False, latched: bool = False) -> None:
         def both(message: Any) -> object:
             self._pass_on(latched, topic, kind, message)
             return receive(message)
 
         self._transport.subscribe(topic, kind, both, reliable=reliable, latched=latched)
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False) -> Publisher:
-        publish = self._transport.publisher(topic, kind, reliable=reliable, latched=latched)
+    def publisher(self, topic: str, kind: Any, *, latched: bool = False) -> Publisher:
+        publish = self._transport.publisher(topic, kind, latched=latched)
 
         def both(message: Any) -> None:
             publish(message)

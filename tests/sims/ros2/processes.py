@@ -42,7 +42,7 @@ class NetworkRobot:
         self.rover = ServedRover(EnvConfig(world="maze", lidar=LidarConfig(beams=128), seed=0))
         self.twists: list[tuple[float, float]] = []
         self._transport, self._stop = DdsTransport("rover_zero", environment), threading.Event()
-        node = RobotNode(self.rover, self._transport, 12.0)
+        node = RobotNode(self.rover, self._transport)
         self._transport.subscribe("/cmd_vel", Twist, lambda sent: self.twists.append((sent.linear.x, sent.angular.z)))
         self._thread = threading.Thread(target=node.run, args=(1.0, self._stop))
         self._thread.start()

@@ -44,7 +44,7 @@ def test_messages_arrive_unchanged_and_their_type_and_the_node_of_their_publishe
     received: list[Any] = []
     listener.overhear("/sent", type(message), lambda *heard: received.append(heard))
     talker.overhear("/sent", type(message), lambda *heard: received.append(heard))  # does not hear itself
-    publish = talker.publisher("/sent", type(message), reliable=True)
+    publish = talker.publisher("/sent", type(message))
     until(lambda: talker.subscribers("/sent"))
     publish(message)
     until(lambda: received)

@@ -14,9 +14,8 @@ from rover_rl.envs.imperfections import imperfect
 from rover_rl.envs.sensors.cameras import ColorCamera, DepthCamera, Lidar3D
 from rover_rl.envs.served_rover import ServedRover
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.ros2.frames import RobotFrames, info_topic, world_map
 from rover_rl.sims.ros2.messages import Twist, Vector3, seconds_of
-from rover_rl.sims.ros2.robot import RobotNode
+from rover_rl.sims.ros2.robot import RobotFrames, RobotNode, info_topic, world_map
 from tests.sims.ros2.wire import Wire
 
 # A wall whose near side is at x = 2.
@@ -33,7 +32,7 @@ def driven(wire: Wire, steps: int = 40, lidar_yaw: float = 0.5, is_localized: bo
     config = EnvConfig(world=WALLED, backend="warp", seed=0, lidar=LidarConfig(beams=64), sensors=SENSORS)
     rover = ServedRover(imperfect(config, "harsh") if harsh else config)
     settings = Ros2Settings(lidar_yaw=lidar_yaw)
-    node = RobotNode(rover, wire, 12.0, settings, start=(0.0, -1.0, 0.4), is_localized=is_localized)
+    node = RobotNode(rover, wire, settings, start=(0.0, -1.0, 0.4), is_localized=is_localized)
     publish = wire.publisher("/cmd_vel", Twist)
     for _ in range(steps):
         publish(Twist(Vector3(x=0.4), Vector3(z=-0.8)))

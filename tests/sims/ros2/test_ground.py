@@ -185,7 +185,7 @@ def test_a_live_rover_on_hills_reads_what_a_simulated_one_does(wire):
     world = get_world("hills:3")
     config = EnvConfig(world=world, seed=0, backend="warp", sensors=(heights, lidar))
     robot = ServedRover(config)
-    wire.rovers.append(RobotNode(robot, wire, 12.0, start=(1.0, 2.0, 0.7)).step)
+    wire.rovers.append(RobotNode(robot, wire, start=(1.0, 2.0, 0.7)).step)
     env, still = RoverEnv(world_n=world, backend=LIVE, seed=0, sensors=[heights, lidar, by_points]), RoverEnv(config)
     env.reset()
     x, y, _ = env.rover_state.position[0].tolist()

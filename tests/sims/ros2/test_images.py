@@ -126,7 +126,7 @@ def test_an_image_that_cannot_be_read_is_refused(kind, topic, image, message):
 def live_env(wire, *sensors, cameras=(CAMERA,)) -> RoverEnv:
     """Starts a robot with cameras on the wire, and the environment that drives it with sensors."""
     rover = ServedRover(EnvConfig(world=WORLD, seed=0, backend="warp", sensors=cameras))
-    wire.rovers.append(RobotNode(rover, wire, 12.0).step)
+    wire.rovers.append(RobotNode(rover, wire).step)
     backend = Ros2Settings(reset="none", settle=0.05, step_timeout=1.0)
     return RoverEnv(world_n=WORLD, backend=backend, seed=0, sensors=sensors)
 

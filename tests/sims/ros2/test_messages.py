@@ -44,6 +44,11 @@ def test_fields_have_defaults_and_a_time_is_made_from_seconds():
     assert ros.Time.from_seconds(-0.5) == ros.Time(-1, 500_000_000)
 
 
+def test_each_class_has_the_name_of_its_type():
+    kinds = {name: kind.ros_type for name, kind in vars(ros).items() if hasattr(kind, "ros_type")}
+    assert all(kind.endswith(f"/msg/{name}") for name, kind in kinds.items())
+
+
 def test_announced_lengths_are_checked():
     long = b"\x00\x01\x00\x00" + bytes(8) + b"\xff\xff\xff\x7f" + bytes(40)
     with pytest.raises(ValueError, match="Invalid sequence length|Invalid string length"):

@@ -220,7 +220,7 @@ def test_messages_are_exchanged_unchanged_with_a_node_of_rclpy(teleop, domain):
     ranges = np.arange(640, dtype=np.float32)
     with closing(DdsTransport("rover_rl", domain)) as transport:
         transport.subscribe("/own/scan", LaserScan, received.append)
-        publish = transport.publisher("/own/twist", Twist, reliable=True)
+        publish = transport.publisher("/own/twist", Twist)
         teleop.subscribe("/own/twist", TWIST)
         header = {"stamp": {"sec": 3, "nanosec": 4}, "frame_id": "lidar"}
         fields = {"header": header, "range_max": 10.0, "ranges": ranges.tolist()}

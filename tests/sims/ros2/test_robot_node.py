@@ -33,7 +33,7 @@ class Robot:
 
     def __init__(self, wire, rover: ServedRover, settings: Ros2Settings = Ros2Settings()) -> None:  # noqa: B008
         self.rover, self._wire = rover, wire
-        self._node = RobotNode(rover, wire, 12.0, settings)
+        self._node = RobotNode(rover, wire, settings)
         self._sent = wire.publisher("/cmd_vel", Twist), wire.publisher("/rover/set_pose", PoseStamped)
 
     @property

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from rover_rl.algos.deploy.goals import GoalTopic
 from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.frames import RobotFrames
+from rover_rl.sims.ros2.robot import RobotFrames
 from rover_rl.sims.ros2.tf import FrameTree, RobotPose, Transform
 from rover_rl.worlds import get_world
 from tests.sims.ros2.wire import ALL, SimulatedRobot, Wire, drive, simulator, yaw_of

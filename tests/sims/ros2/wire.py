@@ -62,7 +62,7 @@ class Wire:
             receive(message)
         self.received[topic].add(kind.ros_type)
 
-    def publisher(self, topic: str, kind: Any, *, reliable: bool = False, latched: bool = False):
+    def publisher(self, topic: str, kind: Any, *, latched: bool = False):
         self.kinds[topic].add(kind.ros_type)
         self.latched |= {topic} if latched else set()
 
@@ -198,7 +198,7 @@ class SimulatedRobot:
     ) -> None:
         kind, lidar = replace(get_robot(robot), lidar_view=view), LidarConfig(beams=128)
         self.rover = ServedRover(EnvConfig(world=world, robot=kind, lidar=lidar, seed=0, **config))
-        self._node = RobotNode(self.rover, wire, kind.lidar_range, start=start, view=view)
+        self._node = RobotNode(self.rover, wire, start=start)
         self.driven: list[float] = []
         self.poses: dict[float, tuple[torch.Tensor, float]] = {}
         wire.rovers.append(self._step)
