@@ -25,7 +25,7 @@ class SeveralRobots(TensorDictModuleBase):
         robots: robots, as :func:`~rover_rl.robots.get_robots` takes them.
 
     Example:
-        >>> policy = SeveralRobots(GridPlanner, ("jackal", "racer"))
+        >>> policy = make_baseline("gridplanner", ("jackal", "racer"))  # one of these
     """
 
     def __init__(self, make: Callable[[Robot], Any], robots: RobotLike) -> None:
