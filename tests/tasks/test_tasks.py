@@ -203,7 +203,7 @@ def test_the_command_lists_draws_and_describes(
             "worlds hills:0-299@0.2-1",
             "goal_reward=100",
         ),
-        *("general_penalty=-100", "collision_window=0", "friction=(0.5, 1)", "length 1,200 steps of 50 ms"),
+        *("general_penalty=-30", "collision_window=0", "friction=(0.5, 1)", "length 1,200 steps of 50 ms"),
         *("hills:50000-50063@0.5-1, 4 episodes in each", "the goal within 60 s", "rover_rl/Hills-v0"),
         *("rover-rl train hills --learner sac (algo=sac, gamma=0.98)", "evaluate hills scripted gridplanner dwa"),
     ):
