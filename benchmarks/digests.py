@@ -8,7 +8,7 @@ Run it on both revisions, on the same machine, and compare the lines::
 
 Rollouts take 200 random steps of 16 rovers in each world and simulator, with and without randomization, and in pools
 of unseen worlds. Evaluations drive the package's policies on stored start-goal pairs, and the baselines in unseen
-worlds: digests of all metrics and episodes. Trainings are short, by PPO and SAC in two simulators: of the weights.
+worlds: their digests cover all metrics and episodes. Those of short trainings by PPO and SAC cover the weights.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Conventional environment for the same task: one rover, one PyBullet client, Gymnasium and NumPy.
 
 This is the baseline of ``benchmarks/peers.py``. Rover, ground, obstacles, physics and lidar beams are those of
-:class:`rover_rl.RoverEnv`. The rest is minimal: an observation, a dense reward, terminations, and spawns from its maps.
+:class:`rover_rl.RoverEnv`. The rest is minimal: observation, reward, terminations, and untimed spawns from its maps.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ that do not exist, one after another, and goes on where it was stopped.
 - *Planners* are not trained. `expert` knows the map, which no learner does. An entry **with planner** has one in its
   network or in its action. Learners of `field` and `rooms-people` imitate one in the first tenth of their training.
 
-The first table has the success of each entry with its largest budget in million (M) steps, the others all.
+The first table has each entry with its largest budget in million (M) steps. The other tables have all budgets.
 """
 
 

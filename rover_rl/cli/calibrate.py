@@ -43,8 +43,9 @@ class Calibrate:
     def __call__(self) -> int:
         outputs = self.out / "calibration.yaml", self.out / "calibration.png"
         check_outputs(*outputs, inputs=[str(self.bag)], force=self.force)
-        from rover_rl.algos.calibration.calibrate import calibrate, describe, draw, env_settings, write_settings
+        from rover_rl.algos.calibration.calibrate import calibrate
         from rover_rl.algos.calibration.reading import read_recording
+        from rover_rl.algos.calibration.report import describe, draw, env_settings, write_settings
         from rover_rl.native.threads import single_threaded
         from rover_rl.robots import get_robot
 

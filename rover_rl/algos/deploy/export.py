@@ -37,7 +37,7 @@ from rover_rl.algos.policy.grid_actions import grid_actions
 from rover_rl.algos.policy.networks import action_spec
 from rover_rl.algos.policy.recurrent import PlainRecurrent
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs.sensors.robot import RobotNumbers
+from rover_rl.envs.sensors.robot import robot_table
 from rover_rl.envs.sensors.suite import ROBOT, policy_sensors
 from rover_rl.files import MADE_BY, written_whole
 from rover_rl.robots import get_robot
@@ -77,8 +77,7 @@ class PlainPolicy(nn.Module):
         self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
         if ROBOT in self._observation:
-            numbers = RobotNumbers.of_robot(get_robot(checkpoint.env.robot), torch.zeros(1, 1))
-            self.register_buffer("robot", torch.cat(numbers, -1))
+            self.register_buffer("robot", robot_table([get_robot(checkpoint.env.robot)]))
         space = action_spec(checkpoint.env.bounded_action).space
         self.register_buffer("_low", space.low)
         self.register_buffer("_high", space.high)

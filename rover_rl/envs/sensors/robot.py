@@ -71,7 +71,7 @@ class RobotBody(Sensor):
     )
 
     def reader(self, setup: SensorSetup) -> Callable[[SensorInput], Tensor]:
-        fleet, table = setup.fleet, setup.fleet.table(_numbers)
+        fleet, table = setup.fleet, robot_table(setup.fleet.robots).to(setup.fleet.index.device)
         return lambda inputs: table[fleet.index]
 
     def encode(self, value: Tensor) -> Tensor:
