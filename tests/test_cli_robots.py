@@ -66,6 +66,9 @@ def test_a_policy_drives_with_the_robot_that_is_named_in_place_of_those_of_a_tas
         EnvOptions().description(planner, None, env)
     driven = EnvOptions(robot="racer").description(planner, None, env)
     assert (driven.robot, driven.randomization, driven.task) == ("racer", env.randomization, env.task)
+    with_options = EnvOptions(robot="racer", robot_options=RobotOptions(lidar_view=2.0))
+    planner = resolve_policy("gridplanner", ("forest:1",), with_options.given_robot).module
+    assert with_options.description(planner, None, evaluate.test_env(race, planner)).robot == "racer(lidar_view=2.0)"
 
 
 def test_a_skid_steer_robot_of_a_urdf_turns_as_it_is_commanded(tmp_path: Path) -> None:

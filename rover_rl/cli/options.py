@@ -68,9 +68,9 @@ class EnvOptions:
         from rover_rl.algos.evaluation.evaluate import default_backend, environment_for
 
         given = given if self.env is None else read_env(self.env)
-        if given is not None and self.robot is not None:
+        if given is not None and self.given_robot is not None:
             # A policy that was made for this robot does not fit the other one.
-            given = replace(given, robot=self.robot)
+            given = replace(given, robot=self.given_robot)
         config = environment_for(policy, given)
         options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import math
 
-from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
+from rover_rl.envs.config import (
+    ActionConfig,
+    EnvConfig,
+    HeadingGains,
+    LidarConfig,
+    Randomization,
+    RewardConfig,
+    TaskConfig,
+)
 from rover_rl.tasks.task import Task
 
 # Settings of learners: a reward for progress around boulders, a critic that knows the way, and one of 55 actions at a
@@ -28,9 +36,11 @@ DEPTH = Task(
         world="moon:0-127",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a camera of 115 degrees that looks down by 20. The lidar is for planners, to compare with.
+        # Sensors: a camera of 115 degrees that looks down by 20. The lidar is for planners, to compare with. It sees as
+        # much to both sides.
         sensors=("depth(size=(16, 32), field_of_view=2.0, max_range=6.0, pitch=0.35)",),
         lidar=LidarConfig(points=32, beams=128, max_range=12.0, period=4),
+        randomization=Randomization(lidar_view=(2.0, 2.0)),
         # Action: speed (m/s) and heading offset (rad), which a PID follows. Nothing looks back.
         action=ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),
@@ -66,7 +76,7 @@ DEPTH = Task(
     test_world="moon:50000-50063",
     episodes=4,
     seconds=60.0,
-    references=("scripted", "gridplanner", "dwa", "expert"),  # by lidar
+    references=("scripted", "gridplanner", "dwa", "expert"),  # by that lidar
     learners={
         "ppo": SETTINGS,
         "ppo-gru": SETTINGS | {"memory": "gru", "rollout_length": 16},
