@@ -49,6 +49,6 @@ class Export:
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
         observed = checkpoint.config.network.observation
-        if planned := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES) if key in observed):
-            print(f"The file reads {planned} as input. rover-rl drive {out} plans on the robot (docs/export.md).")
+        if computed := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES) if key in observed):
+            print(f"The file reads {computed} as input, which rover-rl drive {out} computes (docs/export.md).")
         return 0

@@ -20,17 +20,19 @@ SETTINGS = {
 ANY_ROBOT = Task(
     name="any-robot",
     reason="How to turn in a passage depends on what turns: a car backs up where a rover turns in place.",
-    # What a policy reads: 64 readings of the lidar (m), pitch, roll and yaw (rad), distance (m) and angle (rad) of the
-    # goal, speed (m/s) and yaw rate (rad/s) of the wheels, and numbers of the robot: size, speed, turning circle, mass.
-    observation=("lidar", "imu", "target", "velocities", "robot"),
+    # What a policy reads: 64 readings of the lidar (m), times to a contact of the body for 5 speeds and 11 yaw rates
+    # (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the
+    # wheels, and numbers of the robot: size, speed, turning circle, mass.
+    observation=("lidar", "contact_times", "imu", "target", "velocities", "robot"),
     env=EnvConfig(
         # Worlds: 128 mazes and 128 floor plans, as wide as the robots need.
         world=("maze:0-127@0.2-0.9", "rooms:0-127@0-1"),
         # Robots: one of 256 in each episode.
         robot="any:0-255",
-        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, and what the robot is.
+        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, what the robot is, and what it would touch
+        # and when.
         lidar=LidarConfig(points=64, beams=128, max_range=12.0, period=4),
-        sensors=("robot",),
+        sensors=("robot", "contact_times(period=4)"),
         # Action: speed (m/s) and heading offset (rad), which a PID follows within what each drive can do.
         action=ActionConfig(kind="heading", max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

@@ -31,16 +31,20 @@ SETTINGS = {
 LATE = Task(
     name="late",
     reason="What the sensors tell is old and wrong by an unknown amount: how far to trust it shows only in driving.",
-    # What a policy reads: 32 readings of the lidar (m), and where they were taken (m, rad), pitch, roll and yaw (rad),
-    # distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the wheels.
-    observation=("lidar", "scan_pose", "imu", "target", "velocities"),
+    # What a policy reads: 32 readings of the lidar (m), and where they were taken (m, rad), times to a contact of the
+    # body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed
+    # (m/s) and yaw rate (rad/s) of the wheels.
+    observation=("lidar", "scan_pose", "contact_times", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 300 mazes with passages of 1 m, and 300 forests.
         world=("maze:0-299@0-0.9", "forest:0-299@0.2-1"),
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments.
+        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, and what the rover would touch
+        # and when. Messages have stamps, and a model of the drive carries late poses and velocities on to now.
         lidar=LidarConfig(points=32, beams=128, max_range=12.0),
+        sensors=("contact_times(period=4)",),
+        compensate_delay=True,
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

@@ -7,8 +7,8 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way, no driving backward, and
-# actions that leave little to chance in the end.
+# Settings of learners: a reward for progress around walls, a critic that knows the way, and one of 55 actions at a
+# time, none of them backward.
 SETTINGS = {
     "total_steps": 4_500_000,
     "num_envs": 1024,
@@ -16,22 +16,25 @@ SETTINGS = {
     "path_reward": 5.0,
     "privileged_critic": True,
     "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
-    "max_std": 1.0,
-    "final_std": 0.15,
+    "distribution": "grid",
+    "entropy_coef": 0.001,
 }
 MAZES = Task(
     name="mazes",
     reason="A dead end looks like a way until the rover is in it, so that what was seen before has to be remembered.",
-    # What a policy reads: 32 readings of the lidar (m), pitch, roll and yaw (rad), distance (m) and angle (rad) of the
-    # goal, speed (m/s) and yaw rate (rad/s) of the wheels.
-    observation=("lidar", "imu", "target", "velocities"),
+    # What a policy reads: 32 readings of the lidar (m), times to a contact of the body for 5 speeds and 11 yaw rates
+    # (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the
+    # wheels.
+    observation=("lidar", "contact_times", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 1,000 mazes with passages of 1 m, from easy (0) to hard (1).
         world="maze:0-999@0-1",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments.
+        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, and what the rover would touch
+        # and when.
         lidar=LidarConfig(points=32, beams=128, max_range=12.0),
+        sensors=("contact_times(period=4)",),
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

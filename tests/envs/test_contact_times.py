@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from rover_rl import RoverEnv
-from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.envs.sensors.contact_times import LONGEST, SPEEDS, TURNS, ContactTimes
 from rover_rl.worlds import Terrain, World, box
 from rover_rl.worlds.movers import Cylinder, Mover, Waypoints
@@ -59,6 +59,22 @@ def test_what_moves_is_where_it_will_be_if_the_movers_are_observed() -> None:
     assert 1.0 < times[STILL, STRAIGHT] < 1.9
     assert times[AHEAD, STRAIGHT] == times[BACKWARD, STRAIGHT] == LONGEST
     assert without[STILL, STRAIGHT] == LONGEST
+
+
+def test_late_scans_are_where_they_were_taken() -> None:
+    times = []
+    for late in (0, 4):
+        noise = Randomization(scan_latency=(late, late))
+        config = EnvConfig(world=walled(3.0, 0.0), backend="warp", sensors=("contact_times",), randomization=noise)
+        env = RoverEnv(config)
+        tensordict = env.reset(start=torch.zeros(1, 3), goal=torch.tensor([[8.0, 0.0]]))
+        for _ in range(24):
+            tensordict = env.step(tensordict.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+        times.append(tensordict["contact_times"])
+    exact, late_times = times
+    # After 1.1 m at 1 m/s, a scan of 0.2 s ago is 0.2 m behind.
+    assert (exact - late_times).abs().max() < 0.01
+    assert exact.unflatten(-1, (SPEEDS, TURNS))[0, AHEAD, STRAIGHT] < LONGEST
 
 
 def test_a_row_does_not_depend_on_the_others_and_robots_differ() -> None:

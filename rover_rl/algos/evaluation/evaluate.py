@@ -48,7 +48,7 @@ _MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix p
 MADE_FOR = ("robot", "lidar", "sensors", "action", "task", "heading_gains", "limits")
 """Settings of an environment that a policy was made for."""
 _KEPT = (*MADE_FOR, "terminate", "control_rate", "compensate_delay")  # settings that it is evaluated with by default
-_OWN = ("lidar", "sensors", "action", "heading_gains", "compensate_delay")
+_OWN = ("lidar", "sensors", "action", "heading_gains")
 """Settings that an entry brings along: what it makes of the sensors, and how it steers."""
 
 
@@ -177,12 +177,14 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
 def test_env(task: Task, policy: Policy | None) -> EnvConfig:
     """Returns the environment of a task's test for a policy, with the sensors and the action that it was made for.
 
+    Delays are compensated if the task or the policy says so.
     The baselines have the contract's action.
     """
     env = task.test_env
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if made_for is not None:
-        return replace(env, **{key: getattr(made_for, key) for key in _OWN})
+        compensates = env.compensate_delay or made_for.compensate_delay
+        return replace(env, **{key: getattr(made_for, key) for key in _OWN}, compensate_delay=compensates)
     is_baseline = type(policy).__module__.startswith("rover_rl.")
     return replace(env, action=replace(env.action, kind=HEADING)) if is_baseline else env
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.envs.config import SCAN_POSE
 from rover_rl.envs.seen_map.scans import reading_directions
 from rover_rl.envs.sensors.base import Sensor, SensorInput, SensorSetup
 from rover_rl.envs.sensors.movers import NUMBERS, SLACK, movers_of
@@ -29,9 +30,10 @@ EXCESS, MARGIN = 0.04, 0.015  # distances by which discs exceed the body, m
 class ContactTimes(Sensor):
     """Times until the body touches something, for 5 speeds and 11 yaw rates that the rover steers for, ``[N, 55]``, s.
 
-    The rover accelerates within its limits. What the lidar sees stays where it is, and where the observation has the
-    entry ``movers``, these keep their velocity. A time is a multiple of 0.2 s, and 2.6 s without a contact. All yaw
-    rates of a speed follow one another, from right to left.
+    The rover accelerates within its limits. What the lidar sees stays where it is, as seen from the known pose if scans
+    can be late (entry ``scan_pose``), and where the observation has the entry ``movers``, these keep their velocity. A
+    time is a multiple of 0.2 s, and 2.6 s without a contact. All yaw rates of a speed follow one another, from right to
+    left.
 
     A network that reads them need not learn the geometry of the body (U. Patel et al., "DWA-RL: dynamically feasible
     deep reinforcement learning policy for robot navigation among mobile obstacles", ICRA 2021).
@@ -73,9 +75,10 @@ class _Reader:
         drives.speeds, drives.turns, drives.step, drives.steps, drives.longest = SPEEDS, TURNS, STEP, STEPS, LONGEST
         lidar, velocities = read["lidar"].contiguous(), read["velocities"].contiguous()
         movers = movers_of(read[MOVERS]) if MOVERS in read else lidar.new_zeros(len(lidar), 0, NUMBERS)
+        scan_poses = read[SCAN_POSE].contiguous() if SCAN_POSE in read else lidar.new_zeros(len(lidar), 6)
         points = lidar.new_empty(*lidar.shape, 2)
         scene.ranges, scene.farthest, scene.slack = wp.from_torch(lidar), self._farthest, SLACK
-        scene.movers = wp.from_torch(movers)
+        scene.movers, scene.scan_poses = wp.from_torch(movers), wp.from_torch(scan_poses)
         scene.directions, scene.points = (wp.from_torch(part, dtype=wp.vec2) for part in (self._directions, points))
         self._times = self._times.clone()
         mounts = wp.from_torch(self._mounts[:, :2].contiguous(), dtype=wp.vec2)

@@ -15,6 +15,7 @@ class Scene:
     ranges: wp.array2d[float]  # m
     farthest: float  # range from which on there is no obstacle, m
     directions: wp.array[wp.vec2]  # of the readings, [P]
+    scan_poses: wp.array2d[float]  # where they were taken: ahead, left (m), and last the turn (rad), [N, 6]
     movers: wp.array3d[float]  # x, y (m), velocity along x and y (m/s), and radius (m), 0 after the last one
     slack: float  # distance from a mover up to which readings belong to it, m
     points: wp.array2d[wp.vec2]  # scratch: the ends of the readings that matter, m
@@ -77,9 +78,13 @@ def is_of_mover(scene: Scene, row: int, point: wp.vec2) -> bool:
 def gather(scene: Scene, row: int, mount: wp.vec2, reach: float) -> int:
     """Writes the ends of the readings within reach that do not move, and returns their number."""
     count = int(0)
+    begin = wp.vec2(scene.scan_poses[row, 0], scene.scan_poses[row, 1])
+    cos = wp.cos(scene.scan_poses[row, 5])
+    sin = wp.sin(scene.scan_poses[row, 5])
     for k in range(scene.directions.shape[0]):
         distance = scene.ranges[row, k]
-        point = mount + distance * scene.directions[k]
+        then = mount + distance * scene.directions[k]
+        point = begin + wp.vec2(cos * then[0] - sin * then[1], sin * then[0] + cos * then[1])
         if distance < scene.farthest and wp.length(point) < reach:
             if not is_of_mover(scene, row, point):
                 scene.points[row, count] = point

@@ -139,7 +139,7 @@ def test_a_policy_that_reads_the_route_takes_it_as_an_input_and_drives_as_the_or
     weights = {name: weight * 2.0 for name, weight in actor_of(config).state_dict().items()}
     Checkpoint(config=config, steps=100, actor=weights).save(tmp_path / "cars" / "checkpoint.pt")
     assert main(["export", "cars", "--robot", "hunter"]) == 0
-    assert "The file reads route as input. rover-rl drive cars.onnx plans on the robot" in capsys.readouterr().out
+    assert "The file reads route as input, which rover-rl drive cars.onnx computes" in capsys.readouterr().out
     sizes = {"lidar": 32, "imu": 3, "target": 2, "velocities": 2, "scan_pose": 6, "route": 5}
     assert shapes(tmp_path / "cars.onnx")[0] == {key: [1, size] for key, size in sizes.items()}
     original, policy = Checkpoint.load("cars").for_robot("hunter"), OnnxPolicy(Path("cars.onnx"))
