@@ -23,19 +23,17 @@ SETTINGS = {
 RACE = Task(
     name="race",
     reason="At the limit of grip, where a turn ends depends on speed and slip: how fast is too fast has to be felt.",
-    # What a policy reads: 64 readings of the lidar (m), times to a contact of the body for 5 speeds and 11 yaw rates
-    # (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the
-    # wheels, and numbers of the robot: size, speed, turning circle, mass.
-    observation=("lidar", "contact_times", "imu", "target", "velocities", "robot"),
+    # What a policy reads: 64 readings of the lidar (m), pitch, roll and yaw (rad), distance (m) and angle (rad) of the
+    # goal, speed (m/s) and yaw rate (rad/s) of the wheels, and numbers of the robot: size, speed, turning circle, mass.
+    observation=("lidar", "imu", "target", "velocities", "robot"),
     env=EnvConfig(
         # Worlds: 300 forests, as wide as the robots need, from open (0) to dense (1).
         world="forest:0-299@0-0.6",
         # Robots: one of the two in each episode.
         robot=("racer", "jackal"),
-        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, what the robot is, and what it would touch
-        # and when.
+        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, and what the robot is.
         lidar=LidarConfig(points=64, beams=128, max_range=12.0),
-        sensors=("robot", "contact_times(period=4)"),
+        sensors=("robot",),
         # Action: speed (m/s) and yaw rate (rad/s), which the drive follows.
         action=ActionConfig(kind="twist"),
         # Rewards of a step. Of an ending, the goal and driving, the first that happens pays.
