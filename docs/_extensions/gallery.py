@@ -18,6 +18,7 @@ ORDER = (
     "evaluate_policies.py",
     "fine_tuning.py",
     "deploy_policy.py",
+    "decision_time.py",
     "torchrl_ppo.py",
     "sb3_sac.py",
     "sweep.py",
