@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -15,6 +15,7 @@ from typing import Any
 
 try:
     import rclpy
+    from rcl_interfaces.msg import ParameterDescriptor
     from rclpy.context import Context
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -37,14 +38,20 @@ _sent: defaultdict[tuple[str, str], deque[tuple[int, Any]]] = defaultdict(lambda
 
 
 class RclpyTransport:
-    """:class:`Transport` through an rclpy node, which spins in a thread; it passes on messages of ROS's own classes."""
+    """:class:`Transport` through an rclpy node, which spins in a thread; it passes on messages of ROS's own classes.
 
-    def __init__(self, node: str) -> None:
+    The node has ``parameters``, which nobody can change while it runs.
+    """
+
+    def __init__(self, node: str, parameters: Mapping[str, Any]) -> None:
         self._context = Context()
         rclpy.init(context=self._context)
         self._name = f"/{node.strip('/')}"
         namespace, _, name = self._name.rpartition("/")
         self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
+        for key, value in parameters.items():
+            if isinstance(value, str | int | float):
+                self._node.declare_parameter(key, value, ParameterDescriptor(read_only=True))
         self._publishers: dict[str, Any] = {}
         self._subscriptions: Counter[str] = Counter()
         self._streams: defaultdict[str, _Streams] = defaultdict(_Streams)

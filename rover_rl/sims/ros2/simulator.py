@@ -78,7 +78,8 @@ class Ros2Simulator(Simulator):
         self._repeated = (0, 0.0)  # how often the scan has come again while the wheels turned, and how far they went
         self.latency = 0.0  # time between the arrival of the scan and the command of the last step, s
         self.held = False  # whether the last forward speed was canceled, as it led towards unseen directions
-        tapped: Any = TappedTransport(make_transport(settings.transport, settings.node))
+        parameters = vars(connection) | vars(settings)
+        tapped: Any = TappedTransport(make_transport(settings.transport, settings.node, parameters))
         self.transport: Transport = tapped
         self.tap: Callable[[Tap], None] = tapped.tap  # passes all messages to a function, such as DriveBag.add
         self._commands = Commands(self.transport, connection.cmd_vel_topic, settings)

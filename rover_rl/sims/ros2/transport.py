@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any, Protocol, TypeAlias
 
@@ -63,9 +63,14 @@ class Transport(Protocol):
         """Releases all resources. Idempotent. No ``receive`` is called afterwards."""
 
 
-def make_transport(name: TransportName, node: str) -> Transport:
-    """Creates a transport for a node. Raises ``ImportError`` if a package that it requires is not installed."""
-    return getattr(import_module(f"{__package__}.{name}"), f"{name.capitalize()}Transport")(node)
+def make_transport(name: TransportName, node: str, parameters: Mapping[str, Any] | None = None) -> Transport:
+    """Creates a transport for a node. Raises ``ImportError`` if a package that it requires is not installed.
+
+    With rclpy, the node tells ``parameters`` that are strings, numbers and bools (``ros2 param list``).
+    """
+    make = getattr(import_module(f"{__package__}.{name}"), f"{name.capitalize()}Transport")
+    transport: Transport = make(node, parameters or {}) if name == "rclpy" else make(node)
+    return transport
 
 
 def other_types(transport: Transport, topic: str, kind: Any, receivers: bool = False) -> str:

@@ -254,6 +254,7 @@ def test_the_transport_rclpy_drives_a_robot_until_another_node_does_which_is_nam
     assert told["error"].startswith("/teleop also sends commands on /cmd_vel, so that the rover is stopped: end it")
     assert not told["threads"]
     assert told["types"] == [[TWIST], []]
+    assert told["parameters"] == ["tf", 0.5, False]  # the last: another node cannot change them
 
 
 def test_imu_and_odometry_are_those_of_the_scan(domain, environment, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from rover_rl.cli import ros_arguments
@@ -47,12 +49,27 @@ def test_rules_name_topics_with_their_namespace_or_without(rule: str) -> None:
         (["-r", "/scan:=/1x"], "got '-r /scan:=/1x'"),
         (["-r", "__ns:=/1"], "got '-r __ns:=/1'"),
         (["-r"], "got '-r '"),
-        (["-p", "use_sim_time:=true"], "and ends with -- or the line, got '-p use_sim_time:=true'"),
+        (["-p", "use_sim_time=true"], "and ends with -- or the line, got '-p use_sim_time=true'"),
+        (["-p", "goal:=[1, 2"], r"a parameter is a value of YAML, .* got '-p goal:=\[1, 2'"),
+        (["--params-file", "none.yaml"], "no settings at none.yaml"),
     ],
 )
 def test_what_is_malformed_or_unknown_is_told_in_words(args: list[str], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
         renamed(*args)
+
+
+def test_parameters_are_options(tmp_path: Path) -> None:
+    file = tmp_path / "driver.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters: {use_sim_time: true, pose: tf, guard: {deceleration: 2}}\n"
+        "/robot1/driver:\n  ros__parameters: {give_way: true, dry_run: false, pose_topic: /amcl_pose}\n"
+        "/robot1/other:\n  ros__parameters: {pose: wheels}\n"
+    )
+    given = ["-r", "__node:=driver", "-p", "goal:=[1.5, -2]", "--params-file", str(file), "-p", "pose:=odometry"]
+    own, rules = split_ros_arguments(["robust", "--ros-args", *given, "-p", "guard.margin:=0.3"])
+    options = "--pose odometry --guard.deceleration 2 --give-way --no-dry-run --pose-topic /amcl_pose --goal 1.5 -2"
+    assert (own, rules) == (["robust", *options.split(), "--guard.margin", "0.3"], {"__node": "driver"})
 
 
 def test_arguments_go_on_after_two_dashes() -> None:
