@@ -45,7 +45,7 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     wire = Wire()
     for module in ("commands", "ground", "poses", "robot", "sensors", "simulator", "transport"):
         monkeypatch.setattr(f"rover_rl.sims.ros2.{module}.time", wire)
-    monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda name, node: wire)
+    monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda *_: wire)
     monkeypatch.setattr("rover_rl.sims.ros2.commands.Watchdog", QuietWatchdog)
     monkeypatch.setattr(
         "rover_rl.sims.ros2.sensors.LatestMessages.wait", lambda *args, **kwargs: wire.wait(*args, **kwargs)
