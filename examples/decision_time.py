@@ -42,10 +42,9 @@ def milliseconds(decide: Callable[[TensorDict], Any], observation: TensorDict) -
 
 
 torch.set_num_threads(1)
-given = [word for word in sys.argv[1:] if not word.startswith("-")]
 print(f"{'policy':<28}{'PyTorch, ms':>12}{'ONNX, ms':>12}")
 with torch.no_grad(), TemporaryDirectory() as folder:
-    for name in given or [PRETRAINED + name for name in pretrained_names()]:
+    for name in sys.argv[1:] or [PRETRAINED + name for name in pretrained_names()]:
         checkpoint = load_policy(name)
         several = "robot" in checkpoint.config.network.observation
         if several:

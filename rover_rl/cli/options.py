@@ -67,16 +67,16 @@ class EnvOptions:
         """Returns the environment for a policy, in a backend: that of ``--env``, else a ``given`` one."""
         from rover_rl.algos.evaluation.evaluate import default_backend, environment_for
 
-        given = given if self.env is None else read_env(self.env)
-        if given is not None and self.given_robot is not None:
+        given, robot = given if self.env is None else read_env(self.env), self.given_robot
+        if given is not None and robot is not None:
             # A policy that was made for this robot does not fit the other one.
-            given = replace(given, robot=self.given_robot)
+            given = replace(given, robot=robot)
         config = environment_for(policy, given)
-        options = {"robot": self.robot, "backend": backend, "physics": self.physics}
+        options = {"robot": robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
         changes["robot_options"] = self.robot_options
         if given is None and backend is None:
-            changes["backend"] = default_backend(self.robot or config.robot)
+            changes["backend"] = default_backend(robot or config.robot)
         if self.guard != GuardConfig():
             changes["guard"] = self.guard
         if self.compensate_delay:

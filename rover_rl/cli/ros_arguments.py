@@ -18,8 +18,6 @@ from rover_rl.registry import perhaps
 
 GLOBAL = {"tf_topic", "tf_static_topic", "clock_topic", "diagnostics_topic"}
 """Topics whose defaults are those of all robots: a namespace does not move them."""
-NODE = "rover_rl"
-"""Name of the driver's node by default."""
 RosArguments: TypeAlias = Annotated[Mapping[str, str], tyro.conf.Fixed, tyro.conf.Suppress]
 """Names by those that they replace, ``__ns`` and ``__node``. A field of a command that is no option."""
 _RULE = re.compile(f"(?:-r|--remap) (__ns|__node|/?{NAME}(?:/{NAME})*):=(/?{NAME}(?:/{NAME})*|/)")
@@ -55,14 +53,16 @@ def split_ros_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str]]
 
 def _parameters_of(file: str, node: str | None) -> dict[str, Any]:
     """Returns the parameters in a file of ROS for a node, and for all nodes: ``/**: {ros__parameters: {pose: tf}}``."""
-    from rover_rl.algos.config_files import read_yaml  # imports PyTorch
+    # Imports PyTorch.
+    from rover_rl.algos.config_files import read_yaml
+    from rover_rl.sims.ros2.settings import Ros2Settings
 
     found, data = dict[str, Any](), read_yaml(file)
     for name, entry in data.items() if isinstance(data, dict) else ():
         parameters = entry.get("ros__parameters") if isinstance(entry, dict) else None
         if not isinstance(parameters, dict):
             raise ValueError(f"{file} must have ros__parameters under the name of a node or /**, and {name} has none")
-        if str(name).rpartition("/")[2] in ("**", node or NODE):
+        if str(name).rpartition("/")[2] in ("**", node or Ros2Settings.node):
             found |= parameters
     return found
 
