@@ -107,10 +107,16 @@ def test_bags_are_evaluated_together(env, tmp_path, capsys):
     assert (drives.name, drives.seconds, drives.endings) == ("scripted", 60.0, ["goal", STOPPED, TIME_LIMIT])
     assert (others.name, others.endings) == ("other", [TOO_NEAR])
     assert 0.16 < drives.metrics["spl"].value <= 1 / 3
-    assert main(["evaluate", str(first), str(other), "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "paths-drives-1.png").is_file()
-    written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert written[0]["endings"] == {"goal": 1, STOPPED: 1}
+    for command in ("evaluate", "compare"):
+        out = tmp_path / command
+        assert main([command, str(first), str(other), "--out", str(out)]) == 0
+        assert (out / "paths-drives-1.png").is_file()
+        written = json.loads((out / "evaluation.json").read_text())
+        assert written[0]["endings"] == {"goal": 1, STOPPED: 1}
+
+
+def test_runs_are_not_compared_with_bags(tmp_path, failed):
+    assert "runs/ppo is no bag, and lab.mcap is one" in failed("compare", "lab.mcap", "runs/ppo")
 
 
 def test_others_open_a_bag_with_standard_types(env, wire, tmp_path):
