@@ -26,8 +26,8 @@ class Compare:
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(
             metavar="RUN|BAG ...",
-            help="Folders of runs, folders that hold runs, or runs/NAME for runs/NAME-seed0 and so on; or bags of drives, "
-            f"{BAG} files.",
+            help="Folders of runs, folders that hold runs, or runs/NAME for runs/NAME-seed0 and so on; or bags of "
+            f"drives, {BAG} files.",
         ),
     ]
     success: float = 0.9
