@@ -11,7 +11,7 @@ from rover_rl.algos.workers import default_workers, usable_cores
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.parts import HEADING
-from rover_rl.envs.sensors.suite import ROBOT, ROUTE, require_entries
+from rover_rl.envs.sensors.suite import ROBOT, ROUTE, VISITS, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 from rover_rl.tasks.task import get_task
 
@@ -87,6 +87,9 @@ class CollectionConfig:
     route_reward: float = 0.0
     """Additional reward in training, per meter by which the route on what has been seen gets shorter.
     Needs "route" in observation. Unlike path_reward, it needs no map of the world."""
+    revisit_penalty: float = 0.0
+    """Penalty in training, per second, for each second that the rover has been here before on its way to the goal.
+    Needs "visits" in observation. The policy learns to try ways that it has not tried."""
     curriculum: CurriculumKind = "none"
     """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
     none: evenly.
@@ -310,6 +313,8 @@ class TrainingConfig:
             raise ValueError(
                 f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
             )
+        if self.collection.revisit_penalty and VISITS not in entries:
+            raise ValueError(f'revisit_penalty needs "visits" in observation, got {network.observation}')
         if isinstance(self.algorithm, PPOConfig) and self.algorithm.freeze_encoder and self.run.started_from is None:
             raise ValueError("freeze_encoder keeps the convolutions of a policy that training starts from: use --from")
 
@@ -386,7 +391,7 @@ _POSITIVE = (
     *("max_std", "final_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha"),
     *("checkpoint_minutes", "max_minutes", "curriculum_temperature", "prior_reach"),
 )
-_NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
+_NOT_NEGATIVE = ("path_reward", "route_reward", "revisit_penalty", "entropy_coef")
 _FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
 _CHOICES = {
     "memory": MemoryKind,

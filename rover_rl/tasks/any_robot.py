@@ -7,12 +7,13 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way, and one of 55 actions at a
-# time.
+# Settings of learners: a reward for progress around walls, a penalty for going where it has been, a critic that knows
+# the way, and one of 55 actions at a time.
 SETTINGS = {
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
+    "revisit_penalty": 0.6,
     "privileged_critic": True,
     "distribution": "grid",
     "entropy_coef": 0.001,
@@ -21,18 +22,18 @@ ANY_ROBOT = Task(
     name="any-robot",
     reason="How to turn in a passage depends on what turns: a car backs up where a rover turns in place.",
     # What a policy reads: 64 readings of the lidar (m), times to a contact of the body for 5 speeds and 11 yaw rates
-    # (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the
-    # wheels, and numbers of the robot: size, speed, turning circle, mass.
-    observation=("lidar", "contact_times", "imu", "target", "velocities", "robot"),
+    # (s), how long it has been at 49 places around it (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of
+    # the goal, speed (m/s) and yaw rate (rad/s) of the wheels, and numbers of the robot: size, speed, turning circle.
+    observation=("lidar", "contact_times", "visits", "imu", "target", "velocities", "robot"),
     env=EnvConfig(
         # Worlds: 128 mazes and 128 floor plans, as wide as the robots need.
         world=("maze:0-127@0.2-0.9", "rooms:0-127@0-1"),
         # Robots: one of 256 in each episode.
         robot="any:0-255",
-        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, what the robot is, and what it would touch
-        # and when.
+        # Sensors: a planar lidar of 128 beams, in the minima of 64 segments, what the robot is, what it would touch and
+        # when, and where it has been.
         lidar=LidarConfig(points=64, beams=128, max_range=12.0, period=4),
-        sensors=("robot", "contact_times(period=4)"),
+        sensors=("robot", "contact_times(period=4)", "visits(period=4)"),
         # Action: speed (m/s) and heading offset (rad), which a PID follows within what each drive can do.
         action=ActionConfig(kind="heading", max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

@@ -24,7 +24,7 @@ RACE = Task(
     name="race",
     reason="At the limit of grip, where a turn ends depends on speed and slip: how fast is too fast has to be felt.",
     # What a policy reads: 64 readings of the lidar (m), pitch, roll and yaw (rad), distance (m) and angle (rad) of the
-    # goal, speed (m/s) and yaw rate (rad/s) of the wheels, and numbers of the robot: size, speed, turning circle, mass.
+    # goal, speed (m/s) and yaw rate (rad/s) of the wheels, and numbers of the robot: size, speed, turning circle.
     observation=("lidar", "imu", "target", "velocities", "robot"),
     env=EnvConfig(
         # Worlds: 300 forests, as wide as the robots need, from open (0) to dense (1).

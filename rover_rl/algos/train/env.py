@@ -22,7 +22,7 @@ from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.sensors.cameras import PixelImage
 from rover_rl.envs.sensors.suite import own_sensors, with_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
+from rover_rl.envs.transforms.path_reward import PathReward, RevisitPenalty, RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.robots import get_robots
 from rover_rl.sims.backends import find_settings
@@ -54,6 +54,8 @@ def make_training_env(
         transforms.append(RouteReward(settings.route_reward))
     if settings.path_reward:
         transforms.append(PathReward(rovers, settings.path_reward))
+    if settings.revisit_penalty:
+        transforms.append(RevisitPenalty(settings.revisit_penalty, settings.action_repeat * rovers.control_dt))
     if settings.curriculum != "none":
         share, temperature = settings.curriculum_share, settings.curriculum_temperature
         transforms.append(Curriculum(rovers, share, temperature, estimates, per_batch))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rover_rl.envs.sensors.base import Sensor
 
 LIDAR_MASK, MOVERS, ROUTE, SEEN_DISTANCES, ROBOT = "lidar_mask", "movers", "route", "seen_distances", "robot"
-CONTACT_TIMES = "contact_times"
+CONTACT_TIMES, VISITS = "contact_times", "visits"
 _HERE = "rover_rl.envs.sensors"
 BUILT_IN = {
     "lidar": f"{_HERE}.standard:Lidar",
@@ -27,6 +27,7 @@ BUILT_IN = {
     MOVERS: f"{_HERE}.movers:Movers",
     CONTACT_TIMES: f"{_HERE}.contact_times:ContactTimes",
     "past_scans": f"{_HERE}.past_scans:PastScans",
+    VISITS: f"{_HERE}.visits:Visits",
     ROUTE: f"{_HERE}.route:Route",
     SEEN_DISTANCES: f"{_HERE}.route:SeenDistances",
     ROBOT: f"{_HERE}.robot:RobotBody",

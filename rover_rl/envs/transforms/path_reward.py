@@ -1,8 +1,9 @@
-"""Shaping rewards, for training, for progress along the shortest free path or along the route on the seen map.
+"""Shaping rewards, for training: for progress to the goal, and against going where the rover has been.
 
-They are differences of potentials, so that the optimal policy does not change (A. Y. Ng, D. Harada, S. Russell, "Policy
-invariance under reward transformations", ICML 1999; here without the discount). Append them after
-:class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Steps in which a goal is reached get no such reward.
+Those for progress, along the shortest free path or along the route on the seen map, are differences of potentials, so
+that the optimal policy does not change (A. Y. Ng, D. Harada, S. Russell, "Policy invariance under reward
+transformations", ICML 1999; here without the discount). Steps in which a goal is reached get no such reward. Append
+them all after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.sensors.suite import ROUTE
+from rover_rl.envs.sensors.suite import ROUTE, VISITS
 from rover_rl.sims.free_space.goal_fields import GoalFields
 from rover_rl.tensordicts import in_rows
+
+PASSING, LONG = 1.0, 10.0
+"""Time that a rover spends at a place that it passes, and that from which on a visit is no longer, s."""
 
 
 class PathReward(Transform):
@@ -71,6 +75,28 @@ class RouteReward(Transform):
         without = (next_tensordict["outcome", "goals"] > 0) | (torch.minimum(before, after) < 0)
         progress = (before - after).masked_fill(without, 0.0)
         return next_tensordict.set("reward", next_tensordict["reward"] + self._weight * progress)
+
+
+class RevisitPenalty(Transform):
+    """Takes ``weight`` per second from ``reward``, times the seconds that the rover has been here before.
+
+    These are the times of the sensor :class:`~rover_rl.envs.sensors.visits.Visits`, which the environment needs, beyond
+    the first second, and at most 10 s. A policy in front of a wall, whose way to the goal may begin on either side,
+    learns to try the other side, and not to drive to and fro (counts of visits as a bonus for exploration: M. Bellemare
+    et al., "Unifying count-based exploration and intrinsic motivation", NeurIPS 2016; here within an episode).
+
+    Args:
+        weight: penalty, 1/s^2.
+        seconds: duration of a step of the policy, s.
+    """
+
+    def __init__(self, weight: float, seconds: float) -> None:
+        super().__init__()
+        self._penalty = weight * seconds
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before = (next_tensordict[VISITS][..., :1] - PASSING).clamp(0.0, LONG)
+        return next_tensordict.set("reward", next_tensordict["reward"] - self._penalty * before)
 
 
 def world_of(observation: TensorDictBase) -> Tensor:
