@@ -81,9 +81,9 @@ class RevisitPenalty(Transform):
     """Takes ``weight`` per second from ``reward``, times the seconds that the rover has been here before.
 
     These are the times of the sensor :class:`~rover_rl.envs.sensors.visits.Visits`, which the environment needs, beyond
-    the first second, and at most 10 s. A policy in front of a wall, whose way to the goal may begin on either side,
-    learns to try the other side, and not to drive to and fro (counts of visits as a bonus for exploration: M. Bellemare
-    et al., "Unifying count-based exploration and intrinsic motivation", NeurIPS 2016; here within an episode).
+    the first second, and at most 10 s. Where a way to the goal may begin on either side of the rover, a policy learns
+    to try both, and not to drive to and fro (novelty within an episode: A. P. Badia et al., "Never give up: learning
+    directed exploration strategies", ICLR 2020).
 
     Args:
         weight: penalty, 1/s^2.
