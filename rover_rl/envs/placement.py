@@ -55,12 +55,14 @@ class Placement:
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed."""
         worlds = self._entered()
-        spaces = in_threads(lambda world: free_space(world, self._robot_in(world)), worlds.values())
-        for (slot, world), space in zip(worlds.items(), spaces, strict=True):
-            self._start_cells[slot], self._headings[slot] = space.spawn_cells, space.spawn_headings
-            self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
-            self._bounds[slot] = torch.tensor(world.bounds).T
-            self._cells[slot] = torch.tensor([space.cell])
+        found = in_threads(lambda world: free_space(world, self._robot_in(world)), worlds.values())
+        spaces = dict(zip(worlds, found, strict=True))
+        self._start_cells.update({slot: space.spawn_cells for slot, space in spaces.items()})
+        self._headings.update({slot: space.spawn_headings for slot, space in spaces.items()})
+        self._goal_cells.update({slot: space.goal_cells for slot, space in spaces.items()})
+        self._extremes.update({slot: space.goal_extremes for slot, space in spaces.items()})
+        self._cells.update({slot: torch.tensor([space.cell]) for slot, space in spaces.items()})
+        self._bounds.update({slot: torch.tensor(world.bounds).T for slot, world in worlds.items()})
         self.bounds_low, self.bounds_high = corners = self._bounds.values[self._worlds.slots].unbind(1)
         self.bounds = torch.cat(corners, -1)
 

@@ -15,12 +15,13 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way and the grip, and one of 55
-# actions at a time.
+# Settings of learners: a reward for progress around walls, a penalty for going where it has been, a critic that knows
+# the way and the grip, and one of 55 actions at a time.
 SETTINGS = {
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
+    "revisit_penalty": 0.6,
     "privileged_critic": True,
     "image_network": "patches",
     "distribution": "grid",
@@ -28,16 +29,16 @@ SETTINGS = {
 HILLS = Task(
     name="hills",
     reason="How steep is too steep depends on the grip, which no sensor tells: it shows in how the wheels slip.",
-    # What a policy reads: heights of the ground around it (m), pitch, roll and yaw (rad), distance (m) and angle (rad)
-    # of the goal, speed (m/s) and yaw rate (rad/s) of the wheels.
-    observation=("heights", "imu", "target", "velocities"),
+    # What a policy reads: heights of the ground around it (m), how long it has been at 49 places around it (s), pitch,
+    # roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the wheels.
+    observation=("heights", "visits", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 300 hilly grounds, from gentle (0) to steep (1).
         world="hills:0-299@0.2-1",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a scan of heights. The lidar is for planners, to compare with.
-        sensors=("heights",),
+        # Sensors: a scan of heights, and where the rover has been. The lidar is for planners, to compare with.
+        sensors=("heights", "visits(period=4)"),
         lidar=LidarConfig(points=32, beams=128, max_range=12.0, period=4),
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),

@@ -7,13 +7,15 @@ import math
 from rover_rl.envs.config import ActionConfig, EnvConfig, HeadingGains, LidarConfig, RewardConfig, TaskConfig
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way, and one of 55 actions at a
-# time, none of them backward.
+# Settings of learners: a reward for progress around walls, a penalty for going where it has been, a critic that knows
+# the way, and one of 55 actions at a time, none of them backward.
 SETTINGS = {
     "total_steps": 4_500_000,
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
+    "revisit_penalty": 0.6,
+    "revisit_penalty": 0.6,
     "privileged_critic": True,
     "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
     "distribution": "grid",
@@ -23,18 +25,18 @@ MAZES = Task(
     name="mazes",
     reason="A dead end looks like a way until the rover is in it, so that what was seen before has to be remembered.",
     # What a policy reads: 32 readings of the lidar (m), times to a contact of the body for 5 speeds and 11 yaw rates
-    # (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the
-    # wheels.
-    observation=("lidar", "contact_times", "imu", "target", "velocities"),
+    # (s), how long it has been at 49 places around it (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of
+    # the goal, speed (m/s) and yaw rate (rad/s) of the wheels.
+    observation=("lidar", "contact_times", "visits", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 1,000 mazes with passages of 1 m, from easy (0) to hard (1).
         world="maze:0-999@0-1",
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, and what the rover would touch
-        # and when.
+        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, what the rover would touch and
+        # when, and where it has been.
         lidar=LidarConfig(points=32, beams=128, max_range=12.0),
-        sensors=("contact_times(period=4)",),
+        sensors=("contact_times(period=4)", "visits(period=4)"),
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
         heading_gains=HeadingGains(kp=2.0, ki=0.0, kd=0.1, max_output=7.0),

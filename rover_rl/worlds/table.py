@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import takewhile
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.native.threads import kernel_threads
+from rover_rl.native.threads import kernel_threads, single_threaded
 from rover_rl.worlds.terrain import Terrain, TerrainRows
 from rover_rl.worlds.world import World
 
@@ -20,10 +20,13 @@ GROWTH = 1.25
 
 
 def in_threads(function: Callable[[World], Any], worlds: Iterable[World]) -> list[Any]:
-    """Calls a function for worlds: the first alone, which loads kernels, the others on all threads of kernels."""
+    """Calls a function for worlds: the first alone, which loads kernels, the others on all threads of kernels.
+
+    Each of these has one thread of PyTorch's: with more, they wait for one another where cores are busy.
+    """
     waiting = [*worlds]
     results = [function(world) for world in waiting[:1]]
-    with ThreadPoolExecutor(kernel_threads()) as pool:
+    with ThreadPoolExecutor(kernel_threads()) as pool, single_threaded():
         return [*results, *pool.map(function, waiting[1:])]
 
 
@@ -154,6 +157,13 @@ class SlotTable:
         self._padding = padding
         self.values = torch.zeros((0, 0, *shape), dtype=dtype, device=device)
         self.lengths = torch.zeros(0, dtype=torch.int64, device=device)
+
+    def update(self, lists: Mapping[int, Tensor]) -> None:
+        """Sets the values of slots, for which it grows once."""
+        if lists:
+            self._reserve(max(lists) + 1, *map(max, zip(*(values.shape for values in lists.values()), strict=True)))
+        for slot, values in lists.items():
+            self[slot] = values
 
     def __setitem__(self, slot: int, values: Tensor) -> None:
         self._reserve(slot + 1, *values.shape)

@@ -115,12 +115,14 @@ class GoalFields:
                 self._slots.move_to_end(index)
         new = [index for index in needed if index not in self._slots]
         grids = in_threads(self._make, [self._worlds[index] for index in new])
+        entered = {}
         for index, grid in zip(new, grids, strict=True):
             most = KEPT_BYTES // (BYTES * max(len(grid[0]), self._grids[0].values.shape[1]))
             full = len(self._slots) >= max(most, len(needed))
             slot = self._slots[index] = self._slots.popitem(last=False)[1] if full else len(self._slots)
-            for table, values in zip(self._grids, grid, strict=True):
-                table[slot] = torch.from_numpy(values)
+            entered[slot] = [torch.from_numpy(values) for values in grid]
+        for k, table in enumerate(self._grids):
+            table.update({slot: values[k] for slot, values in entered.items()})
         return torch.tensor([self._slots[index] for index in worlds])
 
     def _make(self, world: World) -> list[np.ndarray]:
