@@ -15,7 +15,6 @@ SETTINGS = {
     "gamma": 0.98,
     "path_reward": 5.0,
     "revisit_penalty": 0.6,
-    "revisit_penalty": 0.6,
     "privileged_critic": True,
     "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
     "distribution": "grid",
