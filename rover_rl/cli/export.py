@@ -10,7 +10,7 @@ import tyro
 
 from rover_rl.algos.policy.names import load_policy, policy_name
 from rover_rl.cli.options import Force, OptionsOfRobot
-from rover_rl.envs.sensors.suite import CONTACT_TIMES, MOVERS, ROUTE
+from rover_rl.envs.sensors.suite import CONTACT_TIMES, MOVERS, ROUTE, VISITS
 from rover_rl.files import check_outputs
 from rover_rl.robots.options import RobotOptions, with_options
 
@@ -49,6 +49,6 @@ class Export:
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
         observed = checkpoint.config.network.observation
-        if computed := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES) if key in observed):
+        if computed := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES, VISITS) if key in observed):
             print(f"The file reads {computed} as input, which rover-rl drive {out} computes (docs/export.md).")
         return 0
