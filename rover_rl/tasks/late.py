@@ -17,12 +17,13 @@ from rover_rl.envs.config import (
 )
 from rover_rl.tasks.task import Task
 
-# Settings of learners: a reward for progress around walls, a critic that knows the way and the delays, and one of 55
-# actions at a time, none of them backward.
+# Settings of learners: a reward for progress around walls, a penalty for going where it has been, a critic that knows
+# the way and the delays, and one of 55 actions at a time, none of them backward.
 SETTINGS = {
     "num_envs": 1024,
     "gamma": 0.98,
     "path_reward": 5.0,
+    "revisit_penalty": 0.6,
     "privileged_critic": True,
     "action": ActionConfig(kind="heading", min_speed=0.0, max_speed=1.0, max_turn=math.pi),
     "distribution": "grid",
@@ -32,18 +33,19 @@ LATE = Task(
     name="late",
     reason="What the sensors tell is old and wrong by an unknown amount: how far to trust it shows only in driving.",
     # What a policy reads: 32 readings of the lidar (m), and where they were taken (m, rad), times to a contact of the
-    # body for 5 speeds and 11 yaw rates (s), pitch, roll and yaw (rad), distance (m) and angle (rad) of the goal, speed
-    # (m/s) and yaw rate (rad/s) of the wheels.
-    observation=("lidar", "scan_pose", "contact_times", "imu", "target", "velocities"),
+    # body for 5 speeds and 11 yaw rates (s), how long it has been at 49 places around it (s), pitch, roll and yaw
+    # (rad), distance (m) and angle (rad) of the goal, speed (m/s) and yaw rate (rad/s) of the wheels.
+    observation=("lidar", "scan_pose", "contact_times", "visits", "imu", "target", "velocities"),
     env=EnvConfig(
         # Worlds: 300 mazes with passages of 1 m, and 300 forests.
         world=("maze:0-299@0-0.9", "forest:0-299@0.2-1"),
         # Robot: Rover Zero, 0.53 x 0.45 m, skid-steer, which turns in place.
         robot="rover_zero",
-        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, and what the rover would touch
-        # and when. Messages have stamps, and a model of the drive carries late poses and velocities on to now.
+        # Sensors: a planar lidar of 128 beams all around, in the minima of 32 segments, what the rover would touch and
+        # when, and where it has been. Messages have stamps, and a model of the drive carries late poses and velocities
+        # on to now.
         lidar=LidarConfig(points=32, beams=128, max_range=12.0),
-        sensors=("contact_times(period=4)",),
+        sensors=("contact_times(period=4)", "visits(period=4)"),
         compensate_delay=True,
         # Action: speed (m/s) and heading offset (rad), which a PID follows.
         action=ActionConfig(kind="heading", min_speed=-1.0, max_speed=1.0, max_turn=math.pi),
