@@ -49,7 +49,7 @@ class Visits(Sensor):
         return _Reader(self, setup)
 
     def encode(self, value: Tensor) -> Tensor:
-        """Returns half of the logarithm of one and the time: 1 is 6.4 s."""
+        """Returns ``log(1 + t) / 2`` of a time ``t``, which is 1 at 6.4 s."""
         return value.log1p() / 2
 
     def mirror(self, value: Tensor) -> Tensor:

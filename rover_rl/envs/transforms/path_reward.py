@@ -20,7 +20,7 @@ from rover_rl.sims.free_space.goal_fields import GoalFields
 from rover_rl.tensordicts import in_rows
 
 PASSING, LONG = 1.0, 10.0
-"""Time that a rover spends at a place that it passes, and that from which on a visit is no longer, s."""
+"""Time that passing a place takes, and the longest time beyond it that counts, s."""
 
 
 class PathReward(Transform):

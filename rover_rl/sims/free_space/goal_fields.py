@@ -115,10 +115,11 @@ class GoalFields:
                 self._slots.move_to_end(index)
         new = [index for index in needed if index not in self._slots]
         grids = in_threads(self._make, [self._worlds[index] for index in new])
+        cells = max([self._grids[0].values.shape[1], *(len(grid[0]) for grid in grids)])
+        most = max(KEPT_BYTES // (BYTES * max(1, cells)), len(needed))
         entered = {}
         for index, grid in zip(new, grids, strict=True):
-            most = KEPT_BYTES // (BYTES * max(len(grid[0]), self._grids[0].values.shape[1]))
-            full = len(self._slots) >= max(most, len(needed))
+            full = len(self._slots) >= most
             slot = self._slots[index] = self._slots.popitem(last=False)[1] if full else len(self._slots)
             entered[slot] = [torch.from_numpy(values) for values in grid]
         for k, table in enumerate(self._grids):
