@@ -82,8 +82,8 @@ class RevisitPenalty(Transform):
 
     These are the times of the sensor :class:`~rover_rl.envs.sensors.visits.Visits`, which the environment needs, beyond
     the first second, and at most 10 s. Where a way to the goal may begin on either side of the rover, a policy learns
-    to try both, and not to drive to and fro (novelty within an episode: A. P. Badia et al., "Never give up: learning
-    directed exploration strategies", ICLR 2020).
+    to try both, and not to oscillate (novelty within an episode: A. P. Badia et al., "Never give up: learning directed
+    exploration strategies", ICLR 2020).
 
     Args:
         weight: penalty, 1/s^2.

@@ -116,7 +116,7 @@ class GoalFields:
         new = [index for index in needed if index not in self._slots]
         grids = in_threads(self._make, [self._worlds[index] for index in new])
         cells = max([self._grids[0].values.shape[1], *(len(grid[0]) for grid in grids)])
-        most = max(KEPT_BYTES // (BYTES * max(1, cells)), len(needed))
+        most = max(KEPT_BYTES // (BYTES * cells), len(needed))
         entered = {}
         for index, grid in zip(new, grids, strict=True):
             full = len(self._slots) >= most
