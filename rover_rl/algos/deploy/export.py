@@ -34,7 +34,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.grid_actions import grid_actions
-from rover_rl.algos.policy.networks import action_spec
+from rover_rl.algos.policy.networks import action_spec, bounds_by_robot
 from rover_rl.algos.policy.recurrent import PlainRecurrent
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.sensors.robot import robot_table
@@ -76,23 +76,25 @@ class PlainPolicy(nn.Module):
         self.state_size: int = getattr(self._network, "state_size", 0)
         self.inputs = [*([STATE_IN] if self.state_size else []), *(key for key in self._observation if key != ROBOT)]
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
+        space = action_spec(checkpoint.env.bounded_action).space
+        low, high = space.low, space.high
         if ROBOT in self._observation:
             self.register_buffer("robot", robot_table([get_robot(checkpoint.env.robot)]))
-        space = action_spec(checkpoint.env.bounded_action).space
-        self.register_buffer("_low", space.low)
-        self.register_buffer("_high", space.high)
+            if by_robot := bounds_by_robot(checkpoint.config):
+                low, high = by_robot(self.robot[0])
+        self.register_buffer("_low", low)
+        self.register_buffer("_high", high)
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Returns the action ``[N, 2]``, with a memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
-        entries, bounds = dict(zip(self.inputs, inputs, strict=True)), []
+        entries, low, high = dict(zip(self.inputs, inputs, strict=True)), self._low, self._high
         if ROBOT in self._observation:
             entries[ROBOT] = self.robot.expand(len(inputs[0]), -1)
         observation = [entries[key] for key in self._observation]
         if self.state_size:
             loc, state = self._network(entries[STATE_IN], *observation)
         else:
-            loc, _, *bounds = self._network(*observation)
-        low, high = bounds or (self._low, self._high)
+            loc, _ = self._network(*observation)
         if self._on_grid:
             action = grid_actions(low, high)[loc.argmax(-1)]
         else:

@@ -23,15 +23,29 @@ LABELS = "labels"
 
 
 def grid_actions(low: Tensor, high: Tensor) -> Tensor:
-    """Returns the actions of a grid within bounds ``[2]``: speed by speed, all turns, ``[ACTIONS, 2]``."""
-    shares = torch.linspace(0, 1, SPEEDS, device=low.device), torch.linspace(-TURN, TURN, TURNS, device=low.device)
-    return torch.cartesian_prod(low[0] + (high[0] - low[0]) * shares[0], high[1] * shares[1])
+    """Returns the actions of grids within bounds ``[..., 2]``: speed by speed, all turns, ``[..., ACTIONS, 2]``."""
+    return _within(_shares(low.device), low[..., None, :], high[..., None, :])
+
+
+def actions_at(index: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Returns actions of grids by their indices, int64 ``[...]``: ``[..., 2]``."""
+    return _within(_shares(low.device)[index], low, high)
 
 
 def nearest_index(action: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Returns the indices in a grid of the nearest actions, int64 ``[...]``, of actions ``[..., 2]``."""
-    away = (action[..., None, :] - grid_actions(low, high)) / (high - low)
+    """Returns the indices in grids of the nearest actions, int64 ``[...]``, of actions ``[..., 2]``."""
+    away = (action[..., None, :] - grid_actions(low, high)) / (high - low)[..., None, :]
     return away.square().sum(-1).argmin(-1)
+
+
+def _shares(device: torch.device) -> Tensor:
+    speeds, turns = torch.linspace(0, 1, SPEEDS, device=device), torch.linspace(-TURN, TURN, TURNS, device=device)
+    return torch.cartesian_prod(speeds, turns)
+
+
+def _within(shares: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    speed = low[..., 0] + (high[..., 0] - low[..., 0]) * shares[..., 0]
+    return torch.stack((speed, high[..., 1] * shares[..., 1]), -1)
 
 
 def mirrored_labels(labels: Tensor) -> Tensor:
@@ -47,7 +61,7 @@ class GridLogits(nn.Module):
 
 
 class GridDistribution(Distribution):
-    """Categorical distribution over the actions of a grid within bounds ``[2]``.
+    """Categorical distribution over the actions of a grid within bounds ``[2]``, or ``[..., 2]`` of each row.
 
     Its parameters are named as those of a normal distribution: ``loc [..., ACTIONS]`` are logits, ``scale`` is empty.
 
@@ -67,12 +81,12 @@ class GridDistribution(Distribution):
     @property
     def deterministic_sample(self) -> Tensor:
         """The most likely action, ``[..., 2]``."""
-        return grid_actions(self.low, self.high)[self.log_probs.argmax(-1)]
+        return actions_at(self.log_probs.argmax(-1), self.low, self.high)
 
     def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         # The largest of logits with Gumbel noise is a sample, without the checks of PyTorch's Categorical.
         noise = torch.empty_like(self.log_probs.expand(*sample_shape, *self.log_probs.shape)).exponential_().log()
-        return grid_actions(self.low, self.high)[(self.log_probs - noise).argmax(-1)]
+        return actions_at((self.log_probs - noise).argmax(-1), self.low, self.high)
 
     def log_prob(self, action: Tensor) -> Tensor:
         index = nearest_index(action, self.low, self.high)

@@ -11,17 +11,17 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torch.distributions import AffineTransform, ComposeTransform
+from torch.distributions import AffineTransform, ComposeTransform, Distribution
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ConvNet, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
 from rover_rl.algos.config import DistributionKind, MemoryKind, TrainingConfig
-from rover_rl.algos.policy.grid_actions import ACTIONS, LABELS, GridDistribution, GridLogits, mirrored_labels
+from rover_rl.algos.policy.grid_actions import ACTIONS, LABELS, TURN, GridDistribution, GridLogits, mirrored_labels
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.algos.policy.route_prior import RoutePrior, RowBounds
 from rover_rl.envs.actions import Heading, action_bounds, find_action
-from rover_rl.envs.config import ActionConfig, LidarConfig
+from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.parts import HEADING
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
@@ -35,8 +35,6 @@ from rover_rl.tensordicts import with_torch_defaults
 
 DRIVER = "driver"
 """Entry of a batch of decisions: mean that the prior of a policy adds, before squashing, ``[..., 2]``."""
-BOUNDS_KEYS = ("low", "high")
-"""Entries of the bounds of an action by robot."""
 # Channels and kernel sizes of convolutions over an image, each of which halves rows and columns, and the number of
 # features after them.
 CHANNELS, KERNELS, UNITS = (16, 32, 32), (5, 3, 3), 64
@@ -66,6 +64,16 @@ class BoundedTanhNormal(TanhNormal):
         self.update(loc, scale)
 
 
+class InRowBounds:
+    """Distributions of a kind within bounds by robot: a function of their parameters and of the sensor ``robot``."""
+
+    def __init__(self, kind: Callable[..., Distribution], bounds: RowBounds) -> None:
+        self._kind, self._bounds = kind, bounds
+
+    def __call__(self, loc: Tensor, scale: Tensor, robot: Tensor) -> Distribution:
+        return self._kind(loc, scale, *self._bounds.to(robot.device)(robot))
+
+
 class EncodedNetwork(nn.Module):
     """Applies an encoder to the observation and a network, ``body``, to its features.
 
@@ -87,23 +95,25 @@ class EncodedNetwork(nn.Module):
 
 
 class ActorNetwork(EncodedNetwork):
-    """Mean, standard deviation and, for different robots, bounds of an action: ``[..., 2]`` each.
+    """Mean and standard deviation of an action, ``[..., 2]`` each. A ``prior`` is added to the mean.
 
-    A ``prior`` is added to the mean. The bounds are those of the robots that the observation tells.
+    ``bounds`` are those of the robots that the observation tells; ``None``: those of the action spec.
     """
 
     def __init__(
-        self, encoder: ObservationEncoder, body: nn.Module, spec: Bounded, prior: RoutePrior | None, by_robot: bool
+        self,
+        encoder: ObservationEncoder,
+        body: nn.Module,
+        spec: Bounded,
+        prior: RoutePrior | None,
+        bounds: RowBounds | None,
     ) -> None:
         super().__init__(encoder, body)
-        self.prior, self.bounds, self.by_robot = prior, RowBounds(spec), by_robot
-        self.out_keys = ["loc", "scale", *(BOUNDS_KEYS if by_robot else ())]
+        self.prior, self._bounds, self._by_robot = prior, bounds or RowBounds(spec), bounds is not None
 
     def forward(self, *entries: Tensor) -> tuple[Tensor, ...]:
-        entry = dict(zip(self.encoder.keys, entries, strict=True))
-        driver = None if self.prior is None else self.driver(entry)
-        loc, scale = self.distribution(self.features(*entries), driver)
-        return (loc, scale, *self.bounds(entry[ROBOT])) if self.by_robot else (loc, scale)
+        driver = None if self.prior is None else self.driver(dict(zip(self.encoder.keys, entries, strict=True)))
+        return self.distribution(self.features(*entries), driver)
 
     def distribution(self, features: Tensor, driver: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Returns mean and standard deviation for the features of an observation, and the mean of the prior."""
@@ -114,7 +124,7 @@ class ActorNetwork(EncodedNetwork):
 
     def driver(self, entry: Mapping[str, Tensor]) -> Tensor:
         assert self.prior is not None
-        return self.prior(entry, *self.bounds(entry[ROBOT] if self.by_robot else None))
+        return self.prior(entry, *self._bounds(entry[ROBOT] if self._by_robot else None))
 
 
 class PrivilegedEncoder(nn.Module):
@@ -155,15 +165,23 @@ def actor_of(
 ) -> ProbabilisticActor:
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
-    on_grid = network.distribution == "grid"
-    by_robot = config.algo == "ppo" and network.memory == "none" and ROBOT in network.observation and not on_grid
-    prior = None
+    bounds, prior = bounds_by_robot(config), None
     if network.prior != "none":
-        robot = None if by_robot else get_robot(env.robot)
+        robot = None if bounds else get_robot(env.robot)
         prior = RoutePrior(robot, network.observation, network.prior_reach, network.prior_share)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
-    settings = network.hidden, env.bounded_action, network.max_std, device, *memory, prior, by_robot
+    settings = network.hidden, env.bounded_action, network.max_std, device, *memory, prior, bounds
     return make_actor(encoder, *settings, network.distribution)
+
+
+def bounds_by_robot(config: TrainingConfig) -> RowBounds | None:
+    """Returns the bounds of the actions of different robots, where a policy of PPO reads which one it drives."""
+    action, network = config.env.bounded_action, config.network
+    speed_and_turn = action.kind in (HEADING, "twist") and not action.max_sideways
+    if config.algo != "ppo" or ROBOT not in network.observation or not speed_and_turn:
+        return None
+    gain, share = HeadingGains.kp if action.kind == HEADING else 1.0, TURN if network.distribution == "grid" else 1.0
+    return RowBounds(action_spec(action), gain, share)
 
 
 @with_torch_defaults
@@ -176,7 +194,7 @@ def make_actor(
     memory: MemoryKind = "none",
     memory_size: int = 128,
     prior: RoutePrior | None = None,
-    by_robot: bool = False,
+    bounds: RowBounds | None = None,
     distribution: DistributionKind = "normal",
 ) -> ProbabilisticActor:
     """Creates a stochastic policy: by default a tanh-squashed normal distribution within the action's bounds.
@@ -194,7 +212,8 @@ def make_actor(
         memory, memory_size: kind and number of units of a memory between the hidden layers and the last one. With it,
             the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
         prior: driver to whose action the policy adds, if it has no memory. ``None``: the policy starts from nothing.
-        by_robot: whether the bounds are those of the robot of each row, which the observation tells. Without memory.
+        bounds: bounds of the action by robot, which the observation tells: see :func:`bounds_by_robot`. ``None``: those
+            of ``action``.
         distribution: ``"normal"``, or ``"grid"``: see :class:`~rover_rl.algos.policy.grid_actions.GridDistribution`.
 
     Example:
@@ -208,13 +227,13 @@ def make_actor(
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     if memory == "none":
         body = _body(encoder, encoder.features, hidden, outputs, gain=0.01)
-        network = ActorNetwork(encoder, nn.Sequential(body, last), spec, prior, by_robot)
-        return _actor(TensorDictModule(network, [*encoder.keys], network.out_keys).to(device), spec, on_grid)
+        network = ActorNetwork(encoder, nn.Sequential(body, last), spec, prior, bounds)
+        return _actor(TensorDictModule(network, [*encoder.keys], ["loc", "scale"]).to(device), spec, on_grid, bounds)
     *layers, units = hidden
     body = nn.Sequential(_body(encoder, encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
     embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
     head = nn.Sequential(_mlp(units + memory_size, (), outputs, gain=0.01), last)
-    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec, on_grid)
+    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec, on_grid, bounds)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
@@ -222,11 +241,16 @@ def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     return _actor(TensorDictModule(actor[0].module.body, ["features"], ["loc", "scale"]), actor.spec["action"])
 
 
-def _actor(network: TensorDictModuleBase, spec: Bounded, on_grid: bool = False) -> ProbabilisticActor:
-    keys = [key for key in network.out_keys if key in ("loc", "scale", *BOUNDS_KEYS)]
-    bounds = {} if BOUNDS_KEYS[0] in keys else {"low": spec.space.low, "high": spec.space.high}
+def _actor(
+    network: TensorDictModuleBase, spec: Bounded, on_grid: bool = False, bounds: RowBounds | None = None
+) -> ProbabilisticActor:
     kind = GridDistribution if on_grid else BoundedTanhNormal
-    distribution = {"distribution_class": kind, "distribution_kwargs": bounds}
+    keys = {"loc": "loc", "scale": "scale"}
+    if bounds is None:
+        fixed = {"low": spec.space.low, "high": spec.space.high}
+        distribution: dict[str, Any] = {"distribution_class": kind, "distribution_kwargs": fixed}
+    else:
+        keys, distribution = keys | {"robot": ROBOT}, {"distribution_class": InRowBounds(kind, bounds)}
     return ProbabilisticActor(network, keys, spec=spec, **distribution, return_log_prob=True)
 
 

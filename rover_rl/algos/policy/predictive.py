@@ -210,16 +210,18 @@ class InformedPredictive(PredictivePolicy):
         self._worlds, self._grids = worlds, dict[int, tuple[Tensor, Tensor]]()
 
     def labels(self, observation: TensorDictBase, low: Tensor, high: Tensor) -> Tensor:
-        """Returns weights of the actions of a grid within bounds, which add up to one, ``[M, ACTIONS]``.
+        """Returns weights of the actions of a grid within bounds ``[..., 2]``, which add up to one, ``[M, ACTIONS]``.
 
         Of two actions, the one that costs ``TEMPERATURE`` seconds more has a weight that is smaller by a factor of e.
         """
         keys = [*self.in_keys[:4], ("privileged", MOVERS), ("outcome", "world"), ("outcome", "steps")]
         rows, actions = observation.select(*keys, strict=False), self.actions().to(low)
         costs = torch.cat([self.costs(part) for part in rows.split(ROWS_AT_ONCE)])
+        low, high = low[..., None, :], high[..., None, :]
         allowed = ((actions >= low) & (actions <= high)).all(-1)
         weights = (costs.clamp(max=WORST) / -TEMPERATURE).masked_fill(~allowed, -math.inf).softmax(-1)
-        return weights.new_zeros(len(weights), ACTIONS).index_add(1, nearest_index(actions, low, high), weights)
+        index = nearest_index(actions, low, high).expand_as(weights)
+        return weights.new_zeros(len(weights), ACTIONS).scatter_add(1, index, weights)
 
     def _movers(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor, Tensor]:
         pose, imu, movers = tensordict["pose"], tensordict["imu"], tensordict["privileged", MOVERS]

@@ -21,15 +21,24 @@ class RowBounds(nn.Module):
     """Bounds of the actions of different robots: those of an action spec, within what each robot can do.
 
     A share of them means the same effort for a slow robot and for a fast one.
+
+    Args:
+        spec: spec of actions, speed and turn.
+        gain: largest yaw rate of a robot over its largest turn: the ``kp`` of the heading PID for heading offsets, 1
+            for yaw rates.
+        share: share of the turns within bounds that are used: the bounds are as much wider.
     """
 
     _low: Tensor
     _high: Tensor
+    _wider: Tensor
 
-    def __init__(self, spec: Bounded) -> None:
+    def __init__(self, spec: Bounded, gain: float = HeadingGains.kp, share: float = 1.0) -> None:
         super().__init__()
+        self._gain = gain
         self.register_buffer("_low", spec.space.low, persistent=False)
         self.register_buffer("_high", spec.space.high, persistent=False)
+        self.register_buffer("_wider", spec.space.high.new_tensor((1.0, 1 / share)), persistent=False)
 
     def forward(self, robot: Tensor | None) -> tuple[Tensor, Tensor]:
         """Returns the lower and upper bounds for values of the sensor ``robot``, ``[..., 2]`` each.
@@ -39,8 +48,8 @@ class RowBounds(nn.Module):
         if robot is None:
             return self._low, self._high
         numbers = RobotNumbers.of(robot)
-        most = torch.cat((numbers.max_speed, numbers.max_yaw_rate / HeadingGains.kp), -1)
-        return torch.maximum(self._low, -most), torch.minimum(self._high, most)
+        most = torch.cat((numbers.max_speed, numbers.max_yaw_rate / self._gain), -1)
+        return torch.maximum(self._low, -most) * self._wider, torch.minimum(self._high, most) * self._wider
 
 
 class RoutePrior(nn.Module):

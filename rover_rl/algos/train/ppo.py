@@ -69,6 +69,8 @@ class PPOLearner(Learner):
         self._mirrors = networks.mirrors_of(encoder.sensors, config.env.action.kind)
         self._on_grid = network.distribution == "grid"
         self._encoder, self._spec = encoder, networks.action_spec(config.env.bounded_action, device)
+        by_robot = networks.bounds_by_robot(config)
+        self._row_bounds = by_robot and by_robot.to(device)
         # An actor is one network, or one with a memory.
         self._network: networks.ActorNetwork | None = self.actor[0].module if network.memory == "none" else None
         self._memory = None if self._network else PlainRecurrent(self.actor[0])
@@ -136,8 +138,8 @@ class PPOLearner(Learner):
         return Decisions.of({key: value.transpose(0, 1) for key, value in rows.items()}, state)
 
     def _bounds(self, read: TensorDictBase) -> tuple[Tensor, Tensor]:
-        if self._network and self._network.by_robot:
-            return self._network.bounds(read[ROBOT])
+        if self._row_bounds is not None:
+            return self._row_bounds(read[ROBOT])
         return self._spec.space.low, self._spec.space.high
 
     def _features(self, rows: Mapping[str, Tensor]) -> Tensor:
@@ -229,7 +231,8 @@ class PPOLearner(Learner):
         """Labels a share of the decisions, at random, as the expert is slow. The others have no weight."""
         chosen = torch.rand(batch.shape, device=batch.device) < LABELLED
         labels = batch["action"].new_zeros(*batch.shape, ACTIONS)
-        labels[chosen] = expert.labels(batch[chosen], *self._bounds(batch)) / LABELLED
+        rows = batch[chosen]
+        labels[chosen] = expert.labels(rows, *self._bounds(rows)) / LABELLED
         return {LABELS: labels}
 
     def _labelled(self, action: Tensor) -> dict[str, Tensor]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -8,9 +9,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv, Terrain, World, box
+from rover_rl.algos.config import NetworkConfig, TrainingConfig
 from rover_rl.algos.policy.networks import (
     ObservationEncoder,
     PrivilegedEncoder,
+    actor_of,
     make_action_critic,
     make_actor,
     make_critic,
@@ -19,7 +22,7 @@ from rover_rl.algos.policy.networks import (
 )
 from rover_rl.algos.policy.route_prior import RoutePrior
 from rover_rl.envs.actions import ACTION
-from rover_rl.envs.config import ActionConfig, LidarConfig
+from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.robot import RobotNumbers
 from rover_rl.envs.sensors.suite import ROBOT, ROUTE, environment_sensors
@@ -247,17 +250,35 @@ def test_the_reach_of_a_policy_bounds_what_it_takes_back_from_the_driver(reach: 
     assert (actor(observation)["action"][0, 0] < 0) == stops
 
 
-def test_actions_are_within_what_each_robot_can_do() -> None:
+@pytest.mark.parametrize(
+    ("kind", "network"),
+    [
+        ("heading", {"prior": "route"}),
+        ("heading", {"memory": "gru", "distribution": "grid"}),
+        ("twist", {"memory": "gru"}),
+    ],
+)
+def test_actions_are_within_what_each_robot_can_do(kind: str, network: dict[str, Any]) -> None:
     torch.manual_seed(0)
     names = ("leo", "jackal")
-    encoder = ObservationEncoder(("lidar", "velocities", ROUTE, "imu", ROBOT), 64)
-    action = ActionConfig(min_speed=-0.5).for_robot(names)
-    actor = make_actor(encoder, action=action, prior=RoutePrior(None), by_robot=True)
+    observation = ("lidar", "velocities", ROUTE, "imu", ROBOT)
+    env = EnvConfig(
+        robot=names,
+        lidar=LidarConfig(points=64),
+        sensors=(ROUTE, ROBOT),
+        action=ActionConfig(kind=kind, min_speed=-0.5),
+        backend="warp",
+    )
+    actor = actor_of(TrainingConfig(env=env, network=NetworkConfig(observation=observation, **network)))
+    rows = rows_of(*(names * 300))
+    rows["is_init"] = torch.ones(len(rows), 1, dtype=torch.bool)
     with set_exploration_type(ExplorationType.RANDOM):
-        actions = actor(rows_of(*(names * 300)))["action"].unflatten(0, (300, 2))
+        actions = actor(rows)["action"].unflatten(0, (300, 2))
     for column, name in enumerate(names):
         drive = get_robot(name).drive
         speed, turn = actions[:, column].unbind(-1)
+        # The heading PID turns twice as fast as the heading offset is large.
+        most = drive.max_yaw_rate / 2 if kind == "heading" else drive.max_yaw_rate
         assert 0.8 * drive.max_speed < speed.max() <= drive.max_speed
-        assert 0.8 * drive.max_yaw_rate / 2 < turn.max() <= drive.max_yaw_rate / 2
+        assert 0.8 * most < turn.max() <= most + 1e-6
         assert speed.min() >= -min(0.5, drive.max_speed)
