@@ -20,10 +20,11 @@ WORLDS = {
     "anywhere": ("maze:10000-10007", 0.85),
     "crowd": ("field:10000-10007@0.25", 0.75),
     "front-lidar": ("maze:10000-10007", 0.85),
-    "hills-heights": ("hills:10000-10007", 0.85),
+    "hills": ("hills:10000-10007", 0.85),
     "moon-depth": ("moon:10000-10007", 0.85),
     "moon-ppo": ("moon:10000-10007", 0.85),
     "moon-sac": ("moon:10000-10007", 0.85),
+    "race": ("forest:10000-10007", 0.75),
     "robust": ("maze:10000-10007", 0.85),
 }
 """Unseen worlds, and the share of the episodes that a policy must reach in them; its card tells what it reaches."""

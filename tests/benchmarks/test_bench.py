@@ -136,7 +136,7 @@ def test_policies_belong_to_stored_worlds() -> None:
     assert stored_worlds(EnvConfig(world=("maze:0-99@0.2-0.8", "rooms:0-99", "moon", "maze:*"))) == ["maze", "moon"]
     # A world with a seed is another one than the stored one.
     assert stored_worlds(EnvConfig(world="maze:7")) == []
-    assert {*pretrained_names()} - {*stored_policies()} == {"hills-heights"}
+    assert {*pretrained_names()} - {*stored_policies()} == {"hills"}
 
 
 # --- SB3 is given networks, inputs and settings of ours, so that the speeds of training compare

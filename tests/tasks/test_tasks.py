@@ -155,7 +155,7 @@ def test_settings_override_those_of_a_task() -> None:
     assert task_config("mazes", "ppo", gamma=0.5).algorithm.gamma == 0.5
 
 
-@pytest.mark.parametrize(("name", "shape"), [("mazes", (145,)), ("race", (85,))])
+@pytest.mark.parametrize(("name", "shape"), [("mazes", (145,)), ("race", (189,))])
 def test_gymnasium_accepts_the_environment_of_a_task(name: str, shape: tuple[int]) -> None:
     env = gymnasium.make(TASKS[name].gym_id)
     check_env(env.unwrapped, skip_render_check=True)
