@@ -212,8 +212,8 @@ def make_actor(
         memory, memory_size: kind and number of units of a memory between the hidden layers and the last one. With it,
             the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
         prior: driver to whose action the policy adds, if it has no memory. ``None``: the policy starts from nothing.
-        bounds: bounds of the action by robot, which the observation tells: see :func:`bounds_by_robot`. ``None``: those
-            of ``action``.
+        bounds: bounds of the action by robot, which the observation tells: see
+            :func:`~rover_rl.algos.policy.networks.bounds_by_robot`. ``None``: those of ``action``.
         distribution: ``"normal"``, or ``"grid"``: see :class:`~rover_rl.algos.policy.grid_actions.GridDistribution`.
 
     Example:
