@@ -87,7 +87,7 @@ class PlainPolicy(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Returns the action ``[N, 2]``, with a memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
-        entries, low, high = dict(zip(self.inputs, inputs, strict=True)), self._low, self._high
+        entries = dict(zip(self.inputs, inputs, strict=True))
         if ROBOT in self._observation:
             entries[ROBOT] = self.robot.expand(len(inputs[0]), -1)
         observation = [entries[key] for key in self._observation]
@@ -95,6 +95,7 @@ class PlainPolicy(nn.Module):
             loc, state = self._network(entries[STATE_IN], *observation)
         else:
             loc, _ = self._network(*observation)
+        low, high = self._low, self._high
         if self._on_grid:
             action = grid_actions(low, high)[loc.argmax(-1)]
         else:
