@@ -17,7 +17,7 @@ from rover_rl.tasks.task import get_task
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 CurriculumKind: TypeAlias = Literal["none", "learnability"]
-MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
+MemoryKind: TypeAlias = Literal["none", "gru"]
 DistributionKind: TypeAlias = Literal["normal", "grid"]
 PriorKind: TypeAlias = Literal["none", "route"]
 ImageNetworkKind: TypeAlias = Literal["convolutions", "patches"]
@@ -51,7 +51,7 @@ class NetworkConfig:
     """Largest standard deviation of a normal action before it is squashed to its bounds, in PPO at the start.
     Large values explore fast. Small ones (0.6) keep the policy from relying on chance to leave a corner."""
     memory: MemoryKind = "none"
-    """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers. Give it a rollout_length of 16 or more.
+    """Memory of the actor, in PPO: a GRU after the hidden layers. Give it a rollout_length of 16 or more.
     The policy then decides every action_repeat steps wherever it drives, as in training."""
     memory_size: int = 128
     """Number of units of the memory."""

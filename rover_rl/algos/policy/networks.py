@@ -209,8 +209,8 @@ def make_actor(
         action: bounds of the action; ``None``: the contract's.
         max_std: largest standard deviation of the normal distribution, before squashing.
         device: device of the policy; ``None``: the CPU.
-        memory, memory_size: kind and number of units of a memory between the hidden layers and the last one. With it,
-            the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
+        memory, memory_size: ``"gru"``, and its number of units, for a memory between the hidden layers and the last
+            one. With it, the policy reads and writes a state: see ``rover_rl.algos.policy.recurrent``.
         prior: driver to whose action the policy adds, if it has no memory. ``None``: the policy starts from nothing.
         bounds: bounds of the action by robot, which the observation tells: see
             :func:`~rover_rl.algos.policy.networks.bounds_by_robot`. ``None``: those of ``action``.
@@ -233,7 +233,7 @@ def make_actor(
     body = nn.Sequential(_body(encoder, encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
     embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
     head = nn.Sequential(_mlp(units + memory_size, (), outputs, gain=0.01), last)
-    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec, on_grid, bounds)
+    return _actor(recurrent_network(embedding, units, head, memory_size).to(device), spec, on_grid, bounds)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:

@@ -1,7 +1,7 @@
-"""Actors with memory: TorchRL's recurrent modules between the layers of the observation and the head.
+"""Actors with memory: TorchRL's GRU between the layers of the observation and the head.
 
-The memory travels in the tensordict, in the way of TorchRL: an actor reads its state at :data:`MEMORY_KEYS` and writes
-the next state at the same keys under ``"next"``. Where ``is_init`` is set, the state counts as zeros. A training
+The memory travels in the tensordict, in the way of TorchRL: an actor reads its state at :data:`MEMORY` and writes the
+next state at the same key under ``"next"``. Where ``is_init`` is set, the state counts as zeros. A training
 environment needs :func:`memory_transforms`. Everything else drives with a
 :class:`~rover_rl.algos.policy.runner.PolicyRunner`.
 
@@ -24,31 +24,23 @@ from torch.autograd.function import Function, once_differentiable
 from torch.nn.functional import linear
 from torchrl.data import Unbounded
 from torchrl.envs.transforms import InitTracker, TensorDictPrimer, Transform
-from torchrl.modules import GRUModule, LSTMModule
+from torchrl.modules import GRUModule
 
-MEMORY_KEYS: dict[str, tuple[str, ...]] = {
-    "none": (),
-    "gru": ("memory_hidden",),
-    "lstm": ("memory_hidden", "memory_cell"),
-}
-"""Entries of a tensordict that hold the state of each kind of memory, float32 ``[N, 1, units]`` each."""
+MEMORY = "memory_hidden"
+"""Entry of a tensordict that holds the state of a memory, float32 ``[N, 1, units]``."""
 
 
-def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, kind: str, size: int) -> nn.Module:
+def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, size: int) -> nn.Module:
     """Combines a module that writes ``embedding [..., units]``, a memory of ``size`` units and a head into one module.
 
     The head also reads the embedding: reactions to what the rover sees need not pass through the memory.
     """
-    state = MEMORY_KEYS[kind]
-    recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
-        units, size, in_keys=["embedding", *state, "is_init"], out_keys=["recalled", *(("next", key) for key in state)]
-    )
+    recurrent = GRU(units, size, in_keys=["embedding", MEMORY, "is_init"], out_keys=["recalled", ("next", MEMORY)])
     for name, parameter in recurrent.named_parameters():
         (nn.init.orthogonal_ if "weight" in name else nn.init.zeros_)(parameter)
     outputs = TensorDictModule(_Joined(head), in_keys=["embedding", "recalled"], out_keys=["loc", "scale"])
     # Collectors store all outputs: the embedding and what is recalled would take more memory than the observation.
-    kept = ["loc", "scale", *(("next", key) for key in state)]
-    return TensorDictSequential(embedding, recurrent, outputs, selected_out_keys=kept)
+    return TensorDictSequential(embedding, recurrent, outputs, selected_out_keys=["loc", "scale", ("next", MEMORY)])
 
 
 class GRU(GRUModule):
@@ -79,27 +71,21 @@ class _Joined(nn.Module):
 class PlainRecurrent(nn.Module):
     """A :func:`recurrent_network` as a function of plain tensors, for export and training.
 
-    A state ``[N, state_size]`` is the hidden one, for an LSTM followed by the cell.
+    A state is ``[N, state_size]``.
     """
 
     def __init__(self, network: TensorDictSequential) -> None:
         super().__init__()
         embedding, recurrent, outputs = network
         self._embedding, self._head = embedding.module, outputs.module
-        self._is_gru = isinstance(recurrent, GRUModule)
-        self._cell = recurrent.gru if self._is_gru else recurrent.lstm
-        self.state_size = self._cell.hidden_size * (1 if self._is_gru else 2)
+        self._cell = recurrent.gru
+        self.state_size: int = self._cell.hidden_size
 
     def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the mean of the action and the state after one step."""
         embedded = self._embedding(*observation)
-        weights = self._cell.all_weights[0]
-        if self._is_gru:
-            hidden = following = torch.gru_cell(embedded, state, *weights)
-        else:
-            hidden, cell = torch.lstm_cell(embedded, state.chunk(2, -1), *weights)
-            following = torch.cat((hidden, cell), -1)
-        return self._head(embedded, hidden)[0], following
+        state = torch.gru_cell(embedded, state, *self._cell.all_weights[0])
+        return self._head(embedded, state)[0], state
 
     def sequence(self, features: Tensor, is_init: Tensor, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Returns mean and standard deviation ``[T N, n]`` of actions, and the state after a sequence.
@@ -108,18 +94,12 @@ class PlainRecurrent(nn.Module):
         ``is_init [T N, 1]``, the state, ``[N, s]`` before the sequence, counts as zeros.
         """
         embedded, going_on = self._embedding.body(features), 1 - is_init.to(state.dtype)
-        weight, *weights = self._cell.all_weights[0]
-        if self._is_gru:
-            gates, going_on = linear(embedded, weight, weights[1]), going_on.unflatten(0, (-1, len(state)))
-            hidden = UnrolledGRU.apply(gates.unflatten(0, (-1, len(state))), going_on, state, weights[0], weights[2])
-            state, hidden = hidden[-1], hidden.flatten(0, 1)
-        else:
-            steps = []
-            for step, kept in zip(embedded.split(len(state)), going_on.split(len(state)), strict=True):
-                steps.append(torch.lstm_cell(step, (kept * state).chunk(2, -1), weight, *weights))
-                state = torch.cat(steps[-1], -1)
-            hidden = torch.cat([step[0] for step in steps])
-        return *self._head(embedded, hidden), state
+        by_input, by_state, input_bias, state_bias = self._cell.all_weights[0]
+        gates, going_on = (
+            each.unflatten(0, (-1, len(state))) for each in (linear(embedded, by_input, input_bias), going_on)
+        )
+        hidden = UnrolledGRU.apply(gates, going_on, state, by_state, state_bias)
+        return *self._head(embedded, hidden.flatten(0, 1)), hidden[-1]
 
 
 class UnrolledGRU(Function):
@@ -175,8 +155,7 @@ def memory_transforms(kind: str, size: int) -> list[Transform]:
     """
     if kind == "none":
         return []
-    state = {key: Unbounded(shape=(1, size)) for key in MEMORY_KEYS[kind]}
-    return [InitTracker(), MemoryPrimer(state, expand_specs=True)]
+    return [InitTracker(), MemoryPrimer({MEMORY: Unbounded(shape=(1, size))}, expand_specs=True)]
 
 
 class MemoryPrimer(TensorDictPrimer):

@@ -76,7 +76,7 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
 
 
 def test_a_program_with_memory_acts_as_the_original_over_an_episode(tmp_path):
-    checkpoint, path = recurrent_checkpoint("gru"), tmp_path / "recurrent.pt2"
+    checkpoint, path = recurrent_checkpoint(), tmp_path / "recurrent.pt2"
     assert export(checkpoint, path, "torch") <= exporting.TOLERANCE
     act, rows = torch.export.load(path).module(), TensorDict(random_observations(checkpoint, 3), [3]).split(1)
     runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, 12)
@@ -156,10 +156,10 @@ def test_a_policy_that_reads_the_route_takes_it_as_an_input_and_drives_as_the_or
 @needs_onnx
 def test_an_onnx_policy_with_memory_drives_as_the_original_and_commands_take_both(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    checkpoint, path = recurrent_checkpoint("lstm"), tmp_path / "mine.onnx"
+    checkpoint, path = recurrent_checkpoint(), tmp_path / "mine.onnx"
     checkpoint.save(tmp_path / "mine" / "checkpoint.pt")
     assert main(["export", "mine"]) == 0
-    state, sizes = [1, 24], {"lidar": [1, 32], "imu": [1, 3], "target": [1, 2], "velocities": [1, 2]}
+    state, sizes = [1, 12], {"lidar": [1, 32], "imu": [1, 3], "target": [1, 2], "velocities": [1, 2]}
     assert shapes(path) == ({"state_in": state, **sizes}, {"action": [1, 2], "state_out": state})
     policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("maze").first(3)
     # Fewer rows than episodes, whose memory is cleared when the next one begins.

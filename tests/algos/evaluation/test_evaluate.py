@@ -60,7 +60,7 @@ def test_driving_at_the_goal_reaches_it_on_open_ground() -> None:
 @pytest.mark.parametrize("kind", ["random", "gru"])
 def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str) -> None:
     many = draw_episodes(FIELD, count=9, seed=1)
-    policy = None if kind == "random" else recurrent_checkpoint(kind).make_actor()
+    policy = None if kind == "random" else recurrent_checkpoint().make_actor()
     before = torch.random.get_rng_state()
     together = evaluate(policy, many, seconds=0.6, rows=9, env=WARP)
     assert torch.equal(before, torch.random.get_rng_state())

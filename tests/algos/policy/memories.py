@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
 from rover_rl.algos.config import training_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
-
-BOTH = pytest.mark.parametrize("memory", ["gru", "lstm"])
-"""Runs a test with each kind of memory."""
 
 
 def observations(rows: int, steps: int = 12) -> list[TensorDict]:
@@ -43,10 +39,10 @@ class CountingPolicy:
         return td.set(("next", "count"), count + 1)
 
 
-def recurrent_checkpoint(memory: str, scale: float = 2.0) -> Checkpoint:
+def recurrent_checkpoint(scale: float = 2.0) -> Checkpoint:
     """A checkpoint of a small network with memory and random weights, enlarged so that its actions differ."""
-    config = training_config("ppo", world="maze", hidden=(16, 8), memory=memory, memory_size=12)
+    config = training_config("ppo", world="maze", hidden=(16, 8), memory="gru", memory_size=12)
     torch.manual_seed(0)
-    actor = make_actor(hidden=(16, 8), memory=memory, memory_size=12)
+    actor = make_actor(hidden=(16, 8), memory="gru", memory_size=12)
     weights = {name: weight * scale for name, weight in actor.state_dict().items()}
     return Checkpoint(config=config, steps=100, actor=weights)

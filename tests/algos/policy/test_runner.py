@@ -10,7 +10,7 @@ from rover_rl.algos.policy.grid_planner import GridPlanner, MovingGridPlanner
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.policy.runner import PolicyRunner, default_action_repeat, sensors_for
 from rover_rl.envs.config import EnvConfig
-from tests.algos.policy.memories import BOTH, CountingPolicy, observations, recurrent_checkpoint
+from tests.algos.policy.memories import CountingPolicy, observations, recurrent_checkpoint
 
 
 def counts(runner: PolicyRunner, seen: TensorDict, **options: torch.Tensor) -> list[int]:
@@ -60,7 +60,7 @@ def test_the_caller_may_say_which_rows_decide_and_a_policy_of_single_rows_is_cal
 
 
 def test_policies_with_memory_or_a_map_decide_as_often_as_in_training_whatever_the_control_rate() -> None:
-    actor, memoryless = recurrent_checkpoint("gru").make_actor(), make_actor(hidden=(8,))
+    actor, memoryless = recurrent_checkpoint().make_actor(), make_actor(hidden=(8,))
     memoryless.trained_action_repeat = 4
     for given, repeats in ((None, [4, 1, 1]), (2, [2, 2, 2])):
         assert [default_action_repeat(policy, given) for policy in (actor, memoryless, None)] == repeats
@@ -93,10 +93,9 @@ def test_policies_without_memory_pass_through() -> None:
     assert torch.equal(PolicyRunner(hidden_state)(seen), seen["target"])
 
 
-@BOTH
 @torch.no_grad()
-def test_rows_are_independent_to_the_last_bit(memory: str) -> None:
-    actor = recurrent_checkpoint(memory).make_actor()
+def test_rows_are_independent_to_the_last_bit() -> None:
+    actor = recurrent_checkpoint().make_actor()
     few, many = (PolicyRunner(actor, action_repeat=2, min_rows=32) for _ in range(2))
     first = []
     for step, (some, more) in enumerate(zip(observations(3), observations(40), strict=True)):

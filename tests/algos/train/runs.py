@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
-from rover_rl.algos.policy.recurrent import MEMORY_KEYS
+from rover_rl.algos.policy.recurrent import MEMORY
 from rover_rl.algos.train import train
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import read_progress
@@ -33,7 +33,6 @@ SAC = training_config("sac", **SMALL, rollout_length=2, gradient_steps=2, learni
 LEARNABLE = with_settings(PPO, backend="warp", world="maze:0-7@0-1", curriculum="learnability", length=24)
 """A training with a curriculum."""
 GRU = with_settings(PPO, world=FIELD, memory="gru", memory_size=8, length=40, rollout_length=8, minibatch=16)
-LSTM = with_settings(GRU, memory="lstm")
 RECURRENT = with_settings(LEARNABLE, memory="gru", memory_size=8, rollout_length=8, minibatch=16)
 """A training of a policy with memory, with a curriculum."""
 BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
@@ -94,22 +93,21 @@ def record_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def states_of(batch: TensorDictBase, memory: str) -> TensorDictBase:
+def states_of(batch: TensorDictBase) -> TensorDictBase:
     """What :func:`check_states` reads of a batch."""
-    return batch.select("is_init", *MEMORY_KEYS[memory], "next").clone()
+    return batch.select("is_init", MEMORY, "next").clone()
 
 
-def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
+def check_states(batches: list[TensorDictBase]) -> TensorDictBase:
     """Checks that the memory moves, is cleared at resets row by row, and goes on; returns the batches as one."""
     batch = torch.cat(batches, 1)
     is_init = batch["is_init"].squeeze(-1)
     assert is_init[:, 0].all()
     assert 0 < is_init[:, 1:].sum() < is_init[:, 1:].numel() / 2
     assert torch.equal(is_init[:, 1:], batch["next", "done"].squeeze(-1)[:, :-1])
-    for key in MEMORY_KEYS[memory]:
-        state, after = batch[key], batch["next", key]
-        assert (state[is_init] == 0).all()
-        assert (after != 0).any(-1).all()
-        going_on = ~is_init[:, 1:]
-        assert torch.equal(state[:, 1:][going_on], after[:, :-1][going_on])
+    state, after = batch[MEMORY], batch["next", MEMORY]
+    assert (state[is_init] == 0).all()
+    assert (after != 0).any(-1).all()
+    going_on = ~is_init[:, 1:]
+    assert torch.equal(state[:, 1:][going_on], after[:, :-1][going_on])
     return batch

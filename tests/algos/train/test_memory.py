@@ -22,7 +22,7 @@ from rover_rl.algos.train.ppo import MirrorMemory, PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
 from rover_rl.envs.encoding import ObservationEncoder
-from tests.algos.train.runs import FIELD, GRU, LSTM, PPO, WALL, check_states, field, run
+from tests.algos.train.runs import FIELD, GRU, PPO, WALL, check_states, field, run
 
 OBSERVATION = PPO.network.observation
 
@@ -38,8 +38,8 @@ def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[Tensor
 
 @torch.no_grad()
 def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets() -> None:
-    learner, collected = batches(LSTM, 3)
-    batch = check_states(collected, "lstm")
+    learner, collected = batches(GRU, 3)
+    batch = check_states(collected)
     # What was collected step by step follows from the whole sequence of observations, and nothing else.
     seen = batch.select(*OBSERVATION, "is_init")
     with set_recurrent_mode(True):
@@ -49,7 +49,7 @@ def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets() -> None:
 
 
 def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_actions() -> None:
-    settings = with_settings(LSTM, mirror_augmentation=False, epochs=1, minibatch=32)
+    settings = with_settings(GRU, mirror_augmentation=False, epochs=1, minibatch=32)
     learner, collected = batches(settings, 2)
     logged = learner.update(collected[1], 0.0, Stopwatch())
     assert logged["gradient_steps"] == 1
@@ -59,7 +59,7 @@ def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_action
 
 @torch.no_grad()
 def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start() -> None:
-    learner, collected = batches(LSTM, 3)
+    learner, collected = batches(GRU, 3)
     memory, encoder = PlainRecurrent(learner.actor[0]), ObservationEncoder(OBSERVATION)
     mirrors, runner = MirrorMemory(memory), PolicyRunner(learner.actor, action_repeat=1)
     image = mirrored(torch.cat(collected[:2], 1).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))

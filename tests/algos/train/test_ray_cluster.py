@@ -59,7 +59,7 @@ def test_a_run_on_a_cluster_ends_with_a_checkpoint_if_a_worker_is_killed(
 
     def kill(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
         if number <= 3:
-            collected.append(states_of(batch, "gru"))
+            collected.append(states_of(batch))
         if number == 3:
             remote_workers()[0].send_signal(signal.SIGKILL)
 
@@ -68,7 +68,7 @@ def test_a_run_on_a_cluster_ends_with_a_checkpoint_if_a_worker_is_killed(
         run(config, tmp_path, total_steps=UNLIMITED_STEPS)
     checkpoint = Checkpoint.load(folder)
     assert checkpoint.steps >= 3 * 128
-    check_states(collected, "gru")
+    check_states(collected)
     assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
     # One worker per processor of the cluster.
     assert "workers: 2" in (folder / "config.yaml").read_text()
