@@ -19,7 +19,6 @@ WORLDS = {
     "anyrobot": ("maze:10000-10007", 0.75),
     "anywhere": ("maze:10000-10007", 0.85),
     "crowd": ("field:10000-10007@0.25", 0.75),
-    "front-lidar": ("maze:10000-10007", 0.85),
     "hills": ("hills:10000-10007", 0.85),
     "moon-depth": ("moon:10000-10007", 0.85),
     "moon-ppo": ("moon:10000-10007", 0.85),
