@@ -49,6 +49,6 @@ class Export:
         difference = export(checkpoint, out, self.format)
         print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g}")
         observed = checkpoint.config.network.observation
-        if computed := " and ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES, VISITS) if key in observed):
+        if computed := ", ".join(key for key in (ROUTE, MOVERS, CONTACT_TIMES, VISITS) if key in observed):
             print(f"The file reads {computed} as input, which rover-rl drive {out} computes (docs/export.md).")
         return 0
