@@ -124,8 +124,7 @@ def test_a_program_that_hangs_or_dies_leaves_a_rover_that_stands(robot, environm
     finally:
         program.kill()
         program.join()
-    robot.twists.clear()
-    until(lambda: not robot.twists or robot.twists.clear() or time.sleep(0.3))  # the watchdog has ended
+    until(lambda: robot.twists.clear() or time.sleep(1.0) or not robot.twists)  # the watchdog has ended
 
 
 def test_a_node_of_rclpy_hears_all_topics_of_a_robot_and_drives_it(robot, teleop):
