@@ -13,6 +13,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 from typing import Any
 from weakref import WeakValueDictionary
@@ -38,6 +39,7 @@ from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
 from rover_rl.sims.ros2.transport import HISTORY_DEPTH, NAMING_TIME, ActiveSenders, Publisher, Receive, ThrottledLogger
 
 MAX_ENDPOINTS = 10_000  # publishers or subscribers in a domain among which those of a topic are looked up
+TOPIC_TRIES = 5  # to create a topic
 MAX_PASSES = 8  # looks for messages that have arrived before those that were found are passed on
 MAX_DOMAIN_ID = 232  # higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)
 NODE_LIST = "ros_discovery_info"  # topic that announces nodes, without the prefix of ROS topics
@@ -66,7 +68,7 @@ class DdsTransport:
         distribution = environment.get("ROS_DISTRO", "")
         self._identifier_size = 24 if distribution in LONG_IDENTIFIERS else 16
         self._gid, self._node, self._announcement = announcement_messages(distribution)
-        self._nodes = Topic(self._participant, NODE_LIST, _sample_type(self._announcement))
+        self._nodes = _topic(self._participant, NODE_LIST, _sample_type(self._announcement))
         # Late subscribers receive the last announcement.
         self._announcer = DataWriter(self._participant, self._nodes, _qos(True, 1, latched=True))
         self._announce()
@@ -154,7 +156,7 @@ class DdsTransport:
         """Returns the participant and a topic, to which a reader or writer is added."""
         participant, sample_type = self._require_open(), _sample_type(kind)
         if name not in self._topics:
-            self._topics[name] = Topic(participant, _dds_name(name), sample_type)
+            self._topics[name] = _topic(participant, _dds_name(name), sample_type)
         if (known := self._topics[name].data_type) is not sample_type:
             types = known._kind.ros_type, kind.ros_type
             raise ValueError(f"topic {name} has type {types[0]}, and cannot also have type {types[1]}")
@@ -191,6 +193,19 @@ class DdsTransport:
 
 _writers_of_node: defaultdict[str, set[str]] = defaultdict(set)
 """Identifiers of the publishers of this process, in hexadecimal digits, by the name of their node."""
+
+
+def _topic(participant: DomainParticipant, name: str, sample_type: Any) -> Topic[Any]:
+    """Creates a topic.
+
+    Cyclone fails rarely, for no reason that it tells, when another participant of the process opens or closes one of
+    the same type at the time. Another try succeeds.
+    """
+    for _ in range(TOPIC_TRIES - 1):
+        with suppress(core.DDSException):
+            return Topic(participant, name, sample_type)
+        time.sleep(0.05)
+    return Topic(participant, name, sample_type)
 
 
 def _dds_name(topic: str) -> str:

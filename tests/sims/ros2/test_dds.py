@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cyclonedds import core
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy
 from cyclonedds.sub import DataReader
@@ -66,6 +67,20 @@ def test_a_topic_has_one_type_and_a_closed_connection_raises_an_error(domain):
         publish(Twist())
     with pytest.raises(RuntimeError, match="connection of gone is closed"):
         transport.subscribe("/scan", LaserScan, print)
+
+
+def test_a_topic_that_cannot_be_created_is_tried_again(domain, monkeypatch):
+    tried = []
+
+    def created(*arguments):
+        tried.append(arguments[1])
+        if len(tried) < 3:
+            raise core.DDSException(-1)
+        return Topic(*arguments)
+
+    monkeypatch.setattr("rover_rl.sims.ros2.dds.Topic", created)
+    DdsTransport("late", domain).close()
+    assert tried == ["ros_discovery_info"] * 3
 
 
 def test_a_forked_process_is_rejected(domain):
