@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cyclonedds import core
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
