@@ -196,10 +196,10 @@ _writers_of_node: defaultdict[str, set[str]] = defaultdict(set)
 
 
 def _topic(participant: DomainParticipant, name: str, sample_type: Any) -> Topic[Any]:
-    """Creates a topic.
+    """Creates a topic, in several tries.
 
-    Cyclone fails rarely, for no reason that it tells, when another participant of the process opens or closes one of
-    the same type at the time. Another try succeeds.
+    Cyclone sometimes fails without a reason, which was seen while other connections of the process opened and closed.
+    The next try then succeeded.
     """
     for _ in range(TOPIC_TRIES - 1):
         with suppress(core.DDSException):
