@@ -109,11 +109,21 @@ def meets_mover(scene: Scene, row: int, center: wp.vec2, radius: float, time: fl
 @wp.func
 def room_of(scene: Scene, row: int, count: int, center: wp.vec2, radius: float) -> float:
     """Distance that a disc can move in any direction until it touches a point, m; less than 0 if it touches one."""
+    # Two chains of minima, which a processor follows side by side.
+    points = scene.points[row]
     nearest = float(FAR)
-    for k in range(count):
-        away = scene.points[row, k] - center
-        nearest = wp.min(nearest, wp.dot(away, away))
+    other = float(FAR)
+    for k in range(0, count, 2):
+        nearest = wp.min(nearest, wp.length_sq(points[k] - center))
+        other = wp.min(other, wp.length_sq(points[wp.min(k + 1, count - 1)] - center))
+    nearest = wp.min(nearest, other)
     return wp.where(nearest < radius * radius, -1.0, wp.sqrt(nearest) - radius)
+
+
+@wp.func
+def turned(direction: wp.vec2, by: wp.vec2) -> wp.vec2:
+    """Direction turned by an angle, given by its cosine and sine."""
+    return wp.vec2(direction[0] * by[0] - direction[1] * by[1], direction[0] * by[1] + direction[1] * by[0])
 
 
 @wp.func
@@ -127,26 +137,29 @@ def time_of(
     dt = drives.step
     v = start[0]
     w = start[1]
-    x = float(0.0)
-    y = float(0.0)
-    heading = float(0.0)
+    place = wp.vec2(0.0, 0.0)
+    ahead = wp.vec2(1.0, 0.0)
+    half = wp.vec2(1.0, 0.0)  # turn of half a step, as cosine and sine
     reach = limits.front + limits.radius + ROUNDING
     rooms = wp.vec3(0.0, 0.0, 0.0)  # of the discs ahead, behind and in the middle, m
     for step in range(drives.steps):
         v += wp.clamp(speed - v, -limits.acceleration * dt, limits.acceleration * dt)
-        w += wp.clamp(yaw_rate - w, -limits.yaw_acceleration * dt, limits.yaw_acceleration * dt)
-        middle = heading + 0.5 * w * dt
-        x += v * dt * wp.cos(middle)
-        y += v * dt * wp.sin(middle)
-        heading += w * dt
+        change = wp.clamp(yaw_rate - w, -limits.yaw_acceleration * dt, limits.yaw_acceleration * dt)
+        w += change
+        if step == 0 or change != 0.0:
+            half = wp.vec2(wp.cos(0.5 * w * dt), wp.sin(0.5 * w * dt))
+        # Along the heading in the middle of the step.
+        ahead = turned(ahead, half)
+        place += v * dt * ahead
+        ahead = turned(ahead, half)
         time = dt * float(step + 1)
         moved = (wp.abs(v) + limits.front * wp.abs(w)) * dt + ROUNDING
-        near = meets_mover(scene, row, wp.vec2(x, y), reach, time)
+        near = meets_mover(scene, row, place, reach, time)
         for k in range(3):
             # The disc ahead is the only one of a round robot.
             if k == 0 or (k == 1 and limits.front > 0.0) or (k == 2 and limits.middle > 0.0):
                 side = wp.where(k == 2, 0.0, limits.front * (1.0 - 2.0 * float(k)))
-                center = wp.vec2(x, y) + side * wp.vec2(wp.cos(heading), wp.sin(heading))
+                center = place + side * ahead
                 rooms[k] = rooms[k] - moved
                 if rooms[k] < 0.0:
                     rooms[k] = room_of(scene, row, count, center, limits.radius)
