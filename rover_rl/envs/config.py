@@ -456,7 +456,8 @@ class EnvConfig(Settings):
     episode."""
     robot: RobotLike = "rover_zero"
     """Robot: a name (rover-rl robots lists them; any:7 is number 7 of a family), a URDF file, or module:attribute. Of
-    several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp."""
+    several ("leo husky", or "any:0-255" for 256 robots), each episode draws one, with backend warp. The entries of a
+    list have equal shares of the episodes."""
     robot_options: RobotSettings = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf(max_speed=1.5)"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)

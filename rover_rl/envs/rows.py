@@ -12,7 +12,6 @@ from torch import Tensor
 from rover_rl.envs.chosen_rows import ChosenRows
 from rover_rl.envs.config import EnvConfig
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_index
-from rover_rl.robots import get_robots
 from rover_rl.robots.fleet import Fleet
 from rover_rl.sims.backends import begin_loading
 from rover_rl.sims.free_space.fitting import RobotGroups
@@ -95,6 +94,8 @@ class RowWorlds:
         # On the device once for all: a copy from the host waits for the device.
         self._sizes = torch.tensor(self.pool.sizes, device=keys.device)
         self._starts = self._sizes.cumsum(0) - self._sizes
+        if len({*self.pool.shares}) > 1:
+            self.set_weights(torch.tensor(self.pool.shares_of_worlds))
         rows = torch.arange(num_envs, device=keys.device)[:, None]
         self.index = self._drawn(keys) if self.is_drawn else rows // agents * count // groups
         indices = self.index.flatten().tolist()
@@ -171,7 +172,7 @@ class RowWorlds:
         limits = weights.to("cpu", torch.float64).cumsum(0)
         if not (weights >= 0).all() or not 0 < limits[-1] < torch.inf:
             raise ValueError("weights must be finite and not negative, and not all 0")
-        self._limits = (limits / limits[-1] * _PARTS).round().long().to(self.index.device)
+        self._limits = (limits / limits[-1] * _PARTS).round().long().to(self._sizes.device)
 
     @contextmanager
     def _running(self, ahead: WorldsAhead) -> Iterator[None]:
@@ -196,10 +197,10 @@ class RowWorlds:
 
 
 class RowRobots:
-    """The robot of each row of a batch. Each episode draws one of those that drive in its world, all equally likely.
+    """The robot of each row of a batch. Each episode draws one of the lots of those that drive in its world.
 
-    The draw depends on the seed of the row, the number of the episode and its world only. ``choices`` are the first
-    robot and number of robots that drive in the worlds of each entry of the pool, empty for one. The ``fleet`` is for
+    The draw depends on the seed of the row, the number of the episode and its world only. ``choices`` are the first lot
+    and number of lots of those that drive in the worlds of each entry of the pool, empty for one. The ``fleet`` is for
     those who hold data of robots, and ``robot_in`` returns the robot that needs the most space of those in a world.
     ``keys`` are those of the next episodes in place of those of the environment.
     """
@@ -208,6 +209,7 @@ class RowRobots:
         self, groups: RobotGroups, choices: Sequence[tuple[int, int]], worlds: RowWorlds, keys: Tensor
     ) -> None:
         self._worlds, self._choices = worlds, torch.tensor(choices or [(0, 1)], device=keys.device)
+        self._lots = torch.tensor(groups.lots, device=keys.device)
         self.robot_in, self.are_several = groups.largest_in, len(groups.robots) > 1
         self.fleet = Fleet(groups.robots, self._drawn(keys))
         self.keys: Tensor | None = None
@@ -216,7 +218,7 @@ class RowRobots:
     def of(cls, config: EnvConfig, keys: Tensor) -> tuple[RowWorlds, RowRobots]:
         """Creates the worlds and the robots of an environment with their first episodes, while its simulator loads."""
         begin_loading(config.backend, config.preset, keys.device)
-        groups = RobotGroups(get_robots(config.robot))
+        groups = RobotGroups(config.robot)
         source, choices = groups.spread(config.world)
         is_drawn = (draws_worlds(config.world) or len(choices) > len(config.worlds)) if choices else None
         worlds = RowWorlds(source, first_of_group(keys, config.agents), config.agents, is_drawn)
@@ -228,13 +230,14 @@ class RowRobots:
 
     def _drawn(self, keys: Tensor) -> Tensor:
         one = len(self._choices) == 1
-        return drawn_robots(self._choices.expand(len(keys), 2) if one else self._choices[self._worlds.entry], keys)
+        choices = self._choices.expand(len(keys), 2) if one else self._choices[self._worlds.entry]
+        return self._lots[drawn_lots(choices, keys)]
 
 
-def drawn_robots(choices: Tensor, keys: Tensor) -> Tensor:
-    """Returns the index of the robot that each episode draws with its key, int64 ``[N]``.
+def drawn_lots(choices: Tensor, keys: Tensor) -> Tensor:
+    """Returns the lot that each episode draws with its key, int64 ``[N]``: see ``RobotGroups``.
 
-    ``choices`` are the first robot and number of robots that each row chooses from, int64 ``[N, 2]``.
+    ``choices`` are the first lot and number of lots that each row chooses from, int64 ``[N, 2]``.
     """
     return choices[:, 0] + to_index(random_bits(keys, _ROBOT, 0, 1), choices[:, 1:]).squeeze(-1)
 

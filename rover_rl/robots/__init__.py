@@ -123,6 +123,11 @@ def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
     Raises:
         ValueError: as :func:`get_robot`, or if there are no robots or too many, or a range is not in order.
     """
+    return tuple(dict.fromkeys(robot for entry in robots_by_entry(robots) for robot in entry))
+
+
+def robots_by_entry(robots: RobotSource) -> list[list[Robot]]:
+    """Returns the robots of each entry of a list, as :func:`get_robots` takes it: one, or those of a range."""
     from rover_rl.robots.fleet import MAX_ROBOTS
 
     entries = [robots] if isinstance(robots, str) or not isinstance(robots, Sequence) else robots
@@ -130,8 +135,7 @@ def get_robots(robots: RobotSource) -> tuple[Robot, ...]:
     count = sum(map(len, parts))
     if not 1 <= count <= MAX_ROBOTS:
         raise ValueError(f"robot must give 1 to {MAX_ROBOTS} robots, as 'any:0-255' does, got {count}")
-    names = [str(one) if isinstance(one, Name) else one for part in parts for one in part]
-    return tuple(dict.fromkeys(map(get_robot, names)))
+    return [[get_robot(str(one) if isinstance(one, Name) else one) for one in part] for part in parts]
 
 
 def check_training_robots(robots: RobotSource) -> None:

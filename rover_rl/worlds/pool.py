@@ -39,6 +39,7 @@ class WorldPool:
     Attributes:
         entries: the arguments.
         sizes: number of worlds of each entry.
+        shares: share of the episodes of each entry, equal ones unless they are set.
 
     Raises:
         ValueError: if there is no entry, or a range is not in order.
@@ -56,6 +57,7 @@ class WorldPool:
         names = (Name.parse(entry) if isinstance(entry, str) else None for entry in entries)
         self._ranges = [name if name and name.is_range else None for name in names]
         self.sizes = tuple(1 if seeds is None else len(seeds) for seeds in self._ranges)
+        self.shares = (1 / len(entries),) * len(entries)
         self._starts = (0, *accumulate(self.sizes))
         self._kept: OrderedDict[int, World] = OrderedDict()
         # The thread of WorldsAhead may generate worlds.
@@ -67,6 +69,12 @@ class WorldPool:
         if isinstance(worlds, WorldPool):
             return worlds
         return cls(worlds) if isinstance(worlds, (str, World)) else cls(*worlds)
+
+    @property
+    def shares_of_worlds(self) -> list[float]:
+        """Share of the episodes of each world: those of an entry have equal ones."""
+        pairs = zip(self.shares, self.sizes, strict=True)
+        return [share / size for share, size in pairs for _ in range(size)]
 
     @property
     def has_ranges(self) -> bool:

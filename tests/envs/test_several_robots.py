@@ -73,6 +73,16 @@ def test_each_episode_draws_a_robot_by_its_seed_and_number():
     assert now[:8] != seen[-1][:8]
 
 
+@pytest.mark.parametrize("world", [PLAIN, ("maze:0-3", "rooms:0-3")])
+def test_the_entries_of_a_list_have_equal_shares_of_the_episodes_and_a_range_shares_its_own(world):
+    names = [robot.name for robot in make(1024, robot=("any:0-7", "leo", "racer"), world_n=world).fleet]
+    counts = {name: names.count(name) for name in {*names}}
+    assert counts.pop("leo") == pytest.approx(1024 / 3, abs=60)
+    assert counts.pop("racer") == pytest.approx(1024 / 3, abs=60)
+    assert len(counts) == 8
+    assert all(20 <= count <= 70 for count in counts.values())
+
+
 def test_actions_reach_the_speed_of_the_fastest_robot_and_each_robot_keeps_its_limits():
     env = make(12)
     space = env.action_spec.space

@@ -18,9 +18,9 @@ from rover_rl.algos.evaluation.episodes import EpisodeSet, read_episodes
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate, Row, compute_metrics, episode_row, finite_row
 from rover_rl.algos.evaluation.trajectory import Trajectory, find_body_contacts
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain, plain_env
-from rover_rl.envs.rows import drawn_robots
+from rover_rl.envs.rows import drawn_lots
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.robots import Robot, get_robots
+from rover_rl.robots import Robot
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.free_space.fitting import RobotGroups
 
@@ -63,9 +63,9 @@ class Evaluation:
         first = self.episodes.seed + self.episodes.offset
         keys = episode_keys(row_keys(first, len(self.trajectories), torch.device("cpu")), 1)
         # All of them fit in the worlds of an evaluation.
-        robots = RobotGroups(get_robots(self.env.robot)).robots
-        choices = torch.tensor([[0, len(robots)]] * len(keys))
-        return [robots[number] for number in drawn_robots(choices, keys).tolist()]
+        groups = RobotGroups(self.env.robot)
+        choices = torch.tensor([[0, len(groups.lots)]] * len(keys))
+        return [groups.robots[groups.lots[lot]] for lot in drawn_lots(choices, keys).tolist()]
 
     @cached_property
     def wall_contacts(self) -> list[Tensor]:

@@ -19,7 +19,6 @@ from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
 from rover_rl.names import Name
-from rover_rl.robots import get_robots
 from rover_rl.sims.free_space.fitting import RobotGroups
 from rover_rl.worlds.pool import WorldPool
 
@@ -57,9 +56,7 @@ class Learnability:
         self.difficulty = torch.tensor(difficulties, dtype=torch.float64)
         groups: dict[tuple[str, int | None], int] = {}
         self._group = torch.tensor([groups.setdefault(_group(name), len(groups)) for name in names])
-        # As often as in a draw without weights: each entry equally often, and each of its worlds.
-        sizes = torch.tensor(pool.sizes)
-        self._even = (1 / (len(sizes) * sizes.double())).repeat_interleave(sizes)
+        self._even = torch.tensor(pool.shares_of_worlds, dtype=torch.float64)
         self.attempts = torch.zeros(len(pool), dtype=torch.float64)
         self.successes = torch.zeros_like(self.attempts)
 
@@ -189,7 +186,7 @@ class CurriculumRecord:
     def __init__(self, config: TrainingConfig) -> None:
         self._names = config.env.world_names
         env = config.env.fitted()
-        worlds, _ = RobotGroups(get_robots(env.robot)).spread(env.world)
+        worlds, _ = RobotGroups(env.robot).spread(env.world)
         self._pool = WorldPool.of(worlds)
         self.learnability = Learnability(self._pool)
         self._totals = torch.zeros(len(self._pool), 3, dtype=torch.int64)

@@ -9,14 +9,17 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 from rover_rl.names import SCALES, Name
-from rover_rl.robots import Robot
+from rover_rl.robots import Robot, robots_by_entry
 from rover_rl.robots.fleet import largest_of
 from rover_rl.worlds import World, takes_scale
 from rover_rl.worlds.pool import WorldPool, WorldSource
+
+if TYPE_CHECKING:
+    from rover_rl.robots import RobotSource
 
 Source = TypeVar("Source")
 
@@ -83,24 +86,35 @@ class RobotGroups:
     """Robots of one batch, in groups by the scale of generated worlds that they need.
 
     Small robots drive in narrow passages, and large ones in wide ones: the worlds of a group fit the one of its robots
-    that needs the widest passages.
+    that needs the widest passages. An episode draws a lot. All entries of a list have as many lots, which a range
+    shares among its robots.
+
+    Args:
+        source: robots, as :func:`~rover_rl.robots.get_robots` takes them.
 
     Attributes:
         robots: the robots, in the order of their needs.
+        lots: index of the robot of each lot, in the same order.
     """
 
-    def __init__(self, robots: Sequence[Robot]) -> None:
+    def __init__(self, source: RobotSource) -> None:
+        entries = robots_by_entry(source)
+        most = max(map(len, entries))
+        drawn = [entry[lot * len(entry) // most] for entry in entries for lot in range(most)]
+        robots = dict.fromkeys(drawn)
         # A robot that is alone drives in all worlds. It may be too large for any scale.
-        needs = [passage_scale(robot) if len(robots) > 1 else 1.0 for robot in robots]
-        order = sorted(range(len(robots)), key=needs.__getitem__)
-        self.robots, self._needs = tuple(robots[number] for number in order), sorted(needs)
-        ends = [math.ceil(len(robots) * group / GROUPS) for group in range(1, GROUPS + 1)]
+        needs = {robot: passage_scale(robot) if len(robots) > 1 else 1.0 for robot in robots}
+        drawn.sort(key=needs.__getitem__)
+        self.robots, self._needs = tuple(dict.fromkeys(drawn)), [needs[robot] for robot in drawn]
+        index = {robot: number for number, robot in enumerate(self.robots)}
+        self.lots = tuple(index[robot] for robot in drawn)
+        ends = [math.ceil(len(drawn) * group / GROUPS) for group in range(1, GROUPS + 1)]
         # Largest robot of each group.
-        self._widest = {self._needs[end - 1]: self.robots[end - 1] for end in ends}
+        self._widest = {self._needs[end - 1]: drawn[end - 1] for end in ends}
         self._worlds: WeakKeyDictionary[World, Robot] = WeakKeyDictionary()
 
     def spread(self, worlds: WorldSource) -> tuple[WorldSource, list[tuple[int, int]]]:
-        """Returns worlds for all groups, and for each entry its first robot and number of robots; none for one robot.
+        """Returns worlds for all groups, and for each entry its first lot and number of lots; none for one robot.
 
         Where the name of a generated world leaves the scale open, there is an entry for each group. Where it states
         one, the robots that fit drive there. All robots drive in other worlds, and where none fits.
@@ -108,18 +122,22 @@ class RobotGroups:
         if len(self.robots) == 1:
             return worlds, []
         entries: list[str | World] = []
-        groups = []
+        groups: list[tuple[int, int]] = []
+        shares: list[float] = []
         for entry in WorldPool.of(worlds).entries:
             if isinstance(entry, str) and takes_scale(entry):
                 entries += [fitting_worlds(entry, robot) for robot in self._widest.values()]
                 ends = [bisect_right(self._needs, scale) for scale in self._widest]
                 groups += [(first, end - first) for first, end in pairwise([0, *ends])]
+                shares += [(end - first) / len(self.lots) for first, end in pairwise([0, *ends])]
             else:
                 entries.append(entry)
                 scale = Name.parse(entry).settings.get("scale") if isinstance(entry, str) else None
-                groups.append((0, (scale and bisect_right(self._needs, scale)) or len(self.robots)))
-        largest = [largest_of(self.robots[first : first + count]) for first, count in groups]
-        return _Pool(entries, largest, self._worlds), groups
+                groups.append((0, (scale and bisect_right(self._needs, scale)) or len(self.lots)))
+                shares.append(1.0)
+        drivers = ({*self.lots[first : first + count]} for first, count in groups)
+        largest = [largest_of(self.robots[number] for number in sorted(numbers)) for numbers in drivers]
+        return _Pool(entries, shares, largest, self._worlds), groups
 
     def largest_in(self, world: World) -> Robot:
         """Returns the robot that needs the most space of those that drive in a world of the last :meth:`spread`."""
@@ -127,12 +145,17 @@ class RobotGroups:
 
 
 class _Pool(WorldPool):
-    """Pool that notes the largest robot of each world that it makes."""
+    """Pool that notes the largest robot of each world that it makes. Entries have episodes by their ``shares``."""
 
     def __init__(
-        self, entries: Sequence[str | World], largest: Sequence[Robot], worlds: WeakKeyDictionary[World, Robot]
+        self,
+        entries: Sequence[str | World],
+        shares: Sequence[float],
+        largest: Sequence[Robot],
+        worlds: WeakKeyDictionary[World, Robot],
     ) -> None:
         super().__init__(*entries)
+        self.shares = tuple(share / sum(shares) for share in shares)
         self._largest, self._noted = largest, worlds
 
     def __getitem__(self, index: int) -> World:
