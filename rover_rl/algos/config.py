@@ -11,7 +11,7 @@ from rover_rl.algos.workers import default_workers, usable_cores
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import SCAN_POSE, EnvConfig
 from rover_rl.envs.parts import HEADING
-from rover_rl.envs.sensors.suite import ROBOT, ROUTE, VISITS, require_entries
+from rover_rl.envs.sensors.suite import ROUTE, VISITS, require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 from rover_rl.tasks.task import get_task
 
@@ -322,9 +322,9 @@ class TrainingConfig:
         from rover_rl.robots import get_robots
 
         network, robots = self.network, get_robots(self.env.robot)
-        tells_robot = ROBOT in network.observation or len(robots) > 1
-        in_place = all(robot.drive.turns_in_place for robot in robots)
-        *most, last = entries_of_driver(tells_robot, in_place, network.observation)
+        if len(robots) > 1:
+            raise ValueError(f"prior='route' is for one robot, got {len(robots)}")
+        *most, last = entries_of_driver(robots[0].drive.turns_in_place, network.observation)
         if network.memory != "none" or not {*most, last} <= {*network.observation}:
             raise ValueError(
                 f"prior='route' needs {', '.join(most)} and {last} in observation and memory='none', got "
@@ -376,15 +376,14 @@ _COUNTS = (
 )
 
 
-def entries_of_driver(tells_robot: bool, turns_in_place: bool, observation: Sequence[str]) -> tuple[str, ...]:
+def entries_of_driver(turns_in_place: bool, observation: Sequence[str]) -> tuple[str, ...]:
     """Returns the entries that the driver of ``prior="route"`` reads.
 
-    A robot that does not turn in place drives in arcs, which begin at its speed. An observation that ``tells_robot``
-    may be that of such a robot. If it has the pose of the scan, the driver reads that, too.
+    A robot that does not turn in place drives in arcs, which begin at its speed. If the observation has the pose of the
+    scan, the driver reads that, too.
     """
     late = [SCAN_POSE] if SCAN_POSE in observation else []
-    in_arcs = tells_robot or not turns_in_place
-    return ("lidar", "imu", *(["velocities"] if in_arcs else []), *late, *([ROBOT] if tells_robot else []), ROUTE)
+    return ("lidar", "imu", *([] if turns_in_place else ["velocities"]), *late, ROUTE)
 
 
 _POSITIVE = (

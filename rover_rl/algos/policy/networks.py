@@ -167,8 +167,7 @@ def actor_of(
     network, env = config.network, config.env
     bounds, prior = bounds_by_robot(config), None
     if network.prior != "none":
-        robot = None if bounds else get_robot(env.robot)
-        prior = RoutePrior(robot, network.observation, network.prior_reach, network.prior_share)
+        prior = RoutePrior(get_robot(env.robot), network.observation, network.prior_reach, network.prior_share)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
     settings = network.hidden, env.bounded_action, network.max_std, device, *memory, prior, bounds
     return make_actor(encoder, *settings, network.distribution)

@@ -1,4 +1,4 @@
-"""``RoutePrior``: driver who follows the route, to whose action a policy adds, for one robot or for any."""
+"""``RoutePrior``: driver who follows the route, to whose action a policy adds; and bounds of actions by robot."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from rover_rl.algos.config import entries_of_driver
 from rover_rl.algos.policy.grid_planner import Follower, follow, follow_in_arcs
 from rover_rl.envs.config import SCAN_POSE, HeadingGains
 from rover_rl.envs.sensors.robot import RobotNumbers
-from rover_rl.envs.sensors.suite import ROBOT, ROUTE
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.robots import Robot
-from rover_rl.robots.turning import YAW_GAIN
 
 
 class RowBounds(nn.Module):
@@ -60,7 +59,7 @@ class RoutePrior(nn.Module):
     for robots that do not turn in place :func:`~rover_rl.algos.policy.grid_planner.follow_in_arcs`.
 
     Args:
-        robot: robot that drives. ``None``: those that the sensor ``robot`` tells.
+        robot: robot that drives.
         observation: entries that the policy reads. With ``scan_pose``, the driver reads where scans were taken.
         reach: largest change of the mean by the policy, before squashing. A policy that may change more takes back what
             the driver does in rare places, such as backing out of a dead end, and gets stuck there. Where things move,
@@ -71,12 +70,10 @@ class RoutePrior(nn.Module):
         keys: entries of the observation that the driver reads.
     """
 
-    def __init__(
-        self, robot: Robot | None, observation: Sequence[str] = (), reach: float = 1.0, share: float = 0.95
-    ) -> None:
+    def __init__(self, robot: Robot, observation: Sequence[str] = (), reach: float = 1.0, share: float = 0.95) -> None:
         super().__init__()
         self._robot, self.reach, self._share = robot, reach, share
-        self.keys = entries_of_driver(robot is None, robot is not None and robot.drive.turns_in_place, observation)
+        self.keys = entries_of_driver(robot.drive.turns_in_place, observation)
 
     def forward(self, entry: Mapping[str, Tensor], low: Tensor, high: Tensor) -> Tensor:
         middle, half = (high + low) / 2, (high - low) / 2
@@ -86,13 +83,9 @@ class RoutePrior(nn.Module):
     def _action(self, entry: Mapping[str, Tensor]) -> Tensor:
         rows = {key: entry[key].reshape(-1, entry[key].shape[-1]) for key in self.keys}
         lidar, imu, route, scan_pose = rows["lidar"], rows["imu"], rows[ROUTE], rows.get(SCAN_POSE)
-        if self._robot is not None and self._robot.drive.turns_in_place:
+        if self._robot.drive.turns_in_place:
             action = follow(lidar, imu, route, Follower.of(self._robot), scan_pose)
         else:
-            robot = RobotNumbers.of(rows[ROBOT]) if self._robot is None else RobotNumbers.of_robot(self._robot, lidar)
+            robot = RobotNumbers.of_robot(self._robot, lidar)
             action = follow_in_arcs(lidar, imu, route, rows["velocities"], robot, scan_pose)
-            if self._robot is None:
-                turn_gain = 2 * YAW_GAIN / robot.yaw_gain.clamp(min=0.1)
-                follower = Follower(robot.ahead, -robot.behind, robot.half_width, robot.lidar_x, turn_gain)
-                action = torch.where(robot.min_radius > 0, action, follow(lidar, imu, route, follower, scan_pose))
         return action.reshape(*entry["lidar"].shape[:-1], 2)

@@ -229,16 +229,6 @@ def rows_of(*names: str) -> TensorDict:
     return td.set(ROBOT, torch.cat([torch.cat(number, -1) for number in numbers]))
 
 
-def test_the_driver_of_any_robot_is_that_of_each() -> None:
-    names = ("leo", "hunter", "jackal", "racer")
-    td, low, high = rows_of(*names), torch.tensor([-1.0, -1.0]), torch.tensor([1.0, 1.0])
-    together = RoutePrior(None)(td, low, high)
-    alone = torch.cat([RoutePrior(get_robot(name))(td[row : row + 1], low, high) for row, name in enumerate(names)])
-    # The slip of wheels is calculated in one, and estimated in the other.
-    torch.testing.assert_close(together[:, 0], alone[:, 0], rtol=0, atol=1e-6)
-    torch.testing.assert_close(together, alone, rtol=0.2, atol=1e-3)
-
-
 @pytest.mark.parametrize(("reach", "stops"), [(1.0, False), (3.0, True)])
 def test_the_reach_of_a_policy_bounds_what_it_takes_back_from_the_driver(reach: float, stops: bool) -> None:
     prior = RoutePrior(get_robot("rover_zero"), reach=reach, share=0.8)
@@ -252,11 +242,7 @@ def test_the_reach_of_a_policy_bounds_what_it_takes_back_from_the_driver(reach: 
 
 @pytest.mark.parametrize(
     ("kind", "network"),
-    [
-        ("heading", {"prior": "route"}),
-        ("heading", {"memory": "gru", "distribution": "grid"}),
-        ("twist", {"memory": "gru"}),
-    ],
+    [("heading", {}), ("heading", {"memory": "gru", "distribution": "grid"}), ("twist", {"memory": "gru"})],
 )
 def test_actions_are_within_what_each_robot_can_do(kind: str, network: dict[str, Any]) -> None:
     torch.manual_seed(0)
