@@ -107,7 +107,7 @@ def follow_in_arcs(
 
 
 class Follower(NamedTuple):
-    """What :func:`follow` needs to know of robots, numbers or ``[..., 1]``.
+    """What :func:`follow` needs to know of a robot.
 
     Attributes:
         back, front: x of both ends of the footprint, m.
@@ -116,11 +116,11 @@ class Follower(NamedTuple):
         turn_gain: heading offset for each radian to turn.
     """
 
-    front: Tensor | float
-    back: Tensor | float
-    half_width: Tensor | float
-    lidar_x: Tensor | float
-    turn_gain: Tensor | float
+    front: float
+    back: float
+    half_width: float
+    lidar_x: float
+    turn_gain: float
 
     @classmethod
     def of(cls, robot: Robot) -> Follower:
@@ -138,7 +138,7 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Follower, scan_pose
 
     Args:
         lidar, imu, route: entries of the observation, ``[..., n]``.
-        robot: robots whose footprint must stay free, and which turn in place.
+        robot: robot whose footprint must stay free, and which turns in place.
         scan_pose: where the scan was taken, ``[..., 6]``. ``None``: where the rover is.
 
     Returns:
