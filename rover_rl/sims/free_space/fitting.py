@@ -86,8 +86,8 @@ class RobotGroups:
     """Robots of one batch, in groups by the scale of generated worlds that they need.
 
     Small robots drive in narrow passages, and large ones in wide ones: the worlds of a group fit the one of its robots
-    that needs the widest passages. An episode draws a lot. All entries of a list have as many lots, which a range
-    shares among its robots.
+    that needs the widest passages. Each episode draws one of the lots. All entries of a list have the same number of
+    lots, and the robots of a range share those of their entry.
 
     Args:
         source: robots, as :func:`~rover_rl.robots.get_robots` takes them.
@@ -145,7 +145,7 @@ class RobotGroups:
 
 
 class _Pool(WorldPool):
-    """Pool that notes the largest robot of each world that it makes. Entries have episodes by their ``shares``."""
+    """Pool that notes the largest robot of each world that it makes, with the ``shares`` of its entries."""
 
     def __init__(
         self,
